@@ -1,0 +1,1 @@
+int polarmpm_native_version(void) { return 1; }
