@@ -1,0 +1,26 @@
+#!/bin/sh
+# Style and types. ruff and mypy are pinned and live in a virtual environment of their own, so that what they say
+# doesn't depend on the machine.
+set -eu
+cd "$(dirname "$0")/.."
+
+venv=.venv-lint
+if ! cmp -s scripts/lint-requirements.txt "$venv/installed.txt"; then
+  /usr/bin/python3 -m venv --clear "$venv" || {
+    echo 'lint: no virtual environment; install it with: apt-get install python3-venv' >&2
+    exit 1
+  }
+  echo '*' >"$venv/.gitignore"
+  "$venv/bin/python" -m pip --quiet --disable-pip-version-check --retries 5 install --only-binary :all: \
+    -r scripts/lint-requirements.txt || {
+    echo 'lint: pip could not install ruff and mypy (scripts/lint-requirements.txt): it needs a package index' >&2
+    exit 1
+  }
+  cp scripts/lint-requirements.txt "$venv/installed.txt"
+fi
+
+status=0
+"$venv/bin/ruff" check . || status=1
+"$venv/bin/ruff" format --check . || status=1
+"$venv/bin/mypy" || status=1
+exit $status

@@ -1,0 +1,30 @@
+#!/bin/sh
+# Runs the tests that are neither slow nor start mpirun themselves, all of them on several ranks at once.
+#   scripts/pytest-on-ranks.sh RANKS [pytest's arguments]
+# Rank 0 writes to the terminal; what the others write is shown if one of them fails.
+set -eu
+cd "$(dirname "$0")/.."
+. scripts/env.sh
+
+ranks=$1
+shift
+logs=$(mktemp -d)
+trap 'rm -rf "$logs"' EXIT
+
+# A rank that fails alone leaves the others waiting for it: hence the time limit, and the stacks of those that wait.
+status=0
+timeout -k 30 "${MPI_TIMEOUT:-1200}" mpirun -n "$ranks" sh -c '
+  logs=$1
+  shift
+  [ "$OMPI_COMM_WORLD_RANK" = 0 ] || exec >"$logs/rank-$OMPI_COMM_WORLD_RANK.txt" 2>&1
+  exec python -m pytest -m "not slow and not mpi" -p no:cacheprovider -o faulthandler_timeout=300 "$@"
+' rank "$logs" "$@" </dev/null || status=$?
+
+if [ "$status" != 0 ]; then
+  for log in "$logs"/*; do
+    [ ! -f "$log" ] || { printf '\n%s\n' "--- ${log##*/} (last 200 lines)" && tail -n 200 "$log"; } >&2
+  done
+  [ "$status" != 124 ] || echo "the tests on $ranks ranks took longer than ${MPI_TIMEOUT:-1200} s" >&2
+  echo "the tests on $ranks ranks failed (status $status)" >&2
+fi
+exit "$status"
