@@ -11,6 +11,10 @@ shift
 logs=$(mktemp -d)
 trap 'rm -rf "$logs"' EXIT
 
+# mpirun gives rank 0 a terminal of its own, even where this script writes to a log.
+color=no
+[ ! -t 1 ] || color=yes
+
 # A rank that fails alone leaves the others waiting for it: hence the time limit, and the stacks of those that wait.
 status=0
 timeout -k 30 "${MPI_TIMEOUT:-1200}" mpirun -n "$ranks" sh -c '
@@ -18,7 +22,7 @@ timeout -k 30 "${MPI_TIMEOUT:-1200}" mpirun -n "$ranks" sh -c '
   shift
   [ "$OMPI_COMM_WORLD_RANK" = 0 ] || exec >"$logs/rank-$OMPI_COMM_WORLD_RANK.txt" 2>&1
   exec python -m pytest -m "not slow and not mpi" -p no:cacheprovider -o faulthandler_timeout=300 "$@"
-' rank "$logs" "$@" </dev/null || status=$?
+' rank "$logs" --color="$color" "$@" </dev/null || status=$?
 
 if [ "$status" != 0 ]; then
   for log in "$logs"/*; do
