@@ -70,7 +70,7 @@ install_venv() {
   rm -f "$stamp"
   "$python" -m venv --clear --system-site-packages .venv
   # All dependencies are Debian's, so nothing is to be fetched; neither are the build tools.
-  .venv/bin/python -m pip --quiet --disable-pip-version-check install --no-index --no-deps --no-build-isolation --editable .
+  .venv/bin/python -m pip --quiet --disable-pip-version-check install --no-cache-dir --no-index --no-deps --no-build-isolation --editable .
   # dolfinx' processes wait for another one's JIT compile for 10 s by default, which isn't enough on a busy machine.
   # 0.5 and the later releases read different files.
   mkdir -p .venv/config/dolfinx
