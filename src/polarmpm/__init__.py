@@ -1,3 +1,39 @@
 """Large deformations of micropolar (Cosserat) solids with material points, on FEniCSx."""
 
+from .conditions import plane
+from .errors import InputError, KernelError, NotConverged, PointsOutsideGrid, PolarMPMError
+from .grid import Grid
+from .materials import Hencky, Material, MicropolarElastic, NeoHookean, UserEnergy
+from .newton import Controls
+from .points import Points, Selection
+from .problem import QuasiStatic
+from .resetting import EverySteps, Never, WhenDistorted
+from .seeding import seed, seed_mesh
+from .stepping import Step
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "Controls",
+    "EverySteps",
+    "Grid",
+    "Hencky",
+    "InputError",
+    "KernelError",
+    "Material",
+    "MicropolarElastic",
+    "NeoHookean",
+    "Never",
+    "NotConverged",
+    "Points",
+    "PointsOutsideGrid",
+    "PolarMPMError",
+    "QuasiStatic",
+    "Selection",
+    "Step",
+    "UserEnergy",
+    "WhenDistorted",
+    "plane",
+    "seed",
+    "seed_mesh",
+]

@@ -1,0 +1,47 @@
+"""Errors raised by the package. Every message names the culprit, its value and what is allowed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+class PolarMPMError(Exception):
+    """Base of all errors of the package."""
+
+
+class InputError(PolarMPMError, ValueError):
+    """An argument is out of its admissible range; nothing has been changed."""
+
+
+class PointsOutsideGrid(PolarMPMError, ValueError):
+    """Material points lie (or have moved) outside the background grid.
+
+    Attributes:
+        ids: permanent ids of the points, at most the first twenty of this rank.
+    """
+
+    def __init__(self, ids: Sequence[int], count: int, where: str):
+        self.ids = [int(i) for i in ids][:20]
+        shown = ", ".join(map(str, self.ids[:8])) + (", ..." if count > 8 else "")
+        super().__init__(f"{count} material point(s) outside the grid ({where}): ids {shown}")
+
+
+class NotConverged(PolarMPMError, RuntimeError):
+    """A load step did not converge; the last converged state is intact.
+
+    Attributes:
+        factor: load factor that was aimed at.
+        history: (force, energy) measures of every iteration of the last attempt, T (2.53)-(2.54).
+        tried: one line for each attempt.
+    """
+
+    def __init__(self, factor: float, history: Sequence[tuple[float, float]], tried: Sequence[str]):
+        self.factor, self.history, self.tried = factor, list(history), list(tried)
+        super().__init__(
+            f"no equilibrium at load factor {factor:.6g}; the last converged state is intact. Tried:\n  "
+            + "\n  ".join(self.tried)
+        )
+
+
+class KernelError(PolarMPMError, RuntimeError):
+    """An expression could not be turned into compiled code."""

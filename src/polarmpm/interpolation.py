@@ -1,0 +1,220 @@
+"""Points on the grid between two resets: weighting functions, node sets, packed state.
+
+Nodal increments are measured from the last reset, and so are the weighting functions: the lattice moves
+with its nodes until it is reset (T 2.3.3). Everything here is rebuilt at a reset and read-only after it,
+but for the packed state when rotations get a new base.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import native, rotations
+from .grid import Grid
+from .nodes import ActiveNodes
+from .pointforms import Layout, PointForm
+from .points import Points
+from .weighting import Weights, weights
+
+
+@dataclass
+class Reference:
+    """State of the points from which increments count: F at the last reset, rotations at their last base."""
+
+    x: np.ndarray
+    F: np.ndarray
+    q: np.ndarray
+    wryness: np.ndarray
+
+
+@dataclass
+class PointBatch:
+    """Points of one material in the order of their node sets."""
+
+    form: PointForm
+    rows: np.ndarray
+    batch: native.Batch
+
+
+@dataclass
+class Increments:
+    """Interpolated increments at the points: value (n, block), du/dx~ (n, d, d), dw/dx~ (n, r, d)."""
+
+    value: np.ndarray
+    gradient: np.ndarray
+    rotation_gradient: np.ndarray
+
+
+class Interpolation:
+    """Weighting functions of all points, their node sets and the active nodes. Collective.
+
+    Args:
+        forms: point form of each of the points' materials.
+    """
+
+    def __init__(self, grid: Grid, points: Points, basis: str, forms: Sequence[PointForm]):
+        self.grid, self.points, self.forms = grid, points, forms
+        self.layout: Layout = forms[0].layout
+        w = weights(basis, grid, points.x, points.half_length)
+        self.reference = Reference(
+            points.x.copy(), points.F.copy(), points.q.copy(), points.wryness.copy()
+        )
+        order, groups = _group(points.material, w)
+        touched, node_sets = _node_sets(grid, groups)
+        self.nodes = ActiveNodes.build(grid, touched)
+        # lattice -> local numbers: the owned and the ghost nodes are each in ascending order
+        to_local = self.nodes.local(touched)
+        self.batches = [
+            self._batch(form, m, w, order, groups, node_sets, to_local) for m, form in enumerate(forms)
+        ]
+        local_reach = int((groups.count - 1).max(initial=1))
+        self.reach = int(grid.comm.allreduce(local_reach, op=_max()))
+        self.pack()
+
+    def _batch(
+        self,
+        form: PointForm,
+        material: int,
+        w: Weights,
+        order: np.ndarray,
+        groups: _Groups,
+        node_sets: list[np.ndarray],
+        to_local: np.ndarray,
+    ) -> PointBatch:
+        mine = np.flatnonzero(groups.material == material)
+        rows = np.concatenate([order[groups.first[g] : groups.first[g + 1]] for g in mine] or [order[:0]])
+        sizes = groups.first[mine + 1] - groups.first[mine]
+        sets = [to_local[node_sets[g]] for g in mine]
+        lengths = np.array([len(s) for s in sets], dtype=np.int64)
+        parameters = list(form.material.parameters().values()) or [0.0]
+        batch = native.Batch()
+        native.fill(
+            batch,
+            dim=self.layout.dim,
+            rot=self.layout.rotations,
+            slots=w.table.shape[-1],
+            nstate=form.state_size,
+            nparam=len(parameters),
+            npoints=len(rows),
+            ngroups=len(mine),
+            weights=np.ascontiguousarray(w.table[rows]),
+            count=np.ascontiguousarray(groups.count[mine], dtype=np.int32),
+            param=np.array(parameters, dtype=float),
+            volume=np.ascontiguousarray(self.points.volume0[rows]),
+            first=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+            node_first=np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64),
+            nodes=np.concatenate(sets or [np.zeros(0)]).astype(np.int32),
+        )
+        return PointBatch(form, rows, batch)
+
+    # state --------------------------------------------------------------------------------------
+    def pack(self) -> None:
+        """Write the reference state into the kernels' input, see `pointforms`."""
+        r, d = self.reference, self.layout.dim
+        for b in self.batches:
+            f, q, wryness = r.F[b.rows], r.q[b.rows], r.wryness[b.rows]
+            iso, micropolar = b.form.material.isotropic, b.form.material.micropolar
+            frame = f
+            if micropolar and iso:
+                back = np.swapaxes(rotations.to_tensor(q), 1, 2)
+                frame, wryness = f @ back, rotations.to_tensor(q) @ wryness @ back
+            parts = [frame[:, :d, :d].reshape(len(f), -1)]
+            if micropolar:
+                if not iso:
+                    parts.append(q if d == 3 else q[:, [0, 3]])
+                parts.append(wryness.reshape(len(f), -1) if d == 3 else wryness[:, 2, :2])
+            native.fill(b.batch, state=np.ascontiguousarray(np.concatenate(parts, axis=1)))
+
+    def rebase_rotations(self) -> None:
+        """Count rotation increments from the points' current rotations on; weights and F stay."""
+        self.reference.q, self.reference.wryness = self.points.q.copy(), self.points.wryness.copy()
+        self.pack()
+
+    # between nodes and points ---------------------------------------------------------------------
+    def gather(self, x: np.ndarray) -> Increments:
+        """Increments at this rank's points from nodal values (nodes, block)."""
+        d, r, n = self.layout.dim, self.layout.rotations, len(self.points)
+        z, value = np.zeros((n, self.layout.unknowns)), np.zeros((n, self.layout.block))
+        for b in self.batches:
+            zb, vb = np.empty((len(b.rows), z.shape[1])), np.empty((len(b.rows), value.shape[1]))
+            native.library().polarmpm_gather(
+                ctypes.byref(b.batch), x.ctypes.data, zb.ctypes.data, vb.ctypes.data
+            )
+            z[b.rows], value[b.rows] = zb, vb
+        return Increments(value, z[:, : d * d].reshape(n, d, d), z[:, d * d + r :].reshape(n, r, d))
+
+    def spread(self, point_values: np.ndarray) -> np.ndarray:
+        """Nodal sums of point values (np, c) with the weighting functions; complete on owned rows. Collective."""
+        c = point_values.shape[1]
+        out = np.zeros((len(self.nodes), c))
+        for b in self.batches:
+            f = np.ascontiguousarray(point_values[b.rows])
+            native.library().polarmpm_spread(ctypes.byref(b.batch), f.ctypes.data, c, out.ctypes.data)
+        self.nodes.add_to_owners(out)
+        return out
+
+    def update_points(self, x: np.ndarray) -> None:
+        """Set the points' current state from nodal increments (nodes, block), T 3.4.5."""
+        p, ref, d = self.points, self.reference, self.layout.dim
+        inc = self.gather(x)
+        p.x = ref.x + inc.value[:, :d]
+        step = np.tile(np.eye(3), (len(p), 1, 1))
+        step[:, :d, :d] += inc.gradient
+        p.F = step @ ref.F
+        if self.layout.rotations:
+            w, gw = np.zeros((len(p), 3)), np.zeros((len(p), 3, 3))
+            if d == 3:
+                w, gw = inc.value[:, d:], inc.rotation_gradient
+            else:
+                w[:, 2], gw[:, 2, :2] = inc.value[:, d], inc.rotation_gradient[:, 0]
+            p.q = rotations.normalise(rotations.multiply(rotations.from_vector(w), ref.q))
+            back = np.swapaxes(rotations.to_tensor(ref.q), 1, 2)
+            p.wryness = ref.wryness + back @ rotations.right_tangent(w) @ gw @ ref.F
+
+
+@dataclass
+class _Groups:
+    """Point groups that share a node set: material, first lattice node, nodes in each direction."""
+
+    material: np.ndarray
+    node: np.ndarray
+    count: np.ndarray
+    first: np.ndarray
+
+
+def _group(material: np.ndarray, w: Weights) -> tuple[np.ndarray, _Groups]:
+    """Sort points by material, node count and first node."""
+    n, dim = w.first.shape
+    keys = [w.first[:, i] for i in range(dim - 1, -1, -1)] + [w.count[:, i] for i in range(dim)] + [material]
+    order = np.lexsort(keys)
+    columns = np.column_stack([material, w.first, w.count])[order]
+    new = np.ones(n, dtype=bool)
+    new[1:] = np.any(columns[1:] != columns[:-1], axis=1)
+    heads = columns[new]
+    first = np.append(np.flatnonzero(new), n)
+    return order, _Groups(heads[:, 0], heads[:, 1 : 1 + dim], heads[:, 1 + dim :], first)
+
+
+def _node_sets(grid: Grid, groups: _Groups) -> tuple[np.ndarray, list[np.ndarray]]:
+    """All lattice numbers touched, ascending, and for each group the places of its nodes among them."""
+    base = grid.node_number(groups.node) if len(groups.node) else np.zeros(0, dtype=np.int64)
+    boxes: dict[tuple[int, ...], np.ndarray] = {}
+    numbers = []
+    for start, count in zip(base, map(tuple, groups.count), strict=True):
+        if count not in boxes:
+            index = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1)
+            boxes[count] = index.reshape(-1, grid.dim) @ grid.strides
+        numbers.append(start + boxes[count])
+    touched, inverse = np.unique(np.concatenate(numbers or [base]), return_inverse=True)
+    ends = np.cumsum([len(s) for s in numbers])
+    return touched, np.split(inverse, ends[:-1]) if numbers else []
+
+
+def _max() -> object:
+    from mpi4py import MPI
+
+    return MPI.MAX

@@ -1,0 +1,84 @@
+"""Kinematics in UFL: deformation gradient, microrotation, Cosserat strain and wryness (T 3.3, 3.4).
+
+All rotations in forms are *increments* Dw since the last reset, so they are moderate, and the functions
+of their angle are power series in its square: smooth at zero, and UFL can derive them.
+"""
+
+from __future__ import annotations
+
+from math import factorial
+from typing import Any
+
+import ufl
+
+_TERMS = 14  # machine precision up to an angle of pi; still 1e-7 at 2 pi
+
+
+def hat(a: Any) -> Any:
+    """Skew tensor of a vector, hat(a) b = a x b."""
+    return ufl.as_tensor(((0, -a[2], a[1]), (a[2], 0, -a[0]), (-a[1], a[0], 0)))
+
+
+def _series(s: Any, shift: int) -> Any:
+    """sum_k (-s)^k / (2 k + shift)! in Horner's form."""
+    total = ufl.as_ufl(1.0 / factorial(2 * _TERMS + shift))
+    for k in range(_TERMS - 1, -1, -1):
+        total = 1.0 / factorial(2 * k + shift) - s * total
+    return total
+
+
+def _one_minus_cos(s: Any) -> Any:
+    """(1 - cos t) / t^2 of s = t^2."""
+    return _series(s, 2)
+
+
+def _t_minus_sin(s: Any) -> Any:
+    """(t - sin t) / t^3 of s = t^2."""
+    return _series(s, 3)
+
+
+def exp_map(w: Any) -> Any:
+    """Rotation tensor exp(hat(w)) of a rotation vector w (three components)."""
+    s = ufl.dot(w, w)
+    sinc = 1 - s * _t_minus_sin(s)
+    return (1 - s * _one_minus_cos(s)) * ufl.Identity(3) + sinc * hat(w) + _one_minus_cos(s) * ufl.outer(w, w)
+
+
+def right_tangent(w: Any) -> Any:
+    """J_r(w): dexp(hat(w)) = exp(hat(w)) hat(J_r(w) dw). formulation: step-vector parametrisation."""
+    s = ufl.dot(w, w)
+    b, c = _one_minus_cos(s), _t_minus_sin(s)
+    return (1 - s * c) * ufl.Identity(3) - b * hat(w) + c * ufl.outer(w, w)
+
+
+def left_tangent(w: Any) -> Any:
+    """J_l(w) = J_r(-w): the spin of a rotation increment is J_l(Dw) d(Dw)."""
+    return right_tangent(-w)
+
+
+def quaternion_tensor(q: Any) -> Any:
+    """Rotation tensor of a unit quaternion (scalar first), T (3.168)."""
+    v = ufl.as_vector((q[1], q[2], q[3]))
+    return (2 * q[0] * q[0] - 1) * ufl.Identity(3) + 2 * ufl.outer(v, v) + 2 * q[0] * hat(v)
+
+
+def plane_exp_map(w: Any) -> Any:
+    """Rotation tensor of an in-plane rotation by the angle w about the third axis."""
+    s = w * w
+    cos, sin = 1 - s * _one_minus_cos(s), w * (1 - s * _t_minus_sin(s))
+    return ufl.as_tensor(((cos, -sin, 0), (sin, cos, 0), (0, 0, 1)))
+
+
+def plane_gradient(g: Any) -> Any:
+    """A 2 x 2 gradient as a 3 x 3 tensor without out-of-plane entries."""
+    return ufl.as_tensor(((g[0, 0], g[0, 1], 0), (g[1, 0], g[1, 1], 0), (0, 0, 0)))
+
+
+def plane_tensor(f: Any) -> Any:
+    """A 2 x 2 deformation-like tensor in plane strain: unit stretch along the third axis."""
+    return ufl.as_tensor(((f[0, 0], f[0, 1], 0), (f[1, 0], f[1, 1], 0), (0, 0, 1)))
+
+
+def plane_wryness(g: Any) -> Any:
+    """The two entries of the plane wryness, d(theta)/dX, as the third row of a tensor."""
+    return ufl.as_tensor(((0, 0, 0), (0, 0, 0), (g[0], g[1], 0)))

@@ -1,0 +1,95 @@
+"""What the solver asks of a material."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+from ..errors import InputError
+
+
+class Material:
+    """A hyperelastic material: its energy per reference volume, written once in UFL.
+
+    Derive from it, or hand the energy to `UserEnergy`. Stresses and tangents come from UFL.
+
+    Attributes:
+        micropolar: whether points carry a microrotation; without it the scene has no rotation unknowns.
+        isotropic: W(R E R^T, R Gamma R^T) = W(E, Gamma) for every rotation R. Allows a cheaper frame.
+    """
+
+    micropolar: bool = True
+    isotropic: bool = False
+
+    def parameters(self) -> dict[str, float]:
+        """Numbers of the energy by name. They enter the compiled code as inputs."""
+        return {}
+
+    def energy(self, *strains_and_parameters: Any) -> Any:
+        """W(E, Gamma, p) of a micropolar material, W(F, p) of a classical one; p.name is a parameter.
+
+        E = Q^T F - I and Gamma are 3 x 3 UFL tensors, also in plane strain; W in Pa (J/m^3).
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no energy")
+
+
+def check_material(material: Any) -> Material:
+    """Raise InputError unless `material` has an energy."""
+    if not isinstance(material, Material):
+        raise InputError(
+            f"material: {material!r} is not a material; use one of polarmpm's or derive from polarmpm.Material"
+        )
+    if type(material).energy is Material.energy:
+        raise InputError(
+            f"material: {type(material).__name__} has no energy; "
+            "define energy(E, Gamma, p), or energy(F, p) when it is classical"
+        )
+    return material
+
+
+@dataclass(frozen=True)
+class UserEnergy(Material):
+    """A user's energy as a function in UFL.
+
+    Args:
+        function: W(E, Gamma, p) or, for `micropolar=False`, W(F, p).
+        values: the numbers p.name, so that changing them compiles nothing.
+
+    Example:
+        >>> UserEnergy(lambda E, G, p: p.a * ufl.inner(E, E) + p.b * ufl.inner(G, G), {"a": 1e6, "b": 10.0})
+    """
+
+    function: Callable[..., Any]
+    values: Mapping[str, float] = field(default_factory=dict)
+    micropolar: bool = True
+    isotropic: bool = False
+
+    def __post_init__(self) -> None:
+        if not callable(self.function):
+            raise InputError(f"function: {self.function!r} is not callable")
+        for name, value in self.values.items():
+            require_finite(name, value)
+
+    def parameters(self) -> dict[str, float]:
+        return dict(self.values)
+
+    def energy(self, *args: Any) -> Any:
+        return self.function(*args)
+
+
+def require_finite(name: str, value: Any) -> None:
+    """Raise InputError unless `value` is a finite number."""
+    if not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise InputError(f"{name} = {value!r} is not a finite number")
+
+
+def require(condition: bool, name: str, value: float, allowed: str) -> None:
+    """Raise InputError with the argument's name, value and what is allowed."""
+    if not condition:
+        raise InputError(f"{name} = {value:g} is out of range: {allowed}")
+
+
+__all__ = ["Material", "SimpleNamespace", "UserEnergy", "check_material", "require", "require_finite"]

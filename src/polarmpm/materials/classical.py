@@ -1,0 +1,63 @@
+"""Classical hyperelastic solids, for scenes without microstructure: no rotation unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import ufl
+
+from .base import Material, require, require_finite
+from .micropolar import _lame
+
+
+@dataclass(frozen=True)
+class _Classical(Material):
+    lam: float
+    mu: float
+
+    micropolar = False
+    isotropic = True
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            require_finite(name, value)
+        require(self.mu > 0, "mu", self.mu, "mu > 0")
+        require(
+            3 * self.lam + 2 * self.mu > 0,
+            "lam",
+            self.lam,
+            f"3 lam + 2 mu > 0, that is lam > {-2 * self.mu / 3:g}",
+        )
+
+    @classmethod
+    def from_engineering(cls, *, E: float, nu: float) -> Any:
+        """From Young's modulus E > 0 (Pa) and Poisson's ratio -1 < nu < 1/2."""
+        lam, mu = _lame(E, nu)
+        return cls(lam=lam, mu=mu)
+
+    def parameters(self) -> dict[str, float]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class NeoHookean(_Classical):
+    """W = mu/2 (tr(F^T F) - 3 - 2 ln J) + lambda/2 (ln J)^2; Lame's constants lam, mu in Pa."""
+
+    def energy(self, F: Any, p: Any) -> Any:
+        log_j = ufl.ln(ufl.det(F))
+        return p.mu / 2 * (ufl.inner(F, F) - 3 - 2 * log_j) + p.lam / 2 * log_j**2
+
+
+@dataclass(frozen=True)
+class Hencky(_Classical):
+    """W = mu |ln V|^2 + lambda/2 (ln J)^2 with the logarithmic strain; lam, mu in Pa.
+
+    |ln V|^2 comes from the principal stretches of F^T F in closed form, made smooth where they coincide.
+    """
+
+    def energy(self, F: Any, p: Any) -> Any:
+        from ..spectral import squared_log_strain
+
+        log_j = ufl.ln(ufl.det(F))
+        return p.mu * squared_log_strain(F) + p.lam / 2 * log_j**2

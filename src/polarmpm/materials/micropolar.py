@@ -1,0 +1,121 @@
+"""Isotropic micropolar elasticity, T 3.3.7."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import ufl
+
+from .base import Material, require, require_finite
+
+
+@dataclass(frozen=True)
+class MicropolarElastic(Material):
+    """Saint Venant-Kirchhoff type isotropic micropolar solid, T (3.122)-(3.125).
+
+    W = 1/2 E : B + 1/2 Gamma : S with
+    B = lambda tr(E) I + 2 mu sym E + 2 kappa skw E, S = alpha tr(Gamma) I + 2 gamma sym Gamma
+    + 2 beta skw Gamma.
+
+    Args:
+        lam, mu: Lame's constants (Pa).
+        kappa: coupling modulus (Pa).
+        alpha, beta, gamma: couple-stress moduli (N); the wryness counts in 1/m.
+
+    Raises:
+        InputError: the energy is not non-negative for every strain and wryness (T 3.3.7):
+            mu > 0, 3 lambda + 2 mu > 0, kappa >= 0, gamma >= 0, beta >= 0, 3 alpha + 2 gamma >= 0.
+    """
+
+    lam: float
+    mu: float
+    kappa: float
+    alpha: float
+    beta: float
+    gamma: float
+
+    micropolar = True
+    isotropic = True
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            require_finite(name, value)
+        lam, mu, alpha, gamma = self.lam, self.mu, self.alpha, self.gamma
+        require(mu > 0, "mu", mu, "mu > 0")
+        require(3 * lam + 2 * mu > 0, "lam", lam, f"3 lam + 2 mu > 0, that is lam > {-2 * mu / 3:g}")
+        require(self.kappa >= 0, "kappa", self.kappa, "kappa >= 0")
+        require(self.beta >= 0, "beta", self.beta, "beta >= 0")
+        require(gamma >= 0, "gamma", gamma, "gamma >= 0")
+        slack = 1e-9 * gamma  # bounded stiffness sits on the limit, where rounding must not decide
+        require(3 * alpha + 2 * gamma >= -slack, "alpha", alpha, f"alpha >= -2/3 gamma = {-2 * gamma / 3:g}")
+
+    @classmethod
+    def from_engineering(
+        cls, *, E: float, nu: float, n: float, l_b: float, l_t: float, psi: float
+    ) -> MicropolarElastic:
+        """From engineering constants, T (3.129)-(3.134).
+
+        Args:
+            E: Young's modulus (Pa), > 0.
+            nu: Poisson's ratio, -1 < nu < 1/2.
+            n: coupling number, 0 <= n < 1; kappa = n^2 / (1 - n^2) mu.
+            l_b, l_t: characteristic lengths in bending and torsion (m), l_b^2 = (gamma + beta) / (4 mu),
+                l_t^2 = gamma / mu; 0 <= l_t <= 2 l_b.
+            psi: polar ratio, psi = 2 gamma / (2 gamma + alpha), 0 < psi <= 3/2.
+        """
+        lam, mu = _lame(E, nu)
+        for name, value in (("n", n), ("l_b", l_b), ("l_t", l_t), ("psi", psi)):
+            require_finite(name, value)
+        require(0 <= n < 1, "n", n, "0 <= n < 1")
+        require(l_b >= 0, "l_b", l_b, "l_b >= 0")
+        require(l_t >= 0, "l_t", l_t, "l_t >= 0")
+        require(l_t <= 2 * l_b * (1 + 1e-12), "l_t", l_t, f"l_t <= 2 l_b = {2 * l_b:g} (else beta < 0)")
+        require(0 < psi <= 1.5 * (1 + 1e-12), "psi", psi, "0 < psi <= 3/2")
+        gamma = mu * l_t**2
+        beta = max(0.0, 4 * mu * l_b**2 - gamma)
+        alpha = 2 * gamma * (1 - psi) / psi
+        return cls(lam=lam, mu=mu, kappa=n**2 / (1 - n**2) * mu, alpha=alpha, beta=beta, gamma=gamma)
+
+    @classmethod
+    def bounded_stiffness(cls, *, lam: float, mu: float, kappa: float, l_b: float) -> MicropolarElastic:
+        """Moduli whose torsional stiffness stays bounded for thin bodies: beta = 0,
+        gamma = 4 mu l_b^2, alpha = -2/3 gamma (T 3.3.7; lengths in m, moduli in Pa)."""
+        require_finite("l_b", l_b)
+        require(l_b >= 0, "l_b", l_b, "l_b >= 0")
+        gamma = 4 * mu * l_b**2
+        return cls(lam=lam, mu=mu, kappa=kappa, alpha=-2 / 3 * gamma, beta=0.0, gamma=gamma)
+
+    def engineering(self) -> dict[str, float]:
+        """E, nu, n, l_b, l_t, psi (psi is nan without couple stress)."""
+        lam, mu, gamma = self.lam, self.mu, self.gamma
+        polar = 2 * gamma + self.alpha
+        return {
+            "E": mu * (3 * lam + 2 * mu) / (lam + mu),
+            "nu": lam / (2 * (lam + mu)),
+            "n": math.sqrt(self.kappa / (self.kappa + mu)),
+            "l_b": math.sqrt((gamma + self.beta) / (4 * mu)),
+            "l_t": math.sqrt(gamma / mu),
+            "psi": 2 * gamma / polar if polar > 0 else math.nan,
+        }
+
+    def parameters(self) -> dict[str, float]:
+        return asdict(self)
+
+    def energy(self, E: Any, Gamma: Any, p: Any) -> Any:
+        def quadratic(a: Any, trace: Any, symmetric: Any, skew: Any) -> Any:
+            # 2 s sym + 2 k skw = (s + k) a + (s - k) a^T
+            both = (symmetric + skew) * ufl.inner(a, a) + (symmetric - skew) * ufl.inner(a, ufl.transpose(a))
+            return 0.5 * (trace * ufl.tr(a) ** 2 + both)
+
+        return quadratic(E, p.lam, p.mu, p.kappa) + quadratic(Gamma, p.alpha, p.gamma, p.beta)
+
+
+def _lame(E: float, nu: float) -> tuple[float, float]:
+    """Lame's constants of Young's modulus (Pa) and Poisson's ratio."""
+    require_finite("E", E)
+    require_finite("nu", nu)
+    require(E > 0, "E", E, "E > 0")
+    require(-1 < nu < 0.5, "nu", nu, "-1 < nu < 1/2")
+    return E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))

@@ -1,0 +1,58 @@
+"""Sending rows of arrays between ranks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+
+class Route:
+    """Sends row i of an array to rank `destination[i]`, and answers back. Collective.
+
+    `forward` returns the received rows ordered by source rank; `backward` returns rows that answer the
+    received ones to where they came from, in the original order.
+    """
+
+    def __init__(self, comm: MPI.Comm, destination: np.ndarray):
+        self.comm = comm
+        self.order = np.argsort(destination, kind="stable")
+        self.sent = np.bincount(destination, minlength=comm.size).astype(np.int32)
+        self.received = np.empty(comm.size, dtype=np.int32)
+        comm.Alltoall(self.sent, self.received)
+
+    def _exchange(self, rows: np.ndarray, sent: np.ndarray, received: np.ndarray) -> np.ndarray:
+        rows = np.ascontiguousarray(rows)
+        out = np.empty((int(received.sum()), *rows.shape[1:]), dtype=rows.dtype)
+        width = int(np.prod(rows.shape[1:], dtype=int)) * rows.itemsize
+        row = MPI.BYTE.Create_contiguous(max(width, 1)).Commit()
+        try:
+            starts = [np.concatenate([[0], np.cumsum(c)[:-1]]).astype(np.int32) for c in (sent, received)]
+            self.comm.Alltoallv([rows, sent, starts[0], row], [out, received, starts[1], row])
+        finally:
+            row.Free()
+        return out
+
+    def forward(self, rows: np.ndarray) -> np.ndarray:
+        return self._exchange(rows[self.order], self.sent, self.received)
+
+    def backward(self, answers: np.ndarray) -> np.ndarray:
+        back = self._exchange(answers, self.received, self.sent)
+        out = np.empty_like(back)
+        out[self.order] = back
+        return out
+
+
+def total(comm: MPI.Comm, value: Any) -> Any:
+    """Sum of a number over all ranks."""
+    return comm.allreduce(value, op=MPI.SUM)
+
+
+def collectively(comm: MPI.Comm, error: Exception | None) -> None:
+    """Raise on every rank what any rank has found wrong (the lowest rank's error)."""
+    errors = comm.allgather(error)
+    for e in errors:
+        if e is not None:
+            raise e

@@ -1,0 +1,319 @@
+"""The weak form at a material point: UFL in, compiled residual and tangent blocks out.
+
+The unknown of a point is the vector z = (du/dx, w, dw/dx) of its increments since the last reset; the
+material's energy W(E, Gamma) makes the residual dW[dz] and, by `ufl.derivative`, the tangent. Gradients
+are taken in the frame of the state, so that hardly any arithmetic is left (T 3.4; `docs/theory.md`):
+
+* isotropic energies, rotated frame: V~ = F~ Q~^T, E' = dQ^T (V~ + G) - I, Gamma' = Gamma~' + J_r Gw;
+* any other energy, reference frame: F = F~ + G, Q = dQ Q~, Gamma = Gamma~ + Q~^T J_r Gw;
+* classical energies: F = F~ + G.
+
+G = du/dx~ T and Gw = dw/dx~ T with the frame T = V~ or F~, the first entries of the state.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+from mpi4py import MPI
+
+import numpy as np
+import ufl
+
+from . import _compat, codegen, jit
+from . import kinematics as kin
+from .codegen import LANES, Scalariser
+
+if TYPE_CHECKING:
+    from .materials import Material
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Sizes of the values at a point, for a space dimension and a number of rotations."""
+
+    dim: int
+    rotations: int
+
+    @property
+    def block(self) -> int:
+        """Unknowns of a node."""
+        return self.dim + self.rotations
+
+    @property
+    def unknowns(self) -> int:
+        """Length of z."""
+        return self.dim * self.dim + self.rotations * (1 + self.dim)
+
+    @staticmethod
+    def of(material: Material, dim: int) -> Layout:
+        return Layout(dim, (1 if dim == 2 else 3) if material.micropolar else 0)
+
+
+@lru_cache(maxsize=None)
+def _generator_version() -> str:
+    return jit.digest(Path(codegen.__file__).read_text())
+
+
+class Kernel:
+    """Compiled functions of arrays (n, inputs) -> (n, outputs), eight rows a call."""
+
+    def __init__(self, lib: ctypes.CDLL, name: str, inputs: int, outputs: int):
+        self.inputs, self.outputs = inputs, outputs
+        self.address = ctypes.cast(getattr(lib, name), ctypes.c_void_p).value
+        self._library = lib  # keeps the code loaded
+        self._call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(self.address)
+
+    def __call__(self, *columns: np.ndarray) -> np.ndarray:
+        """Evaluate for all rows; for post-processing and tests (the solver calls the code from C)."""
+        rows = np.concatenate([c.reshape(len(columns[0]), -1) for c in columns], axis=1)
+        if rows.shape[1] != self.inputs:
+            raise ValueError(f"kernel has {self.inputs} inputs, {rows.shape[1]} are given")
+        out = np.empty((len(rows), self.outputs))
+        lane_in, lane_out = _aligned(self.inputs), _aligned(self.outputs)
+        for start in range(0, len(rows), LANES):
+            part = rows[start : start + LANES]
+            lane_in[:, : len(part)] = part.T
+            lane_in[:, len(part) :] = part[-1][:, None]
+            self._call(lane_in.ctypes.data, lane_out.ctypes.data)
+            out[start : start + LANES] = lane_out[:, : len(part)].T
+        return out
+
+
+def _aligned(rows: int) -> np.ndarray:
+    raw = np.zeros(rows * LANES + LANES)
+    shift = (-raw.ctypes.data // 8) % LANES
+    return raw[shift : shift + rows * LANES].reshape(rows, LANES)
+
+
+@dataclass
+class _Space:
+    """Vector-valued functions on the points' quadrature space."""
+
+    domain: Any
+
+    def function_space(self, size: int) -> Any:
+        return ufl.FunctionSpace(self.domain, _compat.quadrature_element("interval", size))
+
+    def coefficient(self, size: int) -> Any:
+        return ufl.Coefficient(self.function_space(size))
+
+
+def _matrix(c: Any, rows: int, columns: int, start: int = 0) -> Any:
+    return ufl.as_tensor([[c[start + columns * i + j] for j in range(columns)] for i in range(rows)])
+
+
+class PointForm:
+    """Residual and tangent of a material at points in `dim` dimensions, as UFL forms and compiled."""
+
+    def __init__(self, material: Material, dim: int):
+        self.material, self.layout = material, Layout.of(material, dim)
+        self.space = _Space(_compat.point_domain())
+        self.parameters = self.space.coefficient(max(1, len(material.parameters())))
+        self.z = self.space.coefficient(self.layout.unknowns)
+        self.state = self.space.coefficient(self.state_size)
+
+    # sizes --------------------------------------------------------------------------------------
+    @property
+    def state_size(self) -> int:
+        d, r = self.layout.dim, self.layout.rotations
+        if r == 0:
+            return d * d
+        rotation = 0 if self.material.isotropic else (4 if d == 3 else 2)
+        return d * d + rotation + r * d
+
+    @property
+    def terminals(self) -> dict[Any, int]:
+        """First input slot of each coefficient."""
+        n, s = self.layout.unknowns, self.state_size
+        return {self.z: 0, self.state: n, self.parameters: n + s}
+
+    @property
+    def inputs(self) -> int:
+        return self.layout.unknowns + self.state_size + max(1, len(self.material.parameters()))
+
+    # kinematics ---------------------------------------------------------------------------------
+    def strains(self) -> tuple[Any, ...]:
+        """(E, Gamma) of a micropolar material, (F,) of a classical one, from z and the state."""
+        d, r, iso = self.layout.dim, self.layout.rotations, self.material.isotropic
+        plane = d == 2
+        g, frame = _matrix(self.z, d, d), _matrix(self.state, d, d)
+        f = kin.plane_tensor(frame) + kin.plane_gradient(g) if plane else frame + g
+        if r == 0:
+            return (f,)
+        if plane:
+            return self._plane_strains(f)
+        w = ufl.as_vector([self.z[9 + i] for i in range(3)])
+        gw, wryness = _matrix(self.z, 3, 3, 12), _matrix(self.state, 3, 3, self.state_size - 9)
+        dq, increment = kin.exp_map(w), ufl.dot(kin.right_tangent(w), gw)
+        if iso:
+            return ufl.dot(ufl.transpose(dq), f) - ufl.Identity(3), wryness + increment
+        q0 = kin.quaternion_tensor([self.state[9 + i] for i in range(4)])
+        q0t = ufl.transpose(q0)
+        strain = ufl.dot(q0t, ufl.dot(ufl.transpose(dq), f)) - ufl.Identity(3)
+        return strain, wryness + ufl.dot(q0t, increment)
+
+    def _plane_strains(self, f: Any) -> tuple[Any, Any]:
+        n = self.state_size
+        dq = kin.plane_exp_map(self.z[4])
+        wryness = kin.plane_wryness([self.state[n - 2 + j] + self.z[5 + j] for j in range(2)])
+        strain = ufl.dot(ufl.transpose(dq), f)
+        if not self.material.isotropic:
+            q0 = kin.quaternion_tensor([self.state[4], 0, 0, self.state[5]])
+            strain = ufl.dot(ufl.transpose(q0), strain)
+        return strain - ufl.Identity(3), wryness
+
+    def _parameters(self) -> SimpleNamespace:
+        names = self.material.parameters()
+        return SimpleNamespace(**{name: self.parameters[i] for i, name in enumerate(names)})
+
+    # forms --------------------------------------------------------------------------------------
+    @cached_property
+    def energy(self) -> Any:
+        """Strain energy per reference volume as a UFL expression of z, state and parameters."""
+        return self.material.energy(*self.strains(), self._parameters())
+
+    @cached_property
+    def residual(self) -> ufl.Form:
+        """Virtual work dW/dE : dE + dW/dGamma : dGamma, T (3.145)-(3.146), for a test function in z."""
+        test = ufl.TestFunction(self.space.function_space(self.layout.unknowns))
+        strains = self.strains()
+        variables = [ufl.variable(e) for e in strains]
+        w = self.material.energy(*variables, self._parameters())
+        work = sum(
+            ufl.inner(ufl.diff(w, v), ufl.derivative(e, self.z, test))
+            for v, e in zip(variables, strains, strict=True)
+        )
+        return work * ufl.dx(domain=self.space.domain, degree=1)
+
+    @cached_property
+    def tangent(self) -> ufl.Form:
+        """Derivative of the residual; symmetric, being a Hessian."""
+        trial = ufl.TrialFunction(self.space.function_space(self.layout.unknowns))
+        return ufl.derivative(self.residual, self.z, trial)
+
+    # compiled -----------------------------------------------------------------------------------
+    def _signature(self, expr: Any) -> str:
+        terminals = {c: i for i, c in enumerate(self.terminals)}
+        return _compat.expression_signature(expr, {**terminals, self.space.domain: 0})
+
+    def _source(self) -> str:
+        n = self.layout.unknowns
+        scalarise = Scalariser(self.terminals)
+        r, k = (
+            scalarise(codegen.expand(codegen.integrand(f))).data[()] for f in (self.residual, self.tangent)
+        )
+        zero = scalarise.graph.zero
+        rows = codegen.coefficients(r, (n,), zero)
+        full = codegen.coefficients(k, (n, n), zero)
+        upper = [full[i * n + j] for i in range(n) for j in range(i, n)]
+        return codegen.write_c(scalarise.graph, {"residual": rows, "blocks": rows + upper})
+
+    def compile(self, comm: MPI.Comm) -> tuple[Kernel, Kernel]:
+        """(residual, residual and upper triangle of the tangent) as kernels. Collective."""
+        n = self.layout.unknowns
+        key = jit.digest(_generator_version(), "blocks", self._signature(codegen.integrand(self.tangent)))
+        lib = jit.library(key, self._source, comm)
+        size = n + n * (n + 1) // 2
+        return Kernel(lib, "residual", self.inputs, n), Kernel(lib, "blocks", self.inputs, size)
+
+    def compile_energy(self, comm: MPI.Comm) -> Kernel:
+        """Energy per reference volume as a kernel of (z, state, parameters)."""
+        return compile_expressions([self.energy], self.terminals, self.inputs, self.space.domain, comm)
+
+
+def compile_expressions(
+    expressions: list[Any], terminals: dict[Any, int], inputs: int, domain: Any, comm: MPI.Comm
+) -> Kernel:
+    """One kernel that evaluates UFL expressions (any shape, flattened row by row) of its inputs."""
+    order = {c: i for i, c in enumerate(terminals)}
+    signatures = [_compat.expression_signature(e, {**order, domain: 0}) for e in expressions]
+    size = sum(int(np.prod(e.ufl_shape, dtype=int)) for e in expressions)
+
+    def source() -> str:
+        scalarise = Scalariser(terminals)
+        nodes = []
+        for e in expressions:
+            data = scalarise(codegen.expand(e)).data
+            nodes += [scalarise.plain(data[index]) for index in np.ndindex(*data.shape)]
+        return codegen.write_c(scalarise.graph, {"evaluate": nodes})
+
+    layout = ",".join(f"{slot}" for slot in terminals.values())
+    lib = jit.library(jit.digest(_generator_version(), "expr", layout, *signatures), source, comm)
+    return Kernel(lib, "evaluate", inputs, size)
+
+
+class CoupleForm:
+    """Virtual work of dead couples in three dimensions, -m . J_l(w) dw, and its derivative.
+
+    Spatially constant couples do work on the spin, not on the rotation vector's increment; that makes
+    the tangent unsymmetric. In plane strain the two agree and a couple is a plain nodal load.
+    """
+
+    def __init__(self) -> None:
+        self.space = _Space(_compat.point_domain())
+        self.w, self.m = self.space.coefficient(3), self.space.coefficient(3)
+        space = self.space.function_space(3)
+        test, trial = ufl.TestFunction(space), ufl.TrialFunction(space)
+        w, m = (ufl.as_vector([c[i] for i in range(3)]) for c in (self.w, self.m))
+        work = -ufl.dot(m, ufl.dot(kin.left_tangent(w), test))
+        self.residual = work * ufl.dx(domain=self.space.domain, degree=1)
+        self.tangent = ufl.derivative(self.residual, self.w, trial)
+
+    def _source(self) -> str:
+        scalarise = Scalariser({self.w: 0, self.m: 3})
+        r, k = (
+            scalarise(codegen.expand(codegen.integrand(f))).data[()] for f in (self.residual, self.tangent)
+        )
+        zero = scalarise.graph.zero
+        nodes = codegen.coefficients(r, (3,), zero) + codegen.coefficients(k, (3, 3), zero)
+        return codegen.write_c(scalarise.graph, {"couple": nodes})
+
+    def compile(self, comm: MPI.Comm) -> Kernel:
+        """Kernel (w, m) -> residual (3) and tangent (3 x 3). Collective."""
+        terminals = {self.w: 0, self.m: 1, self.space.domain: 0}
+        signature = _compat.expression_signature(codegen.integrand(self.tangent), terminals)
+        lib = jit.library(jit.digest(_generator_version(), "couple", signature), self._source, comm)
+        return Kernel(lib, "couple", 6, 12)
+
+
+class FieldForm:
+    """Stress, couple stress and energy of the current state (F, Q, Gamma), for output."""
+
+    def __init__(self, material: Material):
+        self.material = material
+        self.space = _Space(_compat.point_domain())
+        c = self.space.coefficient
+        self.f, self.q, self.wryness = c(9), c(4), c(9)
+        self.parameters = c(max(1, len(material.parameters())))
+
+    def expressions(self) -> list[Any]:
+        """[W, sigma, mu]; sigma = Q B F^T / J, mu = Q S F^T / J (T 3.4)."""
+        names = self.material.parameters()
+        p = SimpleNamespace(**{name: self.parameters[i] for i, name in enumerate(names)})
+        f, gamma = _matrix(self.f, 3, 3), ufl.variable(_matrix(self.wryness, 3, 3))
+        j = ufl.det(f)
+        if not self.material.micropolar:
+            fv = ufl.variable(f)
+            w = self.material.energy(fv, p)
+            return [w, ufl.dot(ufl.diff(w, fv), ufl.transpose(f)) / j, 0 * f]
+        q = kin.quaternion_tensor([self.q[i] for i in range(4)])
+        strain = ufl.variable(ufl.dot(ufl.transpose(q), f) - ufl.Identity(3))
+        w = self.material.energy(strain, gamma, p)
+
+        def push(s: Any) -> Any:
+            return ufl.dot(q, ufl.dot(s, ufl.transpose(f))) / j
+
+        return [w, push(ufl.diff(w, strain)), push(ufl.diff(w, gamma))]
+
+    def compile(self, comm: MPI.Comm) -> Callable[..., np.ndarray]:
+        """Kernel (F, q, Gamma, parameters) -> (W, sigma, mu), 19 numbers a row. Collective."""
+        terminals = {self.f: 0, self.q: 9, self.wryness: 13, self.parameters: 22}
+        inputs = 22 + max(1, len(self.material.parameters()))
+        return compile_expressions(self.expressions(), terminals, inputs, self.space.domain, comm)

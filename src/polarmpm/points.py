@@ -1,0 +1,225 @@
+"""Material points: the state of the body, rank-local, with permanent ids.
+
+Shapes: scalar (np,), vector (np, d), tensor (np, 3, 3), quaternion (np, 4), np points of this rank and d
+the space dimension. Tensors have three rows and columns in plane strain too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from . import rotations
+from .errors import InputError
+from .materials.base import Material, check_material
+from .parallel import Route
+
+# name -> (shape after the point axis; "d" is the space dimension, type)
+FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
+    "id": ((), np.int64),
+    "material": ((), np.int32),
+    "X": (("d",), float),
+    "x": (("d",), float),
+    "F": ((3, 3), float),
+    "q": ((4,), float),
+    "wryness": ((3, 3), float),
+    "volume0": ((), float),
+    "half_length0": (("d",), float),
+}
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A set of points by permanent ids (the same on every rank)."""
+
+    ids: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+class Points:
+    """Material points of one body.
+
+    Attributes:
+        id: permanent ids, the same for any number of ranks.
+        material: row of `materials`.
+        X, x: initial and current position (m), vector.
+        F: deformation gradient, tensor.
+        q: microrotation, unit quaternion, T (3.166).
+        wryness: Gamma (1/m), tensor.
+        volume0: reference volume (m^3; m^2 per unit thickness in plane strain).
+        half_length0: initial half-lengths of the domains (m), vector.
+        materials: the materials that `material` counts.
+    """
+
+    id: np.ndarray
+    material: np.ndarray
+    X: np.ndarray
+    x: np.ndarray
+    F: np.ndarray
+    q: np.ndarray
+    wryness: np.ndarray
+    volume0: np.ndarray
+    half_length0: np.ndarray
+
+    def __init__(
+        self,
+        x: np.ndarray,
+        volume: np.ndarray,
+        half_length: np.ndarray,
+        material: Material,
+        comm: MPI.Comm,
+        first_id: int = 0,
+    ):
+        """Unloaded points at x (n, d) (m) with volumes (n,) and domain half-lengths (n, d); collective."""
+        self.comm, self.materials = comm, (check_material(material),)
+        self.dim, n = x.shape[1], len(x)
+        before = comm.exscan(n) or 0
+        self.id = first_id + before + np.arange(n, dtype=np.int64)
+        self.material = np.zeros(n, dtype=np.int32)
+        self.X, self.x = x.copy(), x.copy()
+        self.F = np.tile(np.eye(3), (n, 1, 1))
+        self.q = rotations.identity(n)
+        self.wryness = np.zeros((n, 3, 3))
+        self.volume0, self.half_length0 = volume.copy(), half_length.copy()
+
+    def __len__(self) -> int:
+        """Number of points of this rank."""
+        return len(self.id)
+
+    @property
+    def total(self) -> int:
+        """Number of points of all ranks. Collective."""
+        return self.comm.allreduce(len(self))
+
+    # state --------------------------------------------------------------------------------------
+    @property
+    def displacement(self) -> np.ndarray:
+        """x - X (m), vector."""
+        return self.x - self.X
+
+    @property
+    def rotation_vector(self) -> np.ndarray:
+        """Microrotation vector (rad), (np, 3); for output only, T (3.171)."""
+        return rotations.to_vector(self.q)
+
+    @property
+    def volume(self) -> np.ndarray:
+        """Current volume V0 J (m^3), scalar."""
+        return self.volume0 * np.linalg.det(self.F)
+
+    @property
+    def stretch(self) -> np.ndarray:
+        """Right stretch tensor U = sqrt(F^T F), tensor."""
+        c = np.swapaxes(self.F, 1, 2) @ self.F
+        value, vector = np.linalg.eigh(c)
+        return (vector * np.sqrt(np.maximum(value, 0.0))[:, None, :]) @ np.swapaxes(vector, 1, 2)
+
+    @property
+    def half_length(self) -> np.ndarray:
+        """Current half-lengths of the domains l_i = U_ii l_i0 (m), T (2.56)-(2.58), vector."""
+        return np.diagonal(self.stretch, axis1=1, axis2=2)[:, : self.dim] * self.half_length0
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All state by name, for output and restart; the arrays themselves, not copies."""
+        return {name: getattr(self, name) for name in FIELDS}
+
+    def replace(self, arrays: dict[str, np.ndarray]) -> None:
+        """Put in a whole state (restart, migration): every field of FIELDS, one row a point."""
+        for name, (shape, kind) in FIELDS.items():
+            full = (len(arrays["id"]), *(self.dim if s == "d" else s for s in shape))
+            setattr(self, name, np.ascontiguousarray(arrays[name], dtype=kind).reshape(full))
+
+    def migrate(self, destination: np.ndarray) -> None:
+        """Move each point, with all its state, to rank `destination[i]`. Collective."""
+        if self.comm.size > 1:
+            route = Route(self.comm, destination)
+            self.replace({name: route.forward(a) for name, a in self.arrays().items()})
+
+    def balance(self) -> None:
+        """Give every rank an equal share of the points, in the order of their ids. Collective.
+
+        Ids run along the body's longest axis, so shares are compact pieces of it.
+        """
+        before, everything = self.comm.exscan(len(self)) or 0, self.total
+        rank = (before + np.arange(len(self))) * self.comm.size // max(everything, 1)
+        self.migrate(rank.astype(np.int64))
+
+    def join(self, other: Points) -> None:
+        """Add the points of another set (another material, say); their ids follow on. Collective."""
+        if other.dim != self.dim:
+            raise InputError(f"other has {other.dim} dimensions, these points have {self.dim}")
+        first = self.comm.allreduce(int(self.id.max(initial=-1)), op=MPI.MAX) + 1
+        mine, theirs = self.arrays(), dict(other.arrays())
+        theirs["id"] = theirs["id"] + first
+        theirs["material"] = theirs["material"] + len(self.materials)
+        self.materials = self.materials + other.materials
+        self.replace({name: np.concatenate([mine[name], theirs[name]]) for name in FIELDS})
+
+    # selections ---------------------------------------------------------------------------------
+    def _select(self, mask: np.ndarray) -> Selection:
+        ids = np.concatenate(self.comm.allgather(self.id[mask]))
+        return Selection(np.sort(ids))
+
+    def where(self, predicate: Callable[[np.ndarray], np.ndarray]) -> Selection:
+        """Points whose current position fulfils a predicate of x (n, d) -> (n,) bool. Collective.
+
+        Raises:
+            InputError: the predicate returns something else.
+        """
+        mask = np.asarray(predicate(self.x))
+        if mask.shape != (len(self),) or mask.dtype != bool:
+            raise InputError(f"predicate: returned {mask.dtype} {mask.shape}; a bool for each point is needed")
+        return self._select(mask)
+
+    def farthest(self, direction: Sequence[float], tolerance: float | None = None) -> Selection:
+        """The plane of points farthest in a direction, within `tolerance` (m). Collective.
+
+        Default tolerance: half of the smallest domain half-length.
+        """
+        n = np.asarray(direction, float)
+        if n.shape != (self.dim,) or not np.linalg.norm(n) > 0:
+            raise InputError(f"direction = {direction!r}: {self.dim} numbers, not all zero")
+        along = self.x @ (n / np.linalg.norm(n))
+        most = self.comm.allreduce(along.max(initial=-np.inf), op=MPI.MAX)
+        if tolerance is None:
+            tolerance = 0.5 * self.comm.allreduce(self.half_length0.min(initial=np.inf), op=MPI.MIN)
+        return self._select(along >= most - tolerance)
+
+    def nearest(self, position: Sequence[float], count: int = 1) -> Selection:
+        """The `count` points nearest to a position (m); ties go to the lower ids. Collective."""
+        x = np.asarray(position, float)
+        if x.shape != (self.dim,):
+            raise InputError(f"position = {position!r}: {self.dim} coordinates are needed")
+        distance = np.linalg.norm(self.x - x, axis=1)
+        order = np.lexsort((self.id, distance))[:count]
+        found = self.comm.allgather((distance[order], self.id[order]))
+        far, ids = (np.concatenate([f[k] for f in found]) for k in (0, 1))
+        return Selection(np.sort(ids[np.lexsort((ids, far))[:count]]))
+
+    def rows(self, selection: Selection | None) -> np.ndarray:
+        """Local rows of a selection's points on this rank (all for None)."""
+        if selection is None:
+            return np.arange(len(self))
+        if len(selection) == 0:
+            return np.zeros(0, dtype=np.int64)
+        at = np.minimum(np.searchsorted(selection.ids, self.id), len(selection) - 1)
+        return np.flatnonzero(selection.ids[at] == self.id)
+
+    def mean(self, values: np.ndarray, selection: Selection | None = None) -> Any:
+        """Plain mean over a selection of values given for the local points (np, ...). Collective."""
+        rows = self.rows(selection)
+        number = self.comm.allreduce(len(rows))
+        if number == 0:
+            raise InputError("selection: contains no point")
+        return self.comm.allreduce(values[rows].sum(axis=0)) / number
+
+    def mean_displacement(self, selection: Selection | None = None) -> np.ndarray:
+        """Mean displacement (m) of a selection, shape (d,). Collective."""
+        return self.mean(self.displacement, selection)

@@ -1,0 +1,300 @@
+"""Quasi-static problems of material points: the object that a user's script talks to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from . import conditions, newton, rotations
+from .conditions import Amplitude, Load, PlaneSpec, Prescribed, Support
+from .errors import InputError
+from .grid import Grid
+from .interpolation import Interpolation
+from .newton import Controls, Outcome
+from .pointforms import CoupleForm, FieldForm, Kernel, Layout, PointForm
+from .points import Points, Selection
+from .pointsystem import PointSystem
+from .resetting import ResetPolicy, make_policy
+from .seeding import check_inside
+from .stepping import Schedule, Step, march
+from .timing import Timer
+from .weighting import check_basis
+
+_ROTATION_LIMIT = 1.0  # rad; larger increments than this get a new base after a step
+
+
+@dataclass
+class Progress:
+    """How far a run has come.
+
+    Attributes:
+        factor: load factor of the last converged state.
+        step: number of converged steps.
+        since_reset: converged steps since the last reset.
+        reset_factor, rotation_factor: load factor at the last reset and rotation base.
+        reset_due: the grid is to be reset before the next step.
+    """
+
+    factor: float = 0.0
+    step: int = 0
+    since_reset: int = 0
+    reset_factor: float = 0.0
+    rotation_factor: float = 0.0
+    reset_due: bool = True
+
+
+@dataclass
+class Fields:
+    """Stresses of the current state, for output.
+
+    Attributes:
+        energy: strain energy per reference volume (Pa), scalar.
+        stress: Cauchy stress (Pa), tensor.
+        couple_stress: Cauchy couple stress (N/m), tensor.
+    """
+
+    energy: np.ndarray
+    stress: np.ndarray
+    couple_stress: np.ndarray
+
+
+@dataclass
+class _Compiled:
+    kernels: list[tuple[Kernel, Kernel]] = field(default_factory=list)
+    couple: Kernel | None = None
+    fields: list[Callable[..., np.ndarray]] = field(default_factory=list)
+
+
+class QuasiStatic:
+    """Equilibrium of material points on a grid under slowly changing loads. All methods are collective.
+
+    Args:
+        grid: background grid.
+        points: the body.
+        basis: weighting functions, "gimpm" or "mpm" (T 2.3.2).
+        reset: when the grid is reset: every n steps (1: the papers' method), a policy such as
+            `WhenDistorted(0.2)`, or None for never.
+        controls: tolerances of Newton's method.
+
+    Raises:
+        InputError: an argument is out of range; materials that don't go together.
+        PointsOutsideGrid: points lie outside the grid; the message names them.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        points: Points,
+        *,
+        basis: str = "gimpm",
+        reset: int | ResetPolicy | None = 1,
+        controls: Controls | None = None,
+    ):
+        self.grid, self.points, self.comm = grid, points, grid.comm
+        self.basis, self.policy = check_basis(basis), make_policy(reset)
+        self.controls = controls or Controls()
+        if points.dim != grid.dim:
+            raise InputError(f"points have {points.dim} dimensions, the grid has {grid.dim}")
+        check_inside(grid, points)
+        layouts = {Layout.of(m, grid.dim) for m in points.materials}
+        if len(layouts) > 1:
+            raise InputError("points: micropolar and classical materials can't be mixed in one body")
+        self.layout = layouts.pop()
+        self.forms = [PointForm(m, grid.dim) for m in points.materials]
+        self.supports: list[Support] = []
+        self.loads: list[Load] = []
+        self.progress, self.timer = Progress(), Timer()
+        self.steps: list[Step] = []
+        self._compiled, self._system = _Compiled(), None
+        self._restored: np.ndarray | None = None  # nodal increments from a restart file
+
+    # conditions -----------------------------------------------------------------------------------
+    def fix(self, where: PlaneSpec | Callable[[np.ndarray], np.ndarray], **components: Any) -> Support:
+        """Prescribe components of grid nodes.
+
+        Args:
+            where: `plane(x=0.0)` or a predicate of node positions (n, d) -> (n,) bool.
+            **components: u, theta (all components), or ux, uy, uz, theta_x, theta_y, theta_z (theta in
+                plane strain), in m and rad. A number is ramped with the load factor; a function of the factor,
+                or of (factor, positions), gives the total displacement or rotation.
+
+        Returns:
+            The support, for `reaction`.
+
+        Raises:
+            InputError: unknown component, plane that isn't one of the grid, value that isn't finite.
+        """
+        support = conditions.make_support(
+            where, components, self.layout, self.grid, self.points, len(self.supports) + 1
+        )
+        self.supports.append(support)
+        self._release()
+        return support
+
+    def load(self, selection: Selection, *, force: Any = None, couple: Any = None) -> None:
+        """A dead force (N) and couple (N m) in total, shared equally by the selected points.
+
+        Values as in `fix`: numbers are ramped, functions of the load factor give the value. In plane strain
+        they count per unit thickness, and the couple is one number.
+        """
+        if not isinstance(selection, Selection):
+            raise InputError(f"selection = {selection!r}: use points.where, points.farthest or points.nearest")
+        share = 1.0 / max(1, len(selection))
+        self._add_loads(f"load {len(self.loads) + 1}", selection, force, couple, False, share)
+
+    def body_load(self, *, force: Any = None, couple: Any = None, on: Selection | None = None) -> None:
+        """A dead force (N/m^3) and couple (N/m^2) per reference volume, on all points or a selection.
+
+        Values as in `fix`; functions of two arguments get (factor, initial positions of the points (n, d)).
+        """
+        self._add_loads(f"body load {len(self.loads) + 1}", on, force, couple, True, 1.0)
+
+    def _add_loads(
+        self, name: str, selection: Selection | None, force: Any, couple: Any, density: bool, share: float
+    ) -> None:
+        self.loads += conditions.make_loads(name, selection, force, couple, self.layout, density, share)
+        self._release()
+
+    def _release(self) -> None:
+        """Conditions have changed: what was built for the old ones goes."""
+        if self._system is not None and not self.progress.reset_due:
+            self._restored = self._lattice_increments()
+        self._system = None
+
+    # solving --------------------------------------------------------------------------------------
+    def march(self, steps: int | None = None, **options: Any) -> Iterator[Step]:
+        """Raise the load factor to 1 in load steps; yields every converged step. See `stepping.Schedule`.
+
+        Args:
+            steps: number of equal steps from the present factor to `to`.
+            to: final load factor (default 1).
+            adaptive: cut a step that fails and retry from the last converged state, then grow again.
+            progress: show a progress bar (default: on a terminal).
+
+        Raises:
+            NotConverged: with what was tried; the last converged state is intact.
+            PointsOutsideGrid: points have left the grid.
+        """
+        return march(self, Schedule.make(steps, **options))
+
+    def attempt(self, factor: float) -> Outcome:
+        """Try to find equilibrium at a load factor; on failure everything stays as it was."""
+        system = self._prepare()
+        start = system.x.copy()
+        p = self.progress
+        with self.timer("conditions"):
+            forces, couples = conditions.point_loads(self.loads, self.points, self.layout, factor)
+            system.set_loads(forces, couples)
+            system.set_prescribed(
+                system.prescribed.increments(factor, p.reset_factor, p.rotation_factor)
+            )
+        outcome = newton.solve(system, self.controls)
+        if outcome.converged:
+            inverted = self._inverted(system)
+            if inverted:
+                outcome.converged, outcome.reason = False, f"{inverted} material point(s) turned inside out"
+        if not outcome.converged:
+            system.x = start
+            return outcome
+        with self.timer("update"):
+            self._commit(system, factor)
+        return outcome
+
+    def _inverted(self, system: PointSystem) -> int:
+        gradient = system.interpolation.gather(system.x).gradient
+        bad = np.linalg.det(np.eye(self.grid.dim) + gradient) <= 0
+        return self.comm.allreduce(int(np.sum(bad)))
+
+    def _commit(self, system: PointSystem, factor: float) -> None:
+        system.interpolation.update_points(system.x)
+        p = self.progress
+        p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
+        gradient = system.interpolation.gather(system.x).gradient
+        p.reset_due = self.policy.due(p.since_reset, gradient, self.comm)
+        if not p.reset_due and self.layout.rotations:
+            largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
+            if self.comm.allreduce(largest, op=MPI.MAX) > _ROTATION_LIMIT:
+                system.interpolation.rebase_rotations()
+                system.x[:, self.layout.dim :] = 0.0
+                p.rotation_factor = factor
+
+    def _prepare(self) -> PointSystem:
+        """The system of the present grid, reset if that is due."""
+        if self._system is not None and not self.progress.reset_due:
+            return self._system
+        self._compile()
+        check_inside(self.grid, self.points)
+        p = self.progress
+        fresh = p.reset_due
+        with self.timer("reset"):
+            interpolation = Interpolation(self.grid, self.points, self.basis, self.forms)
+            prescribed = Prescribed(interpolation.nodes, self.supports, self.layout)
+        if self._system is not None:
+            self._system.solver.destroy()
+        self._system = PointSystem(
+            interpolation, self._compiled.kernels, self._compiled.couple, prescribed, self.timer
+        )
+        if fresh:
+            p.reset_due, p.since_reset = False, 0
+            p.reset_factor = p.rotation_factor = p.factor
+        return self._system
+
+    def _compile(self) -> None:
+        c = self._compiled
+        with self.timer("compile"):
+            if not c.kernels:
+                c.kernels = [form.compile(self.comm) for form in self.forms]
+            unsymmetric = self.layout.rotations == 3 and any(load.couple for load in self.loads)
+            if unsymmetric and c.couple is None:
+                c.couple = CoupleForm().compile(self.comm)
+
+    def _lattice_increments(self) -> np.ndarray | None:
+        return None
+
+    # results --------------------------------------------------------------------------------------
+    def fields(self) -> Fields:
+        """Energy, Cauchy stress and couple stress at the local points."""
+        c, p = self._compiled, self.points
+        if not c.fields:
+            c.fields = [FieldForm(m).compile(self.comm) for m in p.materials]
+        out = np.zeros((len(p), 19))
+        for m, (material, kernel) in enumerate(zip(p.materials, c.fields, strict=True)):
+            rows = np.flatnonzero(p.material == m)
+            if len(rows):
+                values = list(material.parameters().values()) or [0.0]
+                numbers = np.tile(values, (len(rows), 1))
+                out[rows] = kernel(p.F[rows], p.q[rows], p.wryness[rows], numbers)
+        return Fields(out[:, 0], out[:, 1:10].reshape(-1, 3, 3), out[:, 10:].reshape(-1, 3, 3))
+
+    def energy(self) -> float:
+        """Strain energy of the body (J)."""
+        return self.comm.allreduce(float(self.fields().energy @ self.points.volume0))
+
+    def reaction(self, support: Support) -> tuple[np.ndarray, np.ndarray]:
+        """Force (N), shape (d,), and couple (N m), shape (r,), with which a support holds the body.
+
+        The couple sums the nodes' couples; it has no moment of the forces.
+
+        Raises:
+            InputError: nothing has been solved yet.
+        """
+        if self._system is None:
+            raise InputError("reaction: no load step has been solved yet")
+        own = self._system.nodes.owned
+        mask = support.mask(self._system.nodes)[:own, None]
+        held = self._system.prescribed.fixed[:own] & mask
+        total = self.comm.allreduce(np.sum(self._system.residual[:own] * held, axis=0))
+        return total[: self.layout.dim], total[self.layout.dim :]
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns of the last step, prescribed ones included."""
+        return 0 if self._system is None else self._system.nodes.total * self.layout.block
+
+
+__all__ = ["Amplitude", "Fields", "Progress", "QuasiStatic", "rotations"]
