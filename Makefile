@@ -32,7 +32,8 @@ lint: ## check style and types with ruff and mypy
 	@scripts/lint.sh
 
 image: ## build the Docker image
-	@docker info >/dev/null 2>&1 || { echo 'image: no Docker engine answers; as root, `make test-image` builds without one' >&2; exit 1; }
+	@docker info >/dev/null 2>&1 \
+	  || { echo 'image: no Docker engine answers; as root, `make test-image` builds without one' >&2; exit 1; }
 	docker build -t polarmpm -f docker/Dockerfile .
 
 test-image: ## build the image without a Docker engine (as root) and run the fast tests in it
@@ -40,7 +41,8 @@ test-image: ## build the image without a Docker engine (as root) and run the fas
 	scripts/build-image-without-engine.sh test
 
 study: ## compare material points with finite elements: error against time
-	@[ -f benchmarks/mpm_versus_fem.py ] || { echo "study: benchmarks/mpm_versus_fem.py isn't there yet" >&2; exit 1; }
+	@[ -f benchmarks/mpm_versus_fem.py ] \
+	  || { echo "study: benchmarks/mpm_versus_fem.py isn't there yet" >&2; exit 1; }
 	@scripts/setup.sh
 	$(RUN) python benchmarks/mpm_versus_fem.py
 

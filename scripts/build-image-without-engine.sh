@@ -34,7 +34,8 @@ install_tools() {
 
 bootstrap() {
   rm -rf "$work/root"
-  debootstrap --variant=minbase trixie "$work/root" ${DEBIAN_MIRROR:+"$DEBIAN_MIRROR"} >"$work/debootstrap.log" 2>&1 || {
+  debootstrap --variant=minbase trixie "$work/root" ${DEBIAN_MIRROR:+"$DEBIAN_MIRROR"} \
+    >"$work/debootstrap.log" 2>&1 || {
     tail -n 20 "$work/debootstrap.log" >&2
     return 1
   }

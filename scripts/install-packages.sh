@@ -1,0 +1,42 @@
+#!/bin/sh
+# Installs the system packages of debian-packages.txt, if some are missing: as root with apt-get, else by asking for
+# them. A script of its own, because an image's largest layer depends on nothing else.
+set -eu
+cd "$(dirname "$0")"
+
+stop() {
+  printf '\nset-up: %s\n' "$@" >&2
+  exit 1
+}
+
+if [ "$(. /etc/os-release 2>/dev/null && echo "${ID:-}")" != debian ] || ! command -v apt-get >/dev/null; then
+  stop "Debian 12 or 13 is needed, and this is another system. With Docker, the tests and the demo run anywhere:
+  docker compose -f docker/compose.yaml run --rm test
+  docker compose -f docker/compose.yaml run --rm demo"
+fi
+
+installed=$(dpkg-query -W -f '${db:Status-Status} ${Package}\n' | sed -n 's/^installed //p')
+missing=$(printf '%s\n' "$installed" | grep -vxFf - debian-packages.txt | tr '\n' ' ')
+if [ -z "$missing" ]; then exit 0; fi
+if [ "$(id -u)" != 0 ]; then
+  stop "these packages are missing, and only root can install them:
+  apt-get install --no-install-recommends $missing"
+fi
+
+echo "set-up: installing $missing(on a fresh system 550 MB to download, some minutes)"
+log=$(mktemp)
+trap 'rm -f "$log"' EXIT
+export DEBIAN_FRONTEND=noninteractive
+apt_get() {
+  apt-get -q -o Acquire::Retries=5 -o DPkg::Lock::Timeout=600 -o Dpkg::Use-Pty=0 "$@" >>"$log" 2>&1 </dev/null
+}
+for attempt in 1 2 3; do
+  # A broken third-party source fails the update but needn't matter: the installation decides.
+  apt_get update || true
+  # shellcheck disable=SC2086 # a list of packages
+  if apt_get install -y --no-install-recommends $missing; then exit 0; fi
+  tail -n 20 "$log" >&2
+  echo "set-up: attempt $attempt at installing the packages failed" >&2
+  sleep $((attempt * 10))
+done
+stop "apt-get could not install: $missing"
