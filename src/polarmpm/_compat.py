@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
+import numpy as np
 import ufl
 
 try:  # dolfinx >= 0.8
@@ -12,8 +14,6 @@ try:  # dolfinx >= 0.8
     _HAS_BASIX_ELEMENTS = hasattr(_basix_ufl, "quadrature_element")
 except ImportError:
     _HAS_BASIX_ELEMENTS = False
-
-_CELLS = {(2, "box"): "quadrilateral", (3, "box"): "hexahedron"}
 
 
 def coordinate_element(cell: str, gdim: int) -> Any:
@@ -40,3 +40,45 @@ def expression_signature(expr: Any, terminals: dict[Any, int]) -> str:
     from ufl.algorithms.signature import compute_expression_signature
 
     return compute_expression_signature(expr, terminals)
+
+
+def create_mesh(comm: Any, cells: Any, positions: Any, cell: str) -> Any:
+    """A dolfinx mesh of linear cells.
+
+    Args:
+        cells: global node numbers of this rank's cells (m, nodes of a cell).
+        positions: coordinates (n, dim) of the nodes that this rank gives, in the order of their numbers.
+        cell: "quadrilateral" or "hexahedron".
+    """
+    from dolfinx import mesh
+
+    domain = ufl.Mesh(coordinate_element(cell, positions.shape[1]))
+    names = list(inspect.signature(mesh.create_mesh).parameters)
+    order = (positions, domain) if names[2] == "x" else (domain, positions)
+    return mesh.create_mesh(comm, cells, *order)
+
+
+def mesh_quadrature(mesh: Any, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (n, d) and volumes (n,) of the quadrature points of this rank's own cells.
+
+    The geometry is linear (simplices, quadrilaterals, hexahedra).
+    """
+    import basix
+
+    dim = mesh.topology.dim
+    name = mesh.ufl_cell().cellname()
+    kind = getattr(basix.CellType, name)
+    try:
+        xi, weight = basix.make_quadrature(kind, degree)[:2]
+    except TypeError:  # basix 0.5 wants the rule first
+        xi, weight = basix.make_quadrature(basix.QuadratureType.Default, kind, degree)[:2]
+    geometry = basix.create_element(basix.ElementFamily.P, kind, 1, basix.LagrangeVariant.equispaced)
+    table = np.asarray(geometry.tabulate(1, np.asarray(xi)))[:, :, :, 0]  # [value, d/dxi_1, ...][point][node]
+    own = mesh.topology.index_map(dim).size_local
+    dofmap = mesh.geometry.dofmap
+    nodes = np.asarray(dofmap.array if hasattr(dofmap, "array") else dofmap).reshape(-1, table.shape[2])[:own]
+    corner = mesh.geometry.x[nodes][:, :, :dim]
+    x = np.einsum("pn,cnd->cpd", table[0], corner)
+    jacobian = np.einsum("jpn,cni->cpij", table[1:], corner)
+    volume = np.abs(np.linalg.det(jacobian)) * np.asarray(weight)
+    return x.reshape(-1, dim), volume.ravel()

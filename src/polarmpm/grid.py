@@ -1,14 +1,13 @@
 """The background grid: a fixed Cartesian lattice of box cells.
 
 The lattice is only arithmetic: cells and nodes exist as integer triples (pairs in plane strain), so empty
-space costs nothing. Cells that matter are presented as a dolfinx mesh on request.
+space costs nothing. `cellmesh` presents the cells that matter as a dolfinx mesh.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from mpi4py import MPI
 
@@ -121,28 +120,14 @@ class Grid:
         slack = 1e-9
         return np.all((xi >= -slack) & (xi <= np.array(self.shape) + slack), axis=1)
 
+    def cell_number(self, index: np.ndarray) -> np.ndarray:
+        """Lattice number of cells (n, d): the number of their lowest node."""
+        return self.node_number(index)
+
     def cells_of(self, x: np.ndarray) -> np.ndarray:
         """Lattice index (n, d) of the cell that contains each point; the upper cell on an inner face."""
         snapped = snap(self.local(x))
         return np.clip(np.floor(snapped).astype(np.int64), 0, np.array(self.shape) - 1)
-
-    # dolfinx ------------------------------------------------------------------------------------
-    def mesh(self, cells: np.ndarray) -> Any:
-        """A dolfinx mesh of the given cells (n, d) of this rank; every cell belongs to one rank.
-
-        Returns the mesh and, for each of its local cells, the row of `cells`... on the rank that gave it.
-        """
-        from ._compat import create_mesh
-
-        corners = _corners(self.dim)
-        numbers = self.node_number(cells[:, None, :] + corners[None])
-        unique, inverse = np.unique(numbers, return_inverse=True)
-        return create_mesh(self.comm, self.node_position(unique), unique, inverse.reshape(numbers.shape), self.dim)
-
-
-def _corners(dim: int) -> np.ndarray:
-    """Corner offsets of a box cell in dolfinx' order: the first axis runs fastest."""
-    return np.array([[(k >> axis) & 1 for axis in range(dim)] for k in range(2**dim)], dtype=np.int64)
 
 
 def snap(xi: np.ndarray, tolerance: float = 1e-8) -> np.ndarray:

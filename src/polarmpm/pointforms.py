@@ -140,13 +140,13 @@ class PointForm:
 
     # kinematics ---------------------------------------------------------------------------------
     def strains(self) -> tuple[Any, ...]:
-        """(E, Gamma) of a micropolar material, (F,) of a classical one, from z and the state."""
+        """(E, Gamma) of a micropolar material, the strain measures of a classical one, from z and the state."""
         d, r, iso = self.layout.dim, self.layout.rotations, self.material.isotropic
         plane = d == 2
         g, frame = _matrix(self.z, d, d), _matrix(self.state, d, d)
         f = kin.plane_tensor(frame) + kin.plane_gradient(g) if plane else frame + g
         if r == 0:
-            return (f,)
+            return self.material.measures(f)
         if plane:
             return self._plane_strains(f)
         w = ufl.as_vector([self.z[9 + i] for i in range(3)])
@@ -180,16 +180,19 @@ class PointForm:
         return self.material.energy(*self.strains(), self._parameters())
 
     @cached_property
-    def residual(self) -> ufl.Form:
-        """Virtual work dW/dE : dE + dW/dGamma : dGamma, T (3.145)-(3.146), for a test function in z."""
+    def _varied(self) -> tuple[list[Any], list[Any], Any]:
+        """Strains as variables, their variations by a test function in z, and the energy."""
         test = ufl.TestFunction(self.space.function_space(self.layout.unknowns))
         strains = self.strains()
         variables = [ufl.variable(e) for e in strains]
-        w = self.material.energy(*variables, self._parameters())
-        work = sum(
-            ufl.inner(ufl.diff(w, v), ufl.derivative(e, self.z, test))
-            for v, e in zip(variables, strains, strict=True)
-        )
+        variations = [ufl.derivative(e, self.z, test) for e in strains]
+        return variables, variations, self.material.energy(*variables, self._parameters())
+
+    @cached_property
+    def residual(self) -> ufl.Form:
+        """Virtual work dW/dE : dE + dW/dGamma : dGamma, T (3.145)-(3.146), for a test function in z."""
+        variables, variations, w = self._varied
+        work = sum(ufl.inner(ufl.diff(w, v), e) for v, e in zip(variables, variations, strict=True))
         return work * ufl.dx(domain=self.space.domain, degree=1)
 
     @cached_property
@@ -301,7 +304,7 @@ class FieldForm:
         j = ufl.det(f)
         if not self.material.micropolar:
             fv = ufl.variable(f)
-            w = self.material.energy(fv, p)
+            w = self.material.energy(*self.material.measures(fv), p)
             return [w, ufl.dot(ufl.diff(w, fv), ufl.transpose(f)) / j, 0 * f]
         q = kin.quaternion_tensor([self.q[i] for i in range(4)])
         strain = ufl.variable(ufl.dot(ufl.transpose(q), f) - ufl.Identity(3))

@@ -29,11 +29,19 @@ class Material:
         return {}
 
     def energy(self, *strains_and_parameters: Any) -> Any:
-        """W(E, Gamma, p) of a micropolar material, W(F, p) of a classical one; p.name is a parameter.
+        """W(E, Gamma, p) of a micropolar material, W(F, p) of a classical one (W(*measures(F), p) if it has
+        measures of its own); p.name is a parameter.
 
         E = Q^T F - I and Gamma are 3 x 3 UFL tensors, also in plane strain; W in Pa (J/m^3).
         """
         raise NotImplementedError(f"{type(self).__name__} has no energy")
+
+    def measures(self, F: Any) -> tuple[Any, ...]:
+        """Strain measures of a classical material, the arguments of its energy; F itself by default.
+
+        Few scalars (invariants, say) make short code: UFL derives the energy by them first.
+        """
+        return (F,)
 
 
 def check_material(material: Any) -> Material:
