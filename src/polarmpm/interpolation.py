@@ -17,7 +17,7 @@ from . import native, rotations
 from .grid import Grid
 from .nodes import ActiveNodes
 from .pointforms import Layout, PointForm
-from .points import Points
+from .points import Points, domain_half_length
 from .weighting import Weights, weights
 
 
@@ -29,6 +29,11 @@ class Reference:
     F: np.ndarray
     q: np.ndarray
     wryness: np.ndarray
+
+    @classmethod
+    def of(cls, points: Points) -> Reference:
+        """The points' current state."""
+        return cls(points.x.copy(), points.F.copy(), points.q.copy(), points.wryness.copy())
 
 
 @dataclass
@@ -54,15 +59,21 @@ class Interpolation:
 
     Args:
         forms: point form of each of the points' materials.
+        reference: state at the last reset; default: the points' current state, which makes it a reset.
     """
 
-    def __init__(self, grid: Grid, points: Points, basis: str, forms: Sequence[PointForm]):
+    def __init__(
+        self,
+        grid: Grid,
+        points: Points,
+        basis: str,
+        forms: Sequence[PointForm],
+        reference: Reference | None = None,
+    ):
         self.grid, self.points, self.forms = grid, points, forms
         self.layout: Layout = forms[0].layout
-        w = weights(basis, grid, points.x, points.half_length)
-        self.reference = Reference(
-            points.x.copy(), points.F.copy(), points.q.copy(), points.wryness.copy()
-        )
+        self.reference = r = reference or Reference.of(points)
+        w = weights(basis, grid, r.x, domain_half_length(r.F, points.half_length0))
         order, groups = _group(points.material, w)
         touched, node_sets = _node_sets(grid, groups)
         self.nodes = ActiveNodes.build(grid, touched)

@@ -117,14 +117,12 @@ class Points:
     @property
     def stretch(self) -> np.ndarray:
         """Right stretch tensor U = sqrt(F^T F), tensor."""
-        c = np.swapaxes(self.F, 1, 2) @ self.F
-        value, vector = np.linalg.eigh(c)
-        return (vector * np.sqrt(np.maximum(value, 0.0))[:, None, :]) @ np.swapaxes(vector, 1, 2)
+        return right_stretch(self.F)
 
     @property
     def half_length(self) -> np.ndarray:
         """Current half-lengths of the domains l_i = U_ii l_i0 (m), T (2.56)-(2.58), vector."""
-        return np.diagonal(self.stretch, axis1=1, axis2=2)[:, : self.dim] * self.half_length0
+        return domain_half_length(self.F, self.half_length0)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """All state by name, for output and restart; the arrays themselves, not copies."""
@@ -223,3 +221,14 @@ class Points:
     def mean_displacement(self, selection: Selection | None = None) -> np.ndarray:
         """Mean displacement (m) of a selection, shape (d,). Collective."""
         return self.mean(self.displacement, selection)
+
+
+def right_stretch(F: np.ndarray) -> np.ndarray:
+    """U = sqrt(F^T F) of deformation gradients (n, 3, 3)."""
+    value, vector = np.linalg.eigh(np.swapaxes(F, 1, 2) @ F)
+    return (vector * np.sqrt(np.maximum(value, 0.0))[:, None, :]) @ np.swapaxes(vector, 1, 2)
+
+
+def domain_half_length(F: np.ndarray, half_length0: np.ndarray) -> np.ndarray:
+    """Half-lengths l_i = U_ii l_i0 (m) of domains, (n, d), T (2.56)-(2.58)."""
+    return np.diagonal(right_stretch(F), axis1=1, axis2=2)[:, : half_length0.shape[1]] * half_length0

@@ -14,7 +14,7 @@ from . import conditions, newton, rotations
 from .conditions import Amplitude, Load, PlaneSpec, Prescribed, Support
 from .errors import InputError
 from .grid import Grid
-from .interpolation import Interpolation
+from .interpolation import Interpolation, Reference
 from .newton import Controls, Outcome
 from .pointforms import CoupleForm, FieldForm, Kernel, Layout, PointForm
 from .points import Points, Selection
@@ -110,8 +110,9 @@ class QuasiStatic:
         self.loads: list[Load] = []
         self.progress, self.timer = Progress(), Timer()
         self.steps: list[Step] = []
-        self._compiled, self._system = _Compiled(), None
-        self._restored: np.ndarray | None = None  # nodal increments from a restart file
+        self._compiled = _Compiled()
+        self._system: PointSystem | None = None
+        self._stale = False  # conditions have changed since the system was built
 
     # conditions -----------------------------------------------------------------------------------
     def fix(self, where: PlaneSpec | Callable[[np.ndarray], np.ndarray], **components: Any) -> Support:
@@ -133,7 +134,7 @@ class QuasiStatic:
             where, components, self.layout, self.grid, self.points, len(self.supports) + 1
         )
         self.supports.append(support)
-        self._release()
+        self._stale = True
         return support
 
     def load(self, selection: Selection, *, force: Any = None, couple: Any = None) -> None:
@@ -158,13 +159,7 @@ class QuasiStatic:
         self, name: str, selection: Selection | None, force: Any, couple: Any, density: bool, share: float
     ) -> None:
         self.loads += conditions.make_loads(name, selection, force, couple, self.layout, density, share)
-        self._release()
-
-    def _release(self) -> None:
-        """Conditions have changed: what was built for the old ones goes."""
-        if self._system is not None and not self.progress.reset_due:
-            self._restored = self._lattice_increments()
-        self._system = None
+        self._stale = True
 
     # solving --------------------------------------------------------------------------------------
     def march(self, steps: int | None = None, **options: Any) -> Iterator[Step]:
@@ -224,25 +219,31 @@ class QuasiStatic:
                 p.rotation_factor = factor
 
     def _prepare(self) -> PointSystem:
-        """The system of the present grid, reset if that is due."""
-        if self._system is not None and not self.progress.reset_due:
-            return self._system
+        """The system of the present grid; reset if that is due, renewed if conditions have changed."""
+        p, old = self.progress, self._system
+        if old is not None and not p.reset_due and not self._stale:
+            return old
         self._compile()
-        check_inside(self.grid, self.points)
-        p = self.progress
-        fresh = p.reset_due
-        with self.timer("reset"):
-            interpolation = Interpolation(self.grid, self.points, self.basis, self.forms)
-            prescribed = Prescribed(interpolation.nodes, self.supports, self.layout)
-        if self._system is not None:
-            self._system.solver.destroy()
-        self._system = PointSystem(
-            interpolation, self._compiled.kernels, self._compiled.couple, prescribed, self.timer
-        )
-        if fresh:
+        if old is None or p.reset_due:
+            check_inside(self.grid, self.points)
+            with self.timer("reset"):
+                interpolation = Interpolation(self.grid, self.points, self.basis, self.forms)
+            self._system = self._build(interpolation)
             p.reset_due, p.since_reset = False, 0
             p.reset_factor = p.rotation_factor = p.factor
+        else:
+            self._system = self._build(old.interpolation)
+            self._system.x[:] = old.x
+        if old is not None:
+            old.solver.destroy()
+        self._stale = False
         return self._system
+
+    def _build(self, interpolation: Interpolation) -> PointSystem:
+        with self.timer("conditions"):
+            prescribed = Prescribed(interpolation.nodes, self.supports, self.layout)
+        c = self._compiled
+        return PointSystem(interpolation, c.kernels, c.couple, prescribed, self.timer)
 
     def _compile(self) -> None:
         c = self._compiled
@@ -253,8 +254,32 @@ class QuasiStatic:
             if unsymmetric and c.couple is None:
                 c.couple = CoupleForm().compile(self.comm)
 
-    def _lattice_increments(self) -> np.ndarray | None:
-        return None
+    # restart --------------------------------------------------------------------------------------
+    def increments(self) -> tuple[Reference, np.ndarray, np.ndarray] | None:
+        """What a restart needs between two resets: reference state, lattice numbers of the owned nodes and
+        their increments (n, block); None when the grid is to be reset before the next step."""
+        s = self._system
+        if s is None or self.progress.reset_due:
+            return None
+        own = s.nodes.owned
+        return s.interpolation.reference, s.nodes.lattice[:own], s.x[:own]
+
+    def restore(
+        self, progress: Progress, increments: tuple[Reference, np.ndarray, np.ndarray] | None
+    ) -> None:
+        """Continue from a state whose points have been put in already; see `io.restart`."""
+        self.progress = progress
+        if self._system is not None:
+            self._system.solver.destroy()
+            self._system = None
+        if increments is None:
+            progress.reset_due = True
+            return
+        self._compile()
+        reference, lattice, values = increments
+        interpolation = Interpolation(self.grid, self.points, self.basis, self.forms, reference)
+        self._system, self._stale = self._build(interpolation), False
+        self._system.x[:] = interpolation.nodes.pick(lattice, values)
 
     # results --------------------------------------------------------------------------------------
     def fields(self) -> Fields:
