@@ -10,8 +10,14 @@ image=localhost/polarmpm
 base=localhost/polarmpm-base
 cache=${XDG_CACHE_HOME:-${HOME:-/root}/.cache}/polarmpm
 work=
-trap '[ -z "$work" ] || rm -rf "$work"' EXIT
+container=
+trap cleanup EXIT
 trap 'exit 1' INT TERM
+
+cleanup() {
+  [ -z "$work" ] || rm -rf "$work"
+  [ -z "$container" ] || buildah rm "$container" >/dev/null
+}
 
 retry() {
   for attempt in 1 2 3; do
@@ -47,7 +53,6 @@ build_base() {
   if [ -z "$(find "$tarball" -mtime -30 2>/dev/null)" ]; then
     echo 'base: debootstrap'
     retry bootstrap
-    mkdir -p "$cache"
     tar --numeric-owner -C "$work/root" -czf "$tarball.new" --exclude './var/cache/apt/archives/*.deb' .
     rm -rf "$work/root"
     mv "$tarball.new" "$tarball"
@@ -59,11 +64,17 @@ build_base() {
   buildah add -q "$container" "$tarball" /
   buildah config --cmd bash --env PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin "$container"
   buildah commit -q --rm "$container" "$base"
+  container=
 }
 
 build() {
   install_tools
   work=$(mktemp -d)
+  mkdir -p "$cache"
+  # One build at a time; what an earlier one left behind when it was interrupted can then go.
+  exec 9>"$cache/lock"
+  flock 9
+  buildah containers --quiet --filter "ancestor=$base" | xargs -r buildah rm >/dev/null
   build_base
   # The context is what git tracks, whatever else lies about; without git, .dockerignore has to do.
   context=.
@@ -72,17 +83,14 @@ build() {
     mkdir "$context"
     git ls-files -z | tar --null --files-from=- -cf - | tar -xf - -C "$context"
   fi
-  retry buildah bud --isolation chroot --layers --pull-never --build-arg BASE="$base" -t "$image" \
+  buildah bud --isolation chroot --layers --force-rm --pull-never --build-arg BASE="$base" -t "$image" \
     -f docker/Dockerfile "$context"
 }
 
 # `buildah run` ignores both ENTRYPOINT and CMD.
 run_tests() {
   container=$(buildah from --pull-never "$image")
-  status=0
-  buildah run --isolation chroot "$container" -- docker/entrypoint.sh test || status=$?
-  buildah rm "$container" >/dev/null
-  return "$status"
+  buildah run --isolation chroot "$container" -- docker/entrypoint.sh test
 }
 
 if [ "$(id -u)" != 0 ]; then
