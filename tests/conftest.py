@@ -95,7 +95,7 @@ def beam(
     return problem
 
 
-@pytest.fixture()
+@pytest.fixture
 def strict() -> pm.Controls:
     """Newton's tolerances at which answers are the same to about 1e-12."""
     return newton.Controls(force_tolerance=1e-12, energy_tolerance=1e-26)

@@ -210,14 +210,14 @@ class _Carrier:
 
 def assembled(form: PointForm, z: np.ndarray, state: np.ndarray, parameters: np.ndarray):
     """Residual (n, nz) and tangent (n, nz, nz) by FFCx and dolfinx's assembler; form lives on a carrier."""
-    import dolfinx.fem.petsc
     from dolfinx import fem
+    from dolfinx.fem import petsc
 
     for function, values in ((form.z, z), (form.state, state), (form.parameters, parameters)):
         function.x.array[:] = values.ravel()
     n, nz = z.shape
-    vector = fem.petsc.assemble_vector(fem.form(form.residual)).array * n  # an interval's length is 1 / n
-    matrix = fem.petsc.assemble_matrix(fem.form(form.tangent))
+    vector = petsc.assemble_vector(fem.form(form.residual)).array * n  # an interval's length is 1 / n
+    matrix = petsc.assemble_matrix(fem.form(form.tangent))
     matrix.assemble()
     dense = matrix.convert("dense").getDenseArray().reshape(n, nz, n, nz) * n
     return vector.reshape(n, nz), np.array([dense[p, :, p] for p in range(n)])
