@@ -12,7 +12,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { LANES = 8, WIDTH = 8 };  /* points in a kernel call; nodes in a vector */
+enum { LANES = 8, WIDTH = 4 };  /* points in a kernel call; nodes in a vector */
 
 typedef double vec __attribute__((vector_size(8 * WIDTH), aligned(8 * WIDTH)));
 typedef void (*kernel_t)(const double *in, double *out);
@@ -188,8 +188,9 @@ void polarmpm_couple_nodes(const Batch *b, int32_t reach, uint8_t *mark)
     }
 }
 
-/* B^T A B of a point into the dense matrix of its group; s holds values and gradients [1 + dim][nv]. */
-INLINE void add_tangent(const int dim, const int rot, const int nv, const int symmetric, int n,
+/* B^T A B of a point into the dense matrix of its group; s holds values and gradients [1 + dim][nv].
+ * The first point of a group overwrites what an earlier group has left. */
+INLINE void add_tangent(const int dim, const int rot, const int nv, const int symmetric, const int first, int n,
                         const double *A, const vec *s, vec *T, vec *K)
 {
     const int nb = dim + rot, d2 = dim * dim, nz = d2 + rot * (1 + dim);
@@ -218,7 +219,7 @@ INLINE void add_tangent(const int dim, const int rot, const int nv, const int sy
             for (int k = 0; k < nb; ++k) {
                 vec *out = K + ((a * nb + i) * nb + k) * nv;
                 for (int v = begin; v < nv; ++v) {
-                    vec sum = out[v];
+                    vec sum = first ? (vec){0} : out[v];
                     if (i < dim) {
                         for (int j = 0; j < dim; ++j) sum += g[j] * T[((dim * i + j) * nb + k) * nv + v];
                     } else {
@@ -233,17 +234,21 @@ INLINE void add_tangent(const int dim, const int rot, const int nv, const int sy
     }
 }
 
+#define CASE_FIRST(D, R, NV, S)                                            \
+    if (first) add_tangent(D, R, NV, S, 1, n, A, s, T, K);                 \
+    else add_tangent(D, R, NV, S, 0, n, A, s, T, K)
 #define CASE_NV(D, R, S)                                                   \
     switch (nv) {                                                          \
-    case 1: add_tangent(D, R, 1, S, n, A, s, T, K); break;                 \
-    case 2: add_tangent(D, R, 2, S, n, A, s, T, K); break;                 \
-    case 3: add_tangent(D, R, 3, S, n, A, s, T, K); break;                 \
-    case 4: add_tangent(D, R, 4, S, n, A, s, T, K); break;                 \
-    default: add_tangent(D, R, nv, S, n, A, s, T, K);                      \
+    case 1: CASE_FIRST(D, R, 1, S); break;                                 \
+    case 2: CASE_FIRST(D, R, 2, S); break;                                 \
+    case 3: CASE_FIRST(D, R, 3, S); break;                                 \
+    case 5: CASE_FIRST(D, R, 5, S); break;                                 \
+    case 7: CASE_FIRST(D, R, 7, S); break;                                 \
+    default: CASE_FIRST(D, R, nv, S);                                      \
     }
 
-INLINE void add_tangent_any(int dim, int rot, int nv, int symmetric, int n, const double *A, const vec *s,
-                            vec *T, vec *K)
+INLINE void add_tangent_any(int dim, int rot, int nv, int symmetric, int first, int n, const double *A,
+                            const vec *s, vec *T, vec *K)
 {
     if (dim == 3 && rot == 3) {
         if (symmetric) { CASE_NV(3, 3, 1) } else { CASE_NV(3, 3, 0) }
@@ -271,58 +276,100 @@ INLINE void add_residual(int dim, int rot, int n, int stride, const double *s, c
     }
 }
 
-/* One block of the group's matrix into the sparse rows of node `row`. */
-INLINE void put_block(const Matrix *M, int nb, int32_t row, int32_t col, int code, int codes, int diagonal,
-                      const double *K, int64_t istep, int64_t jstep, double *rhs)
+/* Where the pair (a, q) of a group's nodes goes: the row is the node with the smaller global number. */
+typedef struct {
+    int64_t column;            /* block column times block size */
+    int32_t row, col;          /* local nodes */
+    int32_t swapped;
+} Place;
+
+INLINE Place place_of(const Batch *b, const Matrix *M, const int32_t *nodes, const int32_t *c, int a, int q, int nb)
 {
-    const int64_t k = (int64_t)M->place[(int64_t)row * codes + code] * nb;
-    const uint8_t *fr = M->fixed + (int64_t)row * nb, *fc = M->fixed + (int64_t)col * nb;
+    const int side = 2 * M->reach + 1, codes = b->dim == 3 ? side * side * side : side * side;
+    const int n2 = b->dim == 3 ? c[2] : 1, n12 = c[1] * n2;
+    const int swapped = M->symmetric && M->number[nodes[a]] > M->number[nodes[q]];
+    const int r = swapped ? q : a, k = swapped ? a : q;
+    int code = (k / n12 - r / n12 + M->reach) * side + k / n2 % c[1] - r / n2 % c[1] + M->reach;
+    if (b->dim == 3) code = code * side + k % n2 - r % n2 + M->reach;
+    return (Place){(int64_t)M->place[(int64_t)nodes[r] * codes + code] * nb, nodes[r], nodes[k], swapped};
+}
+
+/* A pair with prescribed unknowns: their rows and columns stay out of the matrix, all but the diagonal, and
+ * what their increments add to the residual of free unknowns goes to rhs. */
+static void put_constrained(const Matrix *M, int nb, Place at, int diagonal, const double *K, int64_t istep,
+                            int64_t jstep, double *rhs)
+{
+    const int64_t row = (int64_t)at.row * nb, col = (int64_t)at.col * nb;
     for (int i = 0; i < nb; ++i) {
-        double *out = M->values + M->row_start[(int64_t)row * nb + i] + k;
+        double *out = M->values + M->row_start[row + i] + at.column;
         for (int j = diagonal && M->symmetric ? i : 0; j < nb; ++j) {
             const double value = K[i * istep + j * jstep];
-            if (!(fr[i] | fc[j]) || (diagonal && i == j)) out[j] += value;
-            if (M->lift && fr[i] != fc[j]) {
-                if (fc[j]) rhs[(int64_t)row * nb + i] += value * M->lift[(int64_t)col * nb + j];
-                else if (M->symmetric) rhs[(int64_t)col * nb + j] += value * M->lift[(int64_t)row * nb + i];
+            const int ri = M->fixed[row + i], cj = M->fixed[col + j];
+            if (!(ri | cj) || (diagonal && i == j)) out[j] += value;
+            if (M->lift && ri != cj) {
+                if (cj) rhs[row + i] += value * M->lift[col + j];
+                else if (M->symmetric) rhs[col + j] += value * M->lift[row + i];
             }
         }
     }
 }
 
-static void flush_matrix(const Batch *b, const Matrix *M, int64_t g, int n, int nv, const double *K, double *rhs)
+/* The group's dense matrix into the sparse rows; entry (i, j) of the pair (a, q) stands at
+ * K[((a nb + i) nb + j) cols + q]. */
+INLINE void flush_matrix(const Batch *b, const Matrix *M, int64_t g, const int nb, int n, int nv, const double *K,
+                         Place *at, double *rhs)
 {
-    const int nb = block_of(b), side = 2 * M->reach + 1, codes = b->dim == 3 ? side * side * side : side * side;
     const int32_t *c = b->count + g * b->dim, *nodes = b->nodes + b->node_first[g];
-    const int n2 = b->dim == 3 ? c[2] : 1;
     const int64_t cols = (int64_t)nv * WIDTH;
+    int constrained = 0;
+    for (int a = 0; a < n; ++a)
+        for (int i = 0; i < nb; ++i) constrained |= M->fixed[(int64_t)nodes[a] * nb + i];
     for (int a = 0; a < n; ++a) {
-        const int a0 = a / (c[1] * n2), a1 = a / n2 % c[1], a2 = a % n2;
-        for (int q = M->symmetric ? a : 0; q < n; ++q) {
-            int e0 = q / (c[1] * n2) - a0, e1 = q / n2 % c[1] - a1, e2 = q % n2 - a2;
-            /* entry (i, j) of the pair (a, q) stands at K[((a nb + i) nb + j) cols + q] */
-            const double *block = K + (int64_t)a * nb * nb * cols + q;
-            int row = a, col = q;
-            int64_t istep = nb * cols, jstep = cols;
-            if (M->symmetric && M->number[nodes[a]] > M->number[nodes[q]]) {
-                row = q, col = a, e0 = -e0, e1 = -e1, e2 = -e2;
-                istep = cols, jstep = nb * cols;
-            }
-            int code = (e0 + M->reach) * side + e1 + M->reach;
-            if (b->dim == 3) code = code * side + e2 + M->reach;
-            put_block(M, nb, nodes[row], nodes[col], code, codes, a == q, block, istep, jstep, rhs);
+        const double *Ka = K + (int64_t)a * nb * nb * cols;
+        const int begin = M->symmetric ? a : 0;
+        int swapped = 0;
+        for (int q = begin; q < n; ++q) {
+            at[q] = place_of(b, M, nodes, c, a, q, nb);
+            swapped |= at[q].swapped;
         }
+        if (constrained || swapped) {
+            for (int q = begin; q < n; ++q)
+                put_constrained(M, nb, at[q], a == q, Ka + q, at[q].swapped ? cols : nb * cols,
+                                at[q].swapped ? nb * cols : cols, rhs);
+            continue;
+        }
+        for (int i = 0; i < nb; ++i) {
+            double *out = M->values + M->row_start[(int64_t)nodes[a] * nb + i];
+            for (int j = M->symmetric ? i : 0; j < nb; ++j) out[at[a].column + j] += Ka[(i * nb + j) * cols + a];
+            for (int q = begin; q < n; ++q) {
+                if (q == a) continue;
+                double *block = out + at[q].column;
+                for (int j = 0; j < nb; ++j) block[j] += Ka[(i * nb + j) * cols + q];
+            }
+        }
+    }
+}
+
+INLINE void flush_any(const Batch *b, const Matrix *M, int64_t g, int n, int nv, const double *K, Place *at,
+                      double *rhs)
+{
+    switch (block_of(b)) {
+    case 6: flush_matrix(b, M, g, 6, n, nv, K, at, rhs); break;
+    case 3: flush_matrix(b, M, g, 3, n, nv, K, at, rhs); break;
+    default: flush_matrix(b, M, g, block_of(b), n, nv, K, at, rhs);
     }
 }
 
 typedef struct {
     double *in, *out, *cin, *cout, *shapes, *A, *f;
     vec *s, *T, *K;
+    Place *at;
 } Work;
 
 static void *vectors(size_t n)
 {
-    void *p = aligned_alloc(sizeof(vec), (n * sizeof(double) / sizeof(vec) + 1) * sizeof(vec));
+    const size_t line = 8 * LANES;  /* what the kernels' vectors need, and no less than a vec */
+    void *p = aligned_alloc(line, (n * sizeof(double) / line + 1) * line);
     if (p) memset(p, 0, n * sizeof(double));
     return p;
 }
@@ -373,8 +420,9 @@ FAST int polarmpm_assemble(const Batch *b, const Law *law, const Matrix *M, cons
               .shapes = vectors((size_t)LANES * 4 * stride), .s = vectors((size_t)4 * stride),
               .A = vectors((size_t)nz * nz),
               .f = vectors((size_t)most * nb), .T = vectors((size_t)nz * nb * stride),
-              .K = vectors(M ? (size_t)most * nb * nb * stride : 1)};
-    int failed = !(w.in && w.out && w.cin && w.cout && w.shapes && w.s && w.A && w.f && w.T && w.K);
+              .K = vectors(M ? (size_t)most * nb * nb * stride : 1),
+              .at = malloc(sizeof(Place) * most)};
+    int failed = !(w.in && w.out && w.cin && w.cout && w.shapes && w.s && w.A && w.f && w.T && w.K && w.at);
     int64_t group = 0, group_of[LANES], open = -1;
     for (int64_t start = 0; start < b->npoints && !failed; start += LANES) {
         int lanes = evaluate(b, law, x, start, &group, stride, group_of, &w);
@@ -385,7 +433,6 @@ FAST int polarmpm_assemble(const Batch *b, const Law *law, const Matrix *M, cons
             const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH;
             if (g != open) {
                 memset(w.f, 0, sizeof(double) * n * nb);
-                if (M) memset(w.K, 0, sizeof(vec) * n * nb * nb * nv);
                 open = g;
             }
             const double *sp = w.shapes + l * 4 * stride;
@@ -409,17 +456,17 @@ FAST int polarmpm_assemble(const Batch *b, const Law *law, const Matrix *M, cons
                             w.A[(9 + i) * nz + 9 + j] += w.cout[(3 + 3 * i + j) * LANES + l];
                 for (int c = 0; c <= dim; ++c)
                     memcpy((double *)w.s + c * nv * WIDTH, sp + c * stride, sizeof(double) * nv * WIDTH);
-                add_tangent_any(dim, rot, nv, M->symmetric, n, w.A, w.s, w.T, w.K);
+                add_tangent_any(dim, rot, nv, M->symmetric, p == b->first[g], n, w.A, w.s, w.T, w.K);
             }
             if (p + 1 == b->first[g + 1]) {
                 const int32_t *nodes = b->nodes + b->node_first[g];
                 for (int a = 0; a < n; ++a)
                     for (int i = 0; i < nb; ++i) force[(int64_t)nodes[a] * nb + i] += w.f[a * nb + i];
-                if (M) flush_matrix(b, M, g, n, nv, (const double *)w.K, rhs);
+                if (M) flush_any(b, M, g, n, nv, (const double *)w.K, w.at, rhs);
             }
         }
     }
     free(w.in), free(w.out), free(w.cin), free(w.cout), free(w.shapes), free(w.s);
-    free(w.A), free(w.f), free(w.T), free(w.K);
+    free(w.A), free(w.f), free(w.T), free(w.K), free(w.at);
     return failed;
 }
