@@ -260,8 +260,8 @@ def patch(
 ):
     """5 cells a side full of points, with a homogeneous deformation prescribed around the inner nodes.
 
-    Points are displaced at random. A homogeneous stress is only in equilibrium with sums over points when every
-    cell has the same pattern of them (the gradients of the basis then cancel), hence `periodic`.
+    Points are displaced at random. A homogeneous stress is in equilibrium with sums over points only when
+    every cell has the same pattern of them (the gradients of the basis then cancel), hence `periodic`.
     """
     cells, per_cell = 5, 2
     grid = pm.Grid.box((0,) * dim, (cells,) * dim, 1.0)
@@ -305,7 +305,7 @@ PATCHES = [
 @pytest.mark.parametrize("basis", ["gimpm", "mpm"])
 @pytest.mark.parametrize(("dim", "material"), PATCHES)
 def test_patch_homogeneous_deformation(dim, material, basis, strict):
-    """A stretch with the matching microrotation is reproduced to 1e-10, points at random offsets in a cell."""
+    """A stretch with matching microrotation is reproduced to 1e-10, points at random places in a cell."""
     F = np.eye(3) + SHAPES[dim]
     vector = polar_vector(F)
     problem = patch(dim, material, basis, F, vector, periodic=True, controls=strict)
