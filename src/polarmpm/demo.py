@@ -1,0 +1,114 @@
+"""What the demo scripts share: their command line and their report."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from . import __version__
+from .problem import QuasiStatic
+
+
+def arguments(
+    description: str,
+    *,
+    output: str,
+    cell: float,
+    points_per_cell: int,
+    steps: int,
+    basis: str,
+    argv: Sequence[str] | None = None,
+    more: Mapping[str, Mapping[str, Any]] | None = None,
+) -> argparse.Namespace:
+    """Command line of a demo with its defaults; `more` adds options of its own (flag -> argparse keywords)."""
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument("--cell", type=float, default=cell, help="cell size (unit of the scene)")
+    parser.add_argument("--points-per-cell", type=int, default=points_per_cell, help="in each direction")
+    parser.add_argument("--steps", type=int, default=steps, help="number of load steps")
+    parser.add_argument("--basis", choices=("gimpm", "mpm"), default=basis, help="weighting functions")
+    parser.add_argument("--output", type=Path, default=Path("results") / output, metavar="DIR", help="folder")
+    parser.add_argument("--json", action="store_true", help="last line of output is one JSON object")
+    for flag, keywords in (more or {}).items():
+        parser.add_argument(flag, **keywords)
+    return parser.parse_args(argv)
+
+
+def report(
+    args: argparse.Namespace, case: str, problem: QuasiStatic, result: Mapping[str, Any], **parameters: Any
+) -> dict[str, Any]:
+    """Print what a demo has found, as text or JSON, on one rank. Collective.
+
+    Returns the object with the keys case, parameters, result, iterations (per step), points, unknowns,
+    cpu_s (by phase, summed over ranks, with total), peak_memory_mb (likewise) and version.
+    """
+    comm = problem.comm
+    seconds = {**problem.timer.seconds, "total": time.process_time()}
+    known = ("cell", "points_per_cell", "steps", "basis")
+    summary = {
+        "case": case,
+        "parameters": {**{k: getattr(args, k) for k in known}, "ranks": comm.size, **parameters},
+        "result": {name: _plain(value) for name, value in result.items()},
+        "iterations": [step.iterations for step in problem.steps],
+        "points": problem.points.total,
+        "unknowns": problem.unknowns,
+        "cpu_s": {name: round(comm.allreduce(seconds[name]), 3) for name in sorted(seconds)},
+        "peak_memory_mb": round(
+            comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) / 1024, 1
+        ),
+        "version": __version__,
+    }
+    if comm.rank == 0:
+        if args.json:
+            print(json.dumps(summary))
+        else:
+            _print_text(summary, args.output)
+        sys.stdout.flush()
+    return summary
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return value
+
+
+def _print_text(summary: Mapping[str, Any], output: Path) -> None:
+    print(f"{summary['case']}: {summary['points']} points, {summary['unknowns']} unknowns")
+    for name, value in summary["result"].items():
+        if isinstance(value, list) and value and not isinstance(value[0], list):
+            value = "  ".join(f"{v:.6g}" for v in value[:6]) + (" ..." if len(value) > 6 else "")
+        elif isinstance(value, float):
+            value = f"{value:.6g}"
+        elif isinstance(value, list):
+            continue
+        print(f"  {name}: {value}")
+    seconds = ", ".join(f"{k} {v:.2f}" for k, v in summary["cpu_s"].items())
+    print(f"  iterations {sum(summary['iterations'])}; CPU seconds: {seconds}")
+    print(f"  files in {output}")
+
+
+def output_folder(args: argparse.Namespace, comm: MPI.Comm) -> Path:
+    """Make the output folder; an error is raised on every rank. Collective."""
+    from .errors import InputError
+    from .parallel import collectively
+
+    error = None
+    if comm.rank == 0:
+        try:
+            args.output.mkdir(parents=True, exist_ok=True)
+        except OSError as e:
+            error = InputError(f"--output {args.output} can't be made: {e.strerror}")
+    collectively(comm, error)
+    return args.output
