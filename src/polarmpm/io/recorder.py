@@ -1,0 +1,170 @@
+"""Recording the steps of a run for ParaView."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..cellmesh import corner_numbers, occupied_cells
+from ..errors import InputError
+from ..parallel import Route
+from ..points import Points
+from ..stepping import Step
+from .paraview import Collection, box_corners, padded
+
+# what the points know by themselves, and what needs the materials' kernels
+_OF_POINTS: dict[str, Callable[[Points], np.ndarray]] = {
+    "displacement": lambda p: padded(p.displacement),
+    "rotation": lambda p: p.rotation_vector,
+    "F": lambda p: p.F,
+    "stretch": lambda p: p.stretch,
+    "wryness": lambda p: p.wryness,
+    "volume": lambda p: p.volume,
+    "id": lambda p: p.id,
+    "material": lambda p: p.material,
+}
+_OF_MATERIALS = ("stress", "couple_stress", "energy")
+
+
+class Recorder:
+    """Writes states of a problem for ParaView; all methods are collective.
+
+    `arch.pvd` is the file to open; the folder `arch` next to it has one .vtu file for each step and rank.
+    The collection is rewritten after every step, so that a run that was killed leaves a readable one.
+
+        with pm.Recorder("arch.pvd", problem, fields=("displacement", "stress")) as recorder:
+            for step in problem.march(10):
+                recorder.record(step)
+
+    Args:
+        path: of the collection, ending in .pvd; missing folders are made.
+        problem: whose states are written.
+        fields: any of displacement (m), rotation (rotation vector, rad), F, stretch (U), wryness (1/m),
+            stress (Cauchy, Pa), couple_stress (N/m), energy (per reference volume, Pa), volume (m^3; m^2
+            in plane strain), id, material. Tensors have 9 components, row by row.
+        grid: also write the occupied cells of the background grid to `arch_grid.pvd`, at their position
+            at the last reset, with displacement_increment (m) and rotation_increment (rad) since then.
+        domains: show a point as the box of its current GIMPM domain, with the fields on cells; False as
+            a vertex, with the fields on points.
+        initial: write the present state on entering the `with` statement.
+
+    Raises:
+        InputError: unknown field, or files that can't be written; on every rank alike.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        problem: Any,
+        *,
+        fields: Sequence[str] = ("displacement", "rotation"),
+        grid: bool = False,
+        domains: bool = True,
+        initial: bool = True,
+    ):
+        self.problem, self.domains, self.initial = problem, domains, initial
+        self.fields = _check_fields(fields)
+        file = Path(path)
+        folder = file.with_suffix("")
+        self._points = Collection(file, folder, problem.comm)
+        self._grid: Collection | None = None
+        if grid:
+            self._grid = Collection(file.with_name(f"{file.stem}_grid.pvd"), folder, problem.comm)
+
+    def __enter__(self) -> Recorder:
+        if self.initial:
+            self.record()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Nothing is left to do: every record is complete."""
+
+    def record(self, step: Step | None = None, *, time: float | None = None) -> None:
+        """Write the current state.
+
+        Args:
+            step: the last step of `march`; its number and load factor are used.
+            time: shown in ParaView instead of the load factor (for unloading, as its times have to grow).
+
+        Raises:
+            InputError: the step is not the last one, whose state has been overwritten.
+        """
+        progress = self.problem.progress
+        if step is not None and step.number != progress.step:
+            raise InputError(f"step {step.number} can't be recorded: the points are at step {progress.step}")
+        time = float(progress.factor if time is None else time)
+        with self.problem.timer("output"):
+            self._record_points(progress.step, time)
+            if self._grid is not None:
+                self._record_grid(self._grid, progress.step, time)
+
+    __call__ = record
+
+    def _record_points(self, number: int, time: float) -> None:
+        points, data = self.problem.points, field_arrays(self.problem, self.fields)
+        if self.domains:
+            corners = box_corners(points.x, points.half_length)
+            cells = np.arange(corners.shape[0] * corners.shape[1]).reshape(corners.shape[:2])
+            self._points.add(number, time, corners.reshape(-1, points.dim), cells, cell_data=data)
+        else:
+            vertices = np.arange(len(points))[:, None]
+            self._points.add(number, time, points.x, vertices, point_data=data)
+
+    def _record_grid(self, collection: Collection, number: int, time: float) -> None:
+        problem, grid = self.problem, self.problem.grid
+        dim, system = grid.dim, problem._system
+        # The increments belong to the lattice at the last reset, hence to the cells occupied then.
+        x = problem.points.x if system is None else system.interpolation.reference.x
+        cells = corner_numbers(grid, occupied_cells(grid, x))
+        numbers, table = np.unique(cells, return_inverse=True)
+        increments = np.zeros((len(numbers), problem.layout.block))
+        if system is not None:
+            owned = system.nodes.owned
+            increments = _from_owners(
+                grid.comm, system.nodes.lattice[:owned], np.asarray(system.x[:owned]), numbers
+            )
+        data = {"displacement_increment": padded(increments[:, :dim])}
+        if problem.layout.rotations:
+            rotation = increments[:, dim:]
+            data["rotation_increment"] = rotation if dim == 3 else np.pad(rotation, ((0, 0), (2, 0)))
+        collection.add(number, time, grid.node_position(numbers), table.reshape(cells.shape), data)
+
+
+def _check_fields(fields: Sequence[str]) -> tuple[str, ...]:
+    names = (fields,) if isinstance(fields, str) else tuple(fields)
+    allowed = (*_OF_POINTS, *_OF_MATERIALS)
+    for name in names:
+        if name not in allowed:
+            raise InputError(f"fields: {name!r} is unknown; allowed are {', '.join(allowed)}")
+    return names
+
+
+def field_arrays(problem: Any, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """The local points' values by name, vectors with three components; nothing else is computed."""
+    stresses = problem.fields() if any(name in _OF_MATERIALS for name in names) else None
+    return {
+        name: getattr(stresses, name) if name in _OF_MATERIALS else _OF_POINTS[name](problem.points)
+        for name in names
+    }
+
+
+def _from_owners(comm: MPI.Comm, lattice: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Values (n, c) of lattice nodes, each given by its owner, for the wanted numbers. Collective.
+
+    Nodes that nobody owns get zeros: a point exactly on a cell's face may not reach the cell's far side.
+    """
+    # the node's number tells which rank keeps the book on it
+    home = Route(comm, lattice % comm.size)
+    known = np.append(home.forward(lattice), -1)
+    rows = np.vstack([home.forward(values), np.zeros((1, values.shape[1]))])
+    order = np.argsort(known)
+    ask = Route(comm, wanted % comm.size)
+    asked = ask.forward(wanted)
+    at = order[np.searchsorted(known, asked, sorter=order, side="right") - 1]
+    return ask.backward(np.where((known[at] == asked)[:, None], rows[at], 0.0))
