@@ -162,7 +162,7 @@ class PointSystem:
         with self.timer("factor"):
             self.solver.factor()
         with self.timer("solve"):
-            change = self.solver.solve(right.ravel()).reshape(own, -1)
+            change = self.solver.solve(right.ravel()).reshape(own, self.layout.block)
         step = np.zeros_like(self.x)
         step[:own] = change
         self.nodes.update_ghosts(step)
