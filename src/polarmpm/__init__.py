@@ -3,6 +3,9 @@
 from .conditions import plane
 from .errors import InputError, KernelError, NotConverged, PointsOutsideGrid, PolarMPMError
 from .grid import Grid
+from .io import Recorder, Table
+from .io.restart import load as load_restart
+from .io.restart import save as save_restart
 from .materials import Hencky, Material, MicropolarElastic, NeoHookean, UserEnergy
 from .newton import Controls
 from .points import Points, Selection
@@ -29,11 +32,15 @@ __all__ = [
     "PointsOutsideGrid",
     "PolarMPMError",
     "QuasiStatic",
+    "Recorder",
     "Selection",
     "Step",
+    "Table",
     "UserEnergy",
     "WhenDistorted",
+    "load_restart",
     "plane",
+    "save_restart",
     "seed",
     "seed_mesh",
 ]

@@ -87,16 +87,20 @@ def _plain(value: Any) -> Any:
 def _print_text(summary: Mapping[str, Any], output: Path) -> None:
     print(f"{summary['case']}: {summary['points']} points, {summary['unknowns']} unknowns")
     for name, value in summary["result"].items():
-        if isinstance(value, list) and value and not isinstance(value[0], list):
-            value = "  ".join(f"{v:.6g}" for v in value[:6]) + (" ..." if len(value) > 6 else "")
-        elif isinstance(value, float):
-            value = f"{value:.6g}"
-        elif isinstance(value, list):
-            continue
-        print(f"  {name}: {value}")
+        if isinstance(value, float):
+            print(f"  {name}: {value:.6g}")
+        elif isinstance(value, list) and all(isinstance(v, int | float) for v in value):
+            print(f"  {name}:", "  ".join(f"{v:.6g}" for v in value[:6]) + (" ..." if len(value) > 6 else ""))
+        elif isinstance(value, dict):
+            _print_rows(name, value)
     seconds = ", ".join(f"{k} {v:.2f}" for k, v in summary["cpu_s"].items())
     print(f"  iterations {sum(summary['iterations'])}; CPU seconds: {seconds}")
     print(f"  files in {output}")
+
+
+def _print_rows(name: str, rows: Mapping[str, Sequence[float]]) -> None:
+    for key, values in rows.items():
+        print(f"  {name}, {key}:", "  ".join(f"{v:.4g}" for v in values))
 
 
 def output_folder(args: argparse.Namespace, comm: MPI.Comm) -> Path:
