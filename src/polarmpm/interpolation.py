@@ -133,11 +133,11 @@ class Interpolation:
             if micropolar and iso:
                 back = np.swapaxes(rotations.to_tensor(q), 1, 2)
                 frame, wryness = f @ back, rotations.to_tensor(q) @ wryness @ back
-            parts = [frame[:, :d, :d].reshape(len(f), -1)]
+            parts = [frame[:, :d, :d].reshape(len(f), d * d)]
             if micropolar:
                 if not iso:
                     parts.append(q if d == 3 else q[:, [0, 3]])
-                parts.append(wryness.reshape(len(f), -1) if d == 3 else wryness[:, 2, :2])
+                parts.append(wryness.reshape(len(f), 9) if d == 3 else wryness[:, 2, :2])
             native.fill(b.batch, state=np.ascontiguousarray(np.concatenate(parts, axis=1)))
 
     def rebase_rotations(self) -> None:
