@@ -16,6 +16,7 @@ import numpy as np
 from . import native, rotations
 from .grid import Grid
 from .nodes import ActiveNodes
+from .parallel import together
 from .pointforms import Layout, PointForm
 from .points import Points, domain_half_length
 from .weighting import Weights, weights
@@ -73,7 +74,8 @@ class Interpolation:
         self.grid, self.points, self.forms = grid, points, forms
         self.layout: Layout = forms[0].layout
         self.reference = r = reference or Reference.of(points)
-        w = weights(basis, grid, r.x, domain_half_length(r.F, points.half_length0))
+        with together(grid.comm):
+            w = weights(basis, grid, r.x, domain_half_length(r.F, points.half_length0))
         order, groups = _group(points.material, w)
         touched, node_sets = _node_sets(grid, groups)
         self.nodes = ActiveNodes.build(grid, touched)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
+
+from .errors import InputError
 
 
 class Route:
@@ -56,3 +60,14 @@ def collectively(comm: MPI.Comm, error: Exception | None) -> None:
     for e in errors:
         if e is not None:
             raise e
+
+
+@contextmanager
+def together(comm: MPI.Comm) -> Iterator[None]:
+    """Local work whose InputError is raised on every rank, so that no rank waits for ever. Collective."""
+    error = None
+    try:
+        yield
+    except InputError as e:
+        error = e
+    collectively(comm, error)

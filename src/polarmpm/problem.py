@@ -16,6 +16,7 @@ from .errors import InputError
 from .grid import Grid
 from .interpolation import Interpolation, Reference
 from .newton import Controls, Outcome
+from .parallel import together
 from .pointforms import CoupleForm, FieldForm, Kernel, Layout, PointForm
 from .points import Points, Selection
 from .pointsystem import PointSystem
@@ -183,11 +184,11 @@ class QuasiStatic:
         start = system.x.copy()
         p = self.progress
         with self.timer("conditions"):
-            forces, couples = conditions.point_loads(self.loads, self.points, self.layout, factor)
+            with together(self.comm):
+                forces, couples = conditions.point_loads(self.loads, self.points, self.layout, factor)
+                increments = system.prescribed.increments(factor, p.reset_factor, p.rotation_factor)
             system.set_loads(forces, couples)
-            system.set_prescribed(
-                system.prescribed.increments(factor, p.reset_factor, p.rotation_factor)
-            )
+            system.set_prescribed(increments)
         outcome = newton.solve(system, self.controls)
         if outcome.converged:
             inverted = self._inverted(system)
@@ -240,7 +241,7 @@ class QuasiStatic:
         return self._system
 
     def _build(self, interpolation: Interpolation) -> PointSystem:
-        with self.timer("conditions"):
+        with self.timer("conditions"), together(self.comm):
             prescribed = Prescribed(interpolation.nodes, self.supports, self.layout)
         c = self._compiled
         return PointSystem(interpolation, c.kernels, c.couple, prescribed, self.timer)
