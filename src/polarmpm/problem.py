@@ -16,6 +16,7 @@ from .errors import InputError
 from .grid import Grid
 from .interpolation import Interpolation, Reference
 from .newton import Controls, Outcome
+from .nodes import ActiveNodes
 from .parallel import together
 from .pointforms import CoupleForm, FieldForm, Kernel, Layout, PointForm
 from .points import Points, Selection
@@ -114,6 +115,8 @@ class QuasiStatic:
         self._compiled = _Compiled()
         self._system: PointSystem | None = None
         self._stale = False  # conditions have changed since the system was built
+        # nodes, what was prescribed, and out-of-balance forces of the last converged step
+        self._equilibrium: tuple[ActiveNodes, np.ndarray, np.ndarray] | None = None
 
     # conditions -----------------------------------------------------------------------------------
     def fix(self, where: PlaneSpec | Callable[[np.ndarray], np.ndarray], **components: Any) -> Support:
@@ -208,6 +211,7 @@ class QuasiStatic:
 
     def _commit(self, system: PointSystem, factor: float) -> None:
         system.interpolation.update_points(system.x)
+        self._equilibrium = system.nodes, system.prescribed.fixed, system.residual
         p = self.progress
         p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
         gradient = system.interpolation.gather(system.x).gradient
@@ -269,7 +273,7 @@ class QuasiStatic:
         self, progress: Progress, increments: tuple[Reference, np.ndarray, np.ndarray] | None
     ) -> None:
         """Continue from a state whose points have been put in already; see `io.restart`."""
-        self.progress = progress
+        self.progress, self._equilibrium = progress, None
         if self._system is not None:
             self._system.solver.destroy()
             self._system = None
@@ -309,12 +313,12 @@ class QuasiStatic:
         Raises:
             InputError: nothing has been solved yet.
         """
-        if self._system is None:
+        if self._equilibrium is None:
             raise InputError("reaction: no load step has been solved yet")
-        own = self._system.nodes.owned
-        mask = support.mask(self._system.nodes)[:own, None]
-        held = self._system.prescribed.fixed[:own] & mask
-        total = self.comm.allreduce(np.sum(self._system.residual[:own] * held, axis=0))
+        nodes, fixed, residual = self._equilibrium
+        own = nodes.owned
+        held = fixed[:own] & support.mask(nodes)[:own, None]
+        total = self.comm.allreduce(np.sum(residual[:own] * held, axis=0))
         return total[: self.layout.dim], total[self.layout.dim :]
 
     @property
