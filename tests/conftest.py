@@ -80,15 +80,19 @@ def beam(
     material: pm.Material = MICROPOLAR,
     *,
     scale: float = 1.0,
-    per_cell: int = 2,
+    per_cell: int | None = None,
     comm: MPI.Comm = COMM,
     **options: Any,
 ) -> pm.QuasiStatic:
-    """A short cantilever of 4 x 1 (x 1) cells, held at x = 0, without a load; lengths times `scale`."""
+    """A short cantilever of 3.5 x 1 (x 1) cells, held at x = 0, without a load; lengths times `scale`.
+
+    Its faces stand clear of the grid's planes.
+    """
     low, high = (-1.0, -3.0, -2.0)[:dim], (6.0, 3.0, 3.0)[:dim]
     grid = pm.Grid.box(np.multiply(scale, low), np.multiply(scale, high), scale, comm)
-    upper = np.multiply(scale, (4.0, 1.0, 1.0)[:dim])
-    points = pm.seed(grid, material=material, points_per_cell=per_cell, bounds=(np.zeros(dim), upper))
+    upper = np.multiply(scale, (3.5, 1.0, 1.0)[:dim])
+    points = pm.seed(grid, material=material, points_per_cell=per_cell or dim, bounds=(np.zeros(dim), upper))
+    points.x = points.X = points.x + np.multiply(scale, (0.0, 0.3, 0.2)[:dim])
     problem = pm.QuasiStatic(grid, points, **options)
     theta = {"theta": 0} if material.micropolar else {}
     problem.fix(pm.plane(x=0.0), u=0, **theta)

@@ -275,11 +275,11 @@ def test_conditions_added_between_steps(strict):
     """A load or support that comes later changes the rest of the path only, with and without resets."""
     for reset in (1, None):
         whole = beam(2, basis="mpm", reset=reset, controls=strict)
-        whole.fix(pm.plane(x=4.0), ux=0.2)
+        whole.fix(pm.plane(x=3.0), ux=0.2)
         whole.load(tip_of(whole), force=lambda t: (0.0, -4.0 * max(0.0, t - 0.5)))
         list(whole.march(2))
         parts = beam(2, basis="mpm", reset=reset, controls=strict)
-        parts.fix(pm.plane(x=4.0), ux=0.2)
+        parts.fix(pm.plane(x=3.0), ux=0.2)
         list(parts.march(1, to=0.5))
         parts.load(whole.loads[0].selection, force=lambda t: (0.0, -4.0 * max(0.0, t - 0.5)))
         list(parts.march(1))
