@@ -75,7 +75,7 @@ def two_points(dim: int = 2) -> pm.QuasiStatic:
     grid = pm.Grid.box((0, 0, 0)[:dim], (2, 1, 1)[:dim], 1.0)
     points = pm.seed(grid, material=MATERIAL, points_per_cell=1)
     assert points.total == 2
-    problem = pm.QuasiStatic(grid, points, controls=STRICT)
+    problem = pm.QuasiStatic(grid, points, basis="mpm", controls=STRICT)
     problem.fix(lambda x: (x[:, 0] < 0.5) | np.any(x[:, 1:] > 0.5, axis=1), u=0, theta=0)
     force, couple = (60.0, -40.0, 20.0)[:dim], 10.0 if dim == 2 else (10.0, 20.0, -10.0)
     problem.load(points.farthest((1, 0, 0)[:dim]), force=force, couple=couple)
