@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import ufl
 
+from .errors import KernelError
+
 try:  # dolfinx >= 0.8
     import basix.ufl as _basix_ufl
 
@@ -39,7 +41,10 @@ def expression_signature(expr: Any, terminals: dict[Any, int]) -> str:
     """Signature of an expression that does not depend on running numbers of UFL objects."""
     from ufl.algorithms.signature import compute_expression_signature
 
-    return compute_expression_signature(expr, terminals)
+    try:
+        return compute_expression_signature(expr, terminals)
+    except KeyError as e:
+        raise KernelError(f"{e.args[0]} is not an input of this kernel") from None
 
 
 def create_mesh(comm: Any, cells: Any, positions: Any, cell: str) -> Any:

@@ -389,6 +389,7 @@ _HANDLERS: list[tuple[Any, Callable[[Scalariser, Any], _Array]]] = [
     (uc.Power, _named("pow")),
     (uc.Abs, _named("fabs")),
     (uc.MathFunction, Scalariser._math),
+    (uc.Atan2, _named("atan2")),
     (uc.MinValue, _named("fmin")),
     (uc.MaxValue, _named("fmax")),
     (uc.Conditional, Scalariser._conditional),

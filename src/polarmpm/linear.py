@@ -10,7 +10,13 @@ import numpy as np
 from .errors import PolarMPMError
 from .sparsity import Pattern
 
-_KRYLOV_LIMIT = 60  # GMRES iterations after which an unsymmetric tangent gets its own factor
+# Relative lift of the factored matrix' diagonal. A node set seen by a single point has fewer constraints than
+# unknowns, and its tangent is exactly singular; slivers of points' domains in a cell come close to that.
+_DIAGONAL = 1e-12
+# The lift stays out of the tangent itself: FGMRES with the lifted factor solves with the tangent, in one
+# iteration unless a mode is as weak as the lift.
+_TOLERANCE = 1e-8
+_KRYLOV_LIMIT = 60  # iterations after which the factor is given up
 
 
 class SingularTangent(PolarMPMError, ArithmeticError):
@@ -22,42 +28,39 @@ class DirectSolver:
 
     * symmetric: Cholesky-like on the upper triangle (no pivoting, fastest); when that fails, as it may far from
       equilibrium, LDL^T with pivoting.
-    * unsymmetric (dead couples in three dimensions): the symmetric part is factored, which costs a quarter, and
-      preconditions GMRES on the tangent itself; where couples are too large for that, LU.
+    * unsymmetric (dead couples in three dimensions): the symmetric part is factored, at half the memory, and
+      preconditions the tangent itself; where couples are too large for that, LU.
     """
 
     def __init__(self, pattern: Pattern):
         self.pattern = pattern
         comm, nodes = pattern.nodes.grid.comm, pattern.nodes
         local, total = nodes.owned * pattern.block, nodes.total * pattern.block
-        entries = pattern.owned_entries
-        self._csr = (pattern.indptr.astype(np.int32), pattern.indices, pattern.values[:entries])
+        self._csr = (
+            pattern.indptr.astype(np.int32),
+            pattern.indices,
+            pattern.values[: pattern.owned_entries],
+        )
         size = ((local, total), (local, total))
-        self.comm, self.serial = comm, comm.size == 1
-        if self.serial:
-            self.matrix = PETSc.Mat().createAIJWithArrays(size, self._csr, comm=comm)
-        else:
-            self.matrix = PETSc.Mat().createAIJ(size, csr=self._csr, comm=comm)
+        self.comm = comm
+        create = PETSc.Mat().createSBAIJ if pattern.symmetric else PETSc.Mat().createAIJ
+        self.matrix = create(size, 1, csr=self._csr, comm=comm)
+        self._lifted = self.matrix.duplicate()
         self.solution, self.rhs = self.matrix.createVecs()
-        self._factored: PETSc.Mat | None = self.matrix if pattern.symmetric else None
         self._solver: PETSc.KSP | None = None
         self._method = "definite"  # then "symmetric", then "general" for an unsymmetric tangent
 
     # factors --------------------------------------------------------------------------------------
     def _create(self) -> PETSc.KSP:
-        symmetric, definite = self._method != "general", self._method == "definite"
-        factored = self._factored if symmetric and self._factored is not None else self.matrix
+        symmetric = self._method != "general"
         if symmetric:
-            factored.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-            factored.setOption(PETSc.Mat.Option.SPD, definite)
+            self._lifted.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            self._lifted.setOption(PETSc.Mat.Option.SPD, self._method == "definite")
         ksp = PETSc.KSP().create(self.comm)
-        ksp.setOperators(self.matrix, factored)
-        if symmetric and not self.pattern.symmetric:
-            ksp.setType(PETSc.KSP.Type.GMRES)
-            ksp.setGMRESRestart(_KRYLOV_LIMIT)
-            ksp.setTolerances(rtol=1e-11, atol=0.0, max_it=_KRYLOV_LIMIT)
-        else:
-            ksp.setType(PETSc.KSP.Type.PREONLY)
+        ksp.setOperators(self.matrix, self._lifted)
+        ksp.setType(PETSc.KSP.Type.FGMRES)
+        ksp.setGMRESRestart(_KRYLOV_LIMIT)
+        ksp.setTolerances(rtol=_TOLERANCE, atol=0.0, divtol=1e30, max_it=_KRYLOV_LIMIT)
         pc = ksp.getPC()
         pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
         pc.setFactorSolverType("mumps")
@@ -67,15 +70,19 @@ class DirectSolver:
         factor.setMumpsIcntl(14, 40)  # spare memory for pivoting, in per cent
         return ksp
 
-    def _symmetric_part(self) -> None:
-        transposed = self.matrix.transpose(PETSc.Mat())
-        if self._factored is None:
-            self._factored = self.matrix.duplicate(copy=True)
-        else:
-            self.matrix.copy(self._factored, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        self._factored.axpy(1.0, transposed, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        self._factored.scale(0.5)
-        transposed.destroy()
+    def _lift(self) -> None:
+        """The matrix to factor: the tangent's symmetric part (or the tangent) with a lifted diagonal."""
+        same = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
+        self.matrix.copy(self._lifted, structure=same)
+        if not self.pattern.symmetric and self._method != "general":
+            transposed = self.matrix.transpose(PETSc.Mat())
+            self._lifted.axpy(1.0, transposed, structure=same)
+            self._lifted.scale(0.5)
+            transposed.destroy()
+        diagonal = self._lifted.getDiagonal()
+        diagonal.scale(1.0 + _DIAGONAL)
+        self._lifted.setDiagonal(diagonal)
+        diagonal.destroy()
 
     def factor(self) -> None:
         """Factor the matrix whose entries stand in the pattern. Collective.
@@ -86,11 +93,8 @@ class DirectSolver:
         finite = bool(np.isfinite(self._csr[2]).all())
         if not self.comm.allreduce(finite, op=MPI.LAND):
             raise SingularTangent("the tangent has entries that are not finite")
-        if not self.serial:
-            self.matrix.setValuesCSR(*self._csr)
+        self.matrix.setValuesCSR(*self._csr)
         self.matrix.assemble()
-        if not self.pattern.symmetric and self._method != "general":
-            self._symmetric_part()
         while not self._try():
             self._fall_back("the tangent is singular")
 
@@ -104,6 +108,7 @@ class DirectSolver:
 
     def _try(self) -> bool:
         try:
+            self._lift()
             if self._solver is None:
                 self._solver = self._create()
             pc = self._solver.getPC()
@@ -140,6 +145,5 @@ class DirectSolver:
     def destroy(self) -> None:
         """Release PETSc's objects."""
         self._release_solver()
-        for thing in (self._factored, self.matrix, self.rhs, self.solution):
-            if thing is not None:
-                thing.destroy()
+        for thing in (self._lifted, self.matrix, self.rhs, self.solution):
+            thing.destroy()

@@ -16,10 +16,6 @@ from .linear import DirectSolver
 from .pointforms import Kernel
 from .timing import Timer
 
-# Relative lift of the tangent's diagonal: a node set seen by a single point has fewer constraints than
-# unknowns, and its tangent is exactly singular. The residual stays as it is, and so does the answer.
-_DIAGONAL = 1e-12
-
 
 class PointSystem:
     """Implements `newton.System` between two resets.
@@ -57,7 +53,6 @@ class PointSystem:
             self._fixed = np.ascontiguousarray(prescribed.fixed, dtype=np.uint8)
             native.fill(self.pattern.matrix, fixed=self._fixed)
             owned = prescribed.fixed[: self.nodes.owned].ravel()
-            self._free_diagonal = self.pattern.diagonal[~owned]
             self._fixed_diagonal = self.pattern.diagonal[owned]
             self.solver = DirectSolver(self.pattern)
         self._couples: list[tuple[np.ndarray, np.ndarray]] = [
@@ -130,6 +125,10 @@ class PointSystem:
             raise MemoryError("no memory for the sums over material points")
 
     def measures(self) -> tuple[float, float]:
+        with np.errstate(over="ignore", invalid="ignore"):  # what diverges is told by the numbers
+            return self._measures()
+
+    def _measures(self) -> tuple[float, float]:
         own = slice(0, self.nodes.owned)
         free = ~self.prescribed.fixed[own]
         r, external = self.residual[own], self.external[own]
@@ -154,7 +153,6 @@ class PointSystem:
     def advance(self) -> None:
         fixed = self.prescribed.fixed
         values, own = self.pattern.values, self.nodes.owned
-        values[self._free_diagonal] *= 1.0 + _DIAGONAL
         at = self._fixed_diagonal[values[self._fixed_diagonal] == 0.0]
         values[at] = 1.0
         right = -(self.residual + self._lift_forces)[:own]

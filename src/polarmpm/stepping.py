@@ -121,7 +121,9 @@ def _attempt(problem: Marching, factor: float, tried: list[str]) -> Step | Outco
 def _equal(problem: Marching, schedule: Schedule) -> Iterator[Step]:
     begin = problem.progress.factor
     for k in range(1, schedule.steps + 1):
-        factor = schedule.to if k == schedule.steps else begin + (schedule.to - begin) * k / schedule.steps
+        factor = begin + (schedule.to - begin) * k / schedule.steps
+        # without the last digits a run that was restarted passes the very same factors
+        factor = schedule.to if k == schedule.steps else float(f"{factor:.13g}")
         tried: list[str] = []
         step = _attempt(problem, factor, tried)
         if isinstance(step, Outcome):

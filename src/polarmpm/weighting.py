@@ -3,6 +3,10 @@
 The GIMPM weight T (2.26) is the mean of the tent function over the point's interval. The interval is cut
 by grid planes; on each part the tent is linear, so its mean is its value at the part's centre. That is
 exact, has no case distinction, and tends to the standard weight as the interval shrinks.
+
+An interval that reaches less than `_SLIVER` of a cell across a plane would hang nodes on the body by a thread: their
+stiffness is that of the sliver squared. Such an interval is shortened on both sides, so that it ends on the
+plane and keeps its centre; linear fields are still weighted exactly.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ from .errors import InputError
 from .grid import MARGIN, Grid, snap
 
 BASES = ("gimpm", "mpm")
+_SLIVER = 1e-4
 
 
 @dataclass
@@ -44,7 +49,8 @@ def weights(basis: str, grid: Grid, x: np.ndarray, half_length: np.ndarray) -> W
     xi, cell = grid.local(x), np.array(grid.cell)
     if check_basis(basis) == "mpm":
         half_length = np.zeros_like(half_length)
-    low, high = snap(xi - half_length / cell), snap(xi + half_length / cell)
+    half = _without_slivers(xi, half_length / cell)
+    low, high = snap(xi - half), snap(xi + half)
     inner = np.array(grid.shape)
     # a domain that ends on a plane doesn't touch the next cell; one of no length takes the cell above,
     # except on the upper boundary of the grid
@@ -69,3 +75,14 @@ def weights(basis: str, grid: Grid, x: np.ndarray, half_length: np.ndarray) -> W
         table[:, :, 1, k] -= part / cell
         table[:, :, 1, k + 1] += part / cell
     return Weights(first, count, table)
+
+
+def _without_slivers(xi: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Half-lengths (in cells) of intervals around xi that don't reach just across a plane."""
+    plane_below, plane_above = np.ceil(xi - half), np.floor(xi + half)
+    to_below, to_above = xi - plane_below, plane_above - xi
+    shorter = half.copy()
+    for reach in (to_below, to_above):
+        sliver = (half - reach < _SLIVER) & (reach > _SLIVER)
+        shorter = np.where(sliver, np.minimum(shorter, reach), shorter)
+    return shorter

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from numbers import Real
 from types import SimpleNamespace
 from typing import Any
 
@@ -90,7 +91,7 @@ class UserEnergy(Material):
 
 def require_finite(name: str, value: Any) -> None:
     """Raise InputError unless `value` is a finite number."""
-    if not isinstance(value, (int, float)) or not math.isfinite(value):
+    if not isinstance(value, Real) or not math.isfinite(value):
         raise InputError(f"{name} = {value!r} is not a finite number")
 
 

@@ -82,6 +82,7 @@ class MicropolarElastic(Material):
     def bounded_stiffness(cls, *, lam: float, mu: float, kappa: float, l_b: float) -> MicropolarElastic:
         """Moduli whose torsional stiffness stays bounded for thin bodies: beta = 0,
         gamma = 4 mu l_b^2, alpha = -2/3 gamma (T 3.3.7; lengths in m, moduli in Pa)."""
+        require_finite("mu", mu)
         require_finite("l_b", l_b)
         require(l_b >= 0, "l_b", l_b, "l_b >= 0")
         gamma = 4 * mu * l_b**2
