@@ -1,6 +1,7 @@
 """Plane-strain cantilever under an end force for two bending lengths: the size effect. SI units.
 
-Thesis 3.5.2, paper 4.2. 10 x 1 m, 50 kN shared by the last plane of points, initially perpendicular. Case (a),
+Thesis 3.5.2, paper 4.2. 10 x 1 m, 50 kN shared by the last plane of points, initially perpendicular. Case
+(a),
 l_b = 0.1 m, bends until it carries the load in tension and stiffens; case (b), l_b = 1 m, is much stiffer and
 nearly linear.
 """
@@ -44,7 +45,9 @@ def solve(case, args, folder):
     problem, tip = build(case, args)
     points, path = problem.points, [np.zeros(2)]
     with (
-        pm.Recorder(folder / f"cantilever_{case}.pvd", problem, fields=("displacement", "rotation", "stress")) as record,
+        pm.Recorder(
+            folder / f"cantilever_{case}.pvd", problem, fields=("displacement", "rotation", "stress")
+        ) as record,
         pm.Table(folder / f"cantilever_{case}.csv", tip=lambda: points.mean_displacement(tip)) as table,
     ):
         for step in problem.march(args.steps):

@@ -1,9 +1,10 @@
 """Curved cantilever: an arch of 45 degrees bends out of its plane under an end force. SI units.
 
-Thesis 3.5.4, paper 4.4. The grid is seeded with standard material points and those outside the arch are discarded;
+Thesis 3.5.4, paper 4.4. The grid is seeded with standard material points and those outside the arch are
+discarded;
 the force goes to the plane of points farthest along (1, -1, 0), and their mean displacement is compared with
-the classical beam solution. The arch's centre of curvature lies at (0, `--centre`), its section in the plane z
-starts at `--bottom`; the published position in the grid isn't known, and it matters on coarse grids.
+the classical beam solution. The arch's centre of curvature lies at (0, `--centre`), its section in the
+plane z starts at `--bottom`; the published position in the grid isn't known, and it matters on coarse grids.
 """
 
 import numpy as np
@@ -30,7 +31,9 @@ class Arch:
     def __call__(self, x):
         across, along = x[:, 0], x[:, 1] - self.centre
         radius, angle = np.hypot(across, along), np.arctan2(across, along)
-        in_section = (np.abs(radius - RADIUS) <= SIDE / 2) & (np.abs(x[:, 2] - self.bottom - SIDE / 2) <= SIDE / 2)
+        in_section = (np.abs(radius - RADIUS) <= SIDE / 2) & (
+            np.abs(x[:, 2] - self.bottom - SIDE / 2) <= SIDE / 2
+        )
         return in_section & (angle >= 0) & (angle <= ANGLE)
 
 

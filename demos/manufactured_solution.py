@@ -1,10 +1,12 @@
-"""Manufactured solution in the unit cube: orders of convergence of displacement, rotation and stresses. SI units.
+"""Manufactured solution in the unit cube: orders of convergence of displacement, rotation and stresses. SI
+units.
 
 All components of displacement and rotation are sin(2 pi X) sin(2 pi Y) sin(2 pi Z) / 30; UFL derives the body
 force and couple that belong to them. Points at the Gauss positions, standard basis, one load step: without
 crossings and resets the method is a finite element method, whose orders are known. Thesis 3.5.1, paper 4.1.
 """
 
+import itertools
 import math
 
 import numpy as np
@@ -48,7 +50,9 @@ def main(argv=None):
         steps=1,
         basis="mpm",
         argv=argv,
-        more={"--coarsest": {"type": float, "default": 1 / 4, "help": "first cell size, halved down to --cell"}},
+        more={
+            "--coarsest": {"type": float, "default": 1 / 4, "help": "first cell size, halved down to --cell"}
+        },
     )
     ladder = [round(1 / args.coarsest)]
     while ladder[-1] < round(1 / args.cell):
@@ -59,10 +63,12 @@ def main(argv=None):
         errors.append(found)
         histories.append([list(measures) for measures in problem.steps[-1].history])
     orders = {
-        name: [math.log2(a[name] / b[name]) for a, b in zip(errors, errors[1:])] for name in errors[0]
+        name: [math.log2(a[name] / b[name]) for a, b in itertools.pairwise(errors)] for name in errors[0]
     }
     folder = demo.output_folder(args, problem.comm)
-    with pm.Recorder(folder / "manufactured.pvd", problem, fields=("displacement", "rotation", "stress"), initial=False) as record:
+    with pm.Recorder(
+        folder / "manufactured.pvd", problem, fields=("displacement", "rotation", "stress"), initial=False
+    ) as record:
         record(problem.steps[-1])
     draw(ladder, errors, histories, folder / "convergence.png", problem.comm)
     result = {"cells": ladder, "errors": errors, "orders": orders, "history": histories}
@@ -75,14 +81,20 @@ def draw(ladder, errors, histories, path, comm):
 
     figure, (left, right) = plot.subplots(1, 2, figsize=(10, 4.2))
     h = 1 / np.array(ladder)
-    for name, marker in zip(errors[0], "os^d"):
+    for name, marker in zip(errors[0], "os^d", strict=True):
         left.loglog(h, [e[name] for e in errors], marker + "-", label=name.replace("_", " "))
     for order, style in ((1, ":"), (2, "--")):
-        left.loglog(h, 0.5 * errors[0]["displacement"] * (h / h[0]) ** order, "k" + style, lw=1, label=f"order {order}")
+        left.loglog(
+            h,
+            0.5 * errors[0]["displacement"] * (h / h[0]) ** order,
+            "k" + style,
+            lw=1,
+            label=f"order {order}",
+        )
     left.set_xlabel("cell size (m)")
     left.set_ylabel("L1 error (m, rad; stresses relative)")
     left.legend(fontsize=8)
-    for cells, history in zip(ladder, histories):
+    for cells, history in zip(ladder, histories, strict=True):
         right.semilogy([max(f, 1e-17) for f, _ in history], "o-", label=f"{cells}³ cells")
     right.set_xlabel("iteration")
     right.set_ylabel("normalised out-of-balance force")

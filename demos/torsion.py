@@ -1,7 +1,8 @@
 """Shaft in torsion past a full turn: rotations larger than 2 pi without singularity. SI units.
 
-Thesis 3.5.3, paper 4.3. A shaft of 5 x 1 x 1 m, its root fixed, an end couple in 50 equal steps on the 64 points of
-the last layer. Both sources print a moment of 8e9 N m, which doesn't fit their moduli: see `docs/benchmarks.md`.
+Thesis 3.5.3, paper 4.3. A shaft of 5 x 1 x 1 m, its root fixed, an end couple in 50 equal steps on the 64
+points of the last layer. Both sources print a moment of 8e9 N m, which doesn't fit their moduli: see
+`docs/benchmarks.md`.
 """
 
 import numpy as np
@@ -10,7 +11,9 @@ import polarmpm as pm
 from polarmpm import demo
 
 LENGTH, SIDE = 5.0, 1.0  # m
-MATERIAL = pm.MicropolarElastic(lam=10e6 / 3, mu=5e6, kappa=5e6 / 3, alpha=0.0, gamma=10e6, beta=10e6)  # Pa, N
+MATERIAL = pm.MicropolarElastic(
+    lam=10e6 / 3, mu=5e6, kappa=5e6 / 3, alpha=0.0, gamma=10e6, beta=10e6
+)  # Pa, N
 
 
 def build(args):
@@ -86,7 +89,9 @@ def draw(problem, angle, turns, moment, file):
         axes[1].set_ylabel("microrotation about the axis (turns)")
     plot.plot_points(problem.points, angle / (2 * np.pi), axes[0], label="turns", cmap="twilight")
     load = np.linspace(0, moment / 1e6, len(turns))
-    plot.load_displacement({"shaft": (turns, load)}, axes[2], xlabel="turns of the end", ylabel="moment (MN m)")
+    plot.load_displacement(
+        {"shaft": (turns, load)}, axes[2], xlabel="turns of the end", ylabel="moment (MN m)"
+    )
     plot.save(figure, file, comm=comm)
 
 

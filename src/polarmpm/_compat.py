@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import inspect
+import os
 from typing import Any
 
 import numpy as np
 import ufl
 
-from .errors import KernelError
+from .errors import InputError, KernelError
 
 try:  # dolfinx >= 0.8
     import basix.ufl as _basix_ufl
@@ -87,3 +88,46 @@ def mesh_quadrature(mesh: Any, degree: int) -> tuple[np.ndarray, np.ndarray]:
     jacobian = np.einsum("jpn,cni->cpij", table[1:], corner)
     volume = np.abs(np.linalg.det(jacobian)) * np.asarray(weight)
     return x.reshape(-1, dim), volume.ravel()
+
+
+def read_gmsh(path: str, dim: int, comm: Any) -> Any:
+    """The dolfinx mesh of a gmsh file. Collective.
+
+    Raises:
+        InputError: no such file, no gmsh, or no cells of this dimension in a physical group.
+    """
+    error, gmsh = None, None
+    if comm.rank == 0:
+        try:
+            error, gmsh = _open_gmsh(path, dim)
+        except Exception as e:  # gmsh raises bare Exceptions
+            error = str(e).strip() or type(e).__name__
+    error = comm.bcast(error, root=0)
+    try:
+        if error:
+            raise InputError(f"mesh = {path!r} can't be read: {error}")
+        return _model_to_mesh()(gmsh.model if gmsh else None, comm, 0, gdim=dim)[0]
+    finally:
+        if gmsh is not None:
+            gmsh.finalize()
+
+
+def _open_gmsh(path: str, dim: int) -> tuple[str | None, Any]:
+    import gmsh
+
+    if not os.path.isfile(path):
+        return "no such file", None
+    gmsh.initialize()
+    gmsh.option.setNumber("General.Terminal", 0)
+    gmsh.open(path)
+    if not gmsh.model.getPhysicalGroups(dim):
+        return f"it has no cells of {dim} dimensions in a physical group", gmsh
+    return None, gmsh
+
+
+def _model_to_mesh() -> Any:
+    try:
+        from dolfinx.io.gmshio import model_to_mesh
+    except ImportError:  # dolfinx 0.10 renames the module
+        from dolfinx.io.gmsh import model_to_mesh
+    return model_to_mesh

@@ -407,9 +407,9 @@ INLINE int evaluate(const Batch *b, const Law *law, const double *x, int64_t sta
 
 /* Residual (internal minus couples' work) added to `force`, tangent to M (NULL: residual only).
  * `rhs` takes what prescribed increments add to the residual of free unknowns.
- * `scale` sums (volume |dW/d(gradients)|)^2. Returns nonzero when memory ran out. */
+ * Returns nonzero when memory ran out. */
 FAST int polarmpm_assemble(const Batch *b, const Law *law, const Matrix *M, const double *x, double *force,
-                           double *rhs, double *scale)
+                           double *rhs)
 {
     if (b->npoints == 0) return 0;
     const int dim = b->dim, rot = b->rot, nb = block_of(b), nz = unknowns_of(dim, rot);
@@ -436,12 +436,8 @@ FAST int polarmpm_assemble(const Batch *b, const Law *law, const Matrix *M, cons
                 open = g;
             }
             const double *sp = w.shapes + l * 4 * stride;
-            double r[21], square = 0.0;
-            for (int k = 0; k < nz; ++k) {
-                r[k] = b->volume[p] * w.out[k * LANES + l];
-                if (k < dim * dim) square += r[k] * r[k];
-            }
-            *scale += square;
+            double r[21];
+            for (int k = 0; k < nz; ++k) r[k] = b->volume[p] * w.out[k * LANES + l];
             if (coupled)
                 for (int k = 0; k < 3; ++k) r[9 + k] += w.cout[k * LANES + l];
             add_residual(dim, rot, n, stride, sp, r, w.f);

@@ -191,6 +191,11 @@ class Scalariser:
         return a.get(FREE, self.graph.zero)
 
     # UFL nodes ----------------------------------------------------------------------------------
+    def scalar(self, expr: Any) -> Linear:
+        """Evaluate a scalar expression."""
+        value: Linear = self(expr).data.item()
+        return value
+
     def __call__(self, expr: Any) -> _Array:
         """Evaluate an expression, operands first (without recursion: UFL graphs are deep)."""
         stack = [expr]
@@ -255,14 +260,15 @@ class Scalariser:
 
     def _indexed(self, e: Any) -> _Array:
         a = self._get(e.ufl_operands[0])
-        fixed, labels = [], []
+        fixed: list[int | slice] = []
+        labels: list[int] = []
         for index in e.ufl_operands[1]:
             if isinstance(index, uc.FixedIndex):
                 fixed.append(int(index))
             else:
                 fixed.append(slice(None))
                 labels.append(index.count())
-        return self._sorted(a.data[tuple(fixed) + (Ellipsis,)], labels + list(a.free), 0)
+        return self._sorted(a.data[(*fixed, Ellipsis)], labels + list(a.free), 0)
 
     @staticmethod
     def _sorted(data: np.ndarray, labels: list[int], rank: int) -> _Array:

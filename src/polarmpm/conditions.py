@@ -85,20 +85,23 @@ def _positional(function: Callable[..., Any]) -> int:
 # supports ---------------------------------------------------------------------------------------
 @dataclass
 class Plane:
-    """Nodes on a grid plane, and those beyond it where the body isn't (walls: T 2.3.2's domains overlap them).
+    """Nodes on a grid plane, and those beyond it where the body isn't (walls: T 2.3.2's domains overlap
+    them).
 
     Attributes:
         axis, value: the plane x_axis = value (m).
         side: -1: nodes at and below, +1: at and above, 0: only on the plane.
+        cell: cell size (m), which tells what rounding is.
     """
 
     axis: int
     value: float
-    side: int = 0
+    side: int
+    cell: float
 
-    def __call__(self, position: np.ndarray, cell: float) -> np.ndarray:
+    def __call__(self, position: np.ndarray) -> np.ndarray:
         distance = position[:, self.axis] - self.value
-        on = np.abs(distance) < 1e-6 * cell
+        on = np.abs(distance) < 1e-6 * self.cell
         return on | (distance * self.side > 0)
 
 
@@ -125,7 +128,7 @@ class PlaneSpec:
             low = points.comm.allreduce(points.x[:, self.axis].min(initial=np.inf), op=MPI.MIN)
             high = points.comm.allreduce(points.x[:, self.axis].max(initial=-np.inf), op=MPI.MAX)
             side = -1 if low >= self.value else (1 if high <= self.value else 0)
-        return Plane(self.axis, self.value, side)
+        return Plane(self.axis, self.value, side, grid.cell[self.axis])
 
 
 def plane(*, beyond: str = "auto", **coordinate: float) -> PlaneSpec:
@@ -164,7 +167,8 @@ class Support:
         mask = np.asarray(self.where(nodes.position))
         if mask.shape != (len(nodes),) or mask.dtype != bool:
             raise InputError(
-                f"{self.name}: the predicate returned {mask.dtype} {mask.shape}; a bool for each node is needed"
+                f"{self.name}: the predicate returned {mask.dtype} {mask.shape}; "
+                "a bool for each node is needed"
             )
         return mask
 
@@ -179,11 +183,8 @@ def make_support(
 ) -> Support:
     """Check a user's support and bind it to the grid. Collective."""
     if isinstance(where, PlaneSpec):
-        found, label = where.resolve(grid, points), f"{'xyz'[where.axis]} = {where.value:g}"
-        cell = min(grid.cell)
-
-        def predicate(x: np.ndarray) -> np.ndarray:
-            return found(x, cell)
+        predicate: Callable[[np.ndarray], np.ndarray] = where.resolve(grid, points)
+        label = f"{'xyz'[where.axis]} = {where.value:g}"
     elif callable(where):
         predicate, label = where, getattr(where, "__name__", "predicate")
     else:
@@ -194,8 +195,14 @@ def make_support(
     for key, value in components.items():
         group = {"u": names[: layout.dim], "theta": names[layout.dim :]}.get(key, [key])
         if not group or any(g not in names for g in group):
-            hint = "; the material has no microrotation" if key.startswith("theta") and not layout.rotations else ""
-            raise InputError(f"fix: unknown component {key!r}; allowed are u, theta, {', '.join(names)}{hint}")
+            hint = (
+                "; the material has no microrotation"
+                if key.startswith("theta") and not layout.rotations
+                else ""
+            )
+            raise InputError(
+                f"fix: unknown component {key!r}; allowed are u, theta, {', '.join(names)}{hint}"
+            )
         amplitude = Amplitude(f"support {number} ({label}), {key}", value, len(group))
         for i, g in enumerate(group):
             if names.index(g) in columns:
@@ -277,7 +284,13 @@ class Load:
 
 
 def make_loads(
-    name: str, selection: Selection | None, force: Any, couple: Any, layout: Layout, density: bool, share: float
+    name: str,
+    selection: Selection | None,
+    force: Any,
+    couple: Any,
+    layout: Layout,
+    density: bool,
+    share: float,
 ) -> list[Load]:
     """Check a user's force and couple; one Load for each that is given."""
     if force is None and couple is None:
@@ -294,7 +307,9 @@ def make_loads(
     return loads
 
 
-def point_loads(loads: Sequence[Load], points: Points, layout: Layout, factor: float) -> tuple[np.ndarray, np.ndarray]:
+def point_loads(
+    loads: Sequence[Load], points: Points, layout: Layout, factor: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Forces (np, d) and couples (np, r) at the local points at a load factor."""
     forces = np.zeros((len(points), layout.dim))
     couples = np.zeros((len(points), layout.rotations))

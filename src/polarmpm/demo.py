@@ -30,7 +30,9 @@ def arguments(
     argv: Sequence[str] | None = None,
     more: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> argparse.Namespace:
-    """Command line of a demo with its defaults; `more` adds options of its own (flag -> argparse keywords)."""
+    """Command line of a demo with its defaults; `more` adds options of its own (flag -> argparse
+    keywords).
+    """
     parser = argparse.ArgumentParser(
         description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
@@ -64,9 +66,7 @@ def report(
         "points": problem.points.total,
         "unknowns": problem.unknowns,
         "cpu_s": {name: round(comm.allreduce(seconds[name]), 3) for name in sorted(seconds)},
-        "peak_memory_mb": round(
-            comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) / 1024, 1
-        ),
+        "peak_memory_mb": round(comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) / 1024, 1),
         "version": __version__,
     }
     if comm.rank == 0:

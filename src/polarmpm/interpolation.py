@@ -161,7 +161,9 @@ class Interpolation:
         return Increments(value, z[:, : d * d].reshape(n, d, d), z[:, d * d + r :].reshape(n, r, d))
 
     def spread(self, point_values: np.ndarray) -> np.ndarray:
-        """Nodal sums of point values (np, c) with the weighting functions; complete on owned rows. Collective."""
+        """Nodal sums of point values (np, c) with the weighting functions; complete on owned rows.
+        Collective.
+        """
         c = point_values.shape[1]
         out = np.zeros((len(self.nodes), c))
         for b in self.batches:
@@ -179,7 +181,8 @@ class Interpolation:
         step[:, :d, :d] += inc.gradient
         p.F = step @ ref.F
         if self.layout.rotations:
-            w, gw = np.zeros((len(p), 3)), np.zeros((len(p), 3, 3))
+            w: np.ndarray = np.zeros((len(p), 3))
+            gw: np.ndarray = np.zeros((len(p), 3, 3))
             if d == 3:
                 w, gw = inc.value[:, d:], inc.rotation_gradient
             else:

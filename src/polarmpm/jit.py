@@ -10,14 +10,23 @@ import shlex
 import subprocess
 import tempfile
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 from mpi4py import MPI
 
 from .errors import KernelError
 
-_FLAGS = ["-O2", "-march=native", "-std=gnu11", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math", "-w"]
+_FLAGS = [
+    "-O2",
+    "-march=native",
+    "-std=gnu11",
+    "-fPIC",
+    "-shared",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-w",
+]
 
 
 def cache_directory() -> Path:
@@ -59,7 +68,7 @@ def _build(source: str, target: Path) -> None:
         os.replace(library, target)  # atomic: another process sees all of it or nothing
 
 
-@lru_cache(maxsize=None)
+@cache
 def _load(path: str) -> ctypes.CDLL:
     return ctypes.CDLL(path)
 

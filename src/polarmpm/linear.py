@@ -26,7 +26,8 @@ class SingularTangent(PolarMPMError, ArithmeticError):
 class DirectSolver:
     """MUMPS, with as little work as the tangent's symmetry allows.
 
-    * symmetric: Cholesky-like on the upper triangle (no pivoting, fastest); when that fails, as it may far from
+    * symmetric: Cholesky-like on the upper triangle (no pivoting, fastest); when that fails, as it may far
+    from
       equilibrium, LDL^T with pivoting.
     * unsymmetric (dead couples in three dimensions): the symmetric part is factored, at half the memory, and
       preconditions the tangent itself; where couples are too large for that, LU.

@@ -41,7 +41,9 @@ class Solution:
         domain = _compat.point_domain()
         space = ufl.FunctionSpace(domain, _compat.quadrature_element("interval", 3))
         names = material.parameters()
-        numbers = ufl.Coefficient(ufl.FunctionSpace(domain, _compat.quadrature_element("interval", len(names))))
+        numbers = ufl.Coefficient(
+            ufl.FunctionSpace(domain, _compat.quadrature_element("interval", len(names)))
+        )
         point = ufl.Coefficient(space)
         X = ufl.variable(ufl.as_vector([point[i] for i in range(3)]))
         p = SimpleNamespace(**{name: numbers[i] for i, name in enumerate(names)})

@@ -77,7 +77,7 @@ def library() -> ctypes.CDLL:
     lib.polarmpm_gather.argtypes = [_PTR] * 4
     lib.polarmpm_spread.argtypes = [_PTR, _PTR, _I32, _PTR]
     lib.polarmpm_couple_nodes.argtypes = [_PTR, _I32, _PTR]
-    lib.polarmpm_assemble.argtypes = [_PTR] * 7
+    lib.polarmpm_assemble.argtypes = [_PTR] * 6
     lib.polarmpm_assemble.restype = ctypes.c_int
     for name in ("gather", "spread", "couple_nodes"):
         getattr(lib, f"polarmpm_{name}").restype = None

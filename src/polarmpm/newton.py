@@ -85,7 +85,9 @@ def solve(system: System, controls: Controls) -> Outcome:
             outcome.converged = True
             return outcome
         if outcome.iterations >= controls.max_iterations:
-            outcome.reason = f"no convergence in {controls.max_iterations} iterations (force measure {force:.3g})"
+            outcome.reason = (
+                f"no convergence in {controls.max_iterations} iterations (force measure {force:.3g})"
+            )
             return outcome
         if not tangent:
             system.evaluate(True)

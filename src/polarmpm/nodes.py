@@ -67,7 +67,9 @@ class ActiveNodes:
         return np.arange(len(self))[order][at]
 
     def pick(self, lattice: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Local rows of values (m, ...) that the ranks hold for lattice numbers (m,), each once. Collective."""
+        """Local rows of values (m, ...) that the ranks hold for lattice numbers (m,), each once.
+        Collective.
+        """
         comm = self.grid.comm
         if comm.size > 1:
             home = Route(comm, lattice % comm.size)

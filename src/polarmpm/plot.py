@@ -333,7 +333,9 @@ def _equal_box(ax: Any, body: _Body, undeformed: bool) -> None:
     """One scale on all three axes, around everything drawn so far."""
     from matplotlib.ticker import MaxNLocator
 
-    seen = [body.corners.reshape(-1, 3)] + ([body.initial.reshape(-1, 3)] if undeformed else [])
+    seen: list[np.ndarray] = [body.corners.reshape(-1, 3)] + (
+        [body.initial.reshape(-1, 3)] if undeformed else []
+    )
     if getattr(ax, "_polarmpm_drawn", False):
         seen.append(np.array([ax.get_xlim(), ax.get_ylim(), ax.get_zlim()]).T)
     ax._polarmpm_drawn = True

@@ -16,7 +16,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -56,7 +56,7 @@ class Layout:
         return Layout(dim, (1 if dim == 2 else 3) if material.micropolar else 0)
 
 
-@lru_cache(maxsize=None)
+@cache
 def _generator_version() -> str:
     return jit.digest(Path(codegen.__file__).read_text())
 
@@ -66,7 +66,7 @@ class Kernel:
 
     def __init__(self, lib: ctypes.CDLL, name: str, inputs: int, outputs: int):
         self.inputs, self.outputs = inputs, outputs
-        self.address = ctypes.cast(getattr(lib, name), ctypes.c_void_p).value
+        self.address: int = ctypes.cast(getattr(lib, name), ctypes.c_void_p).value or 0
         self._library = lib  # keeps the code loaded
         self._call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(self.address)
 
@@ -140,7 +140,9 @@ class PointForm:
 
     # kinematics ---------------------------------------------------------------------------------
     def strains(self) -> tuple[Any, ...]:
-        """(E, Gamma) of a micropolar material, the strain measures of a classical one, from z and the state."""
+        """(E, Gamma) of a micropolar material, the strain measures of a classical one, from z and the
+        state.
+        """
         d, r, iso = self.layout.dim, self.layout.rotations, self.material.isotropic
         plane = d == 2
         g, frame = _matrix(self.z, d, d), _matrix(self.state, d, d)
@@ -209,9 +211,7 @@ class PointForm:
     def _source(self) -> str:
         n = self.layout.unknowns
         scalarise = Scalariser(self.terminals)
-        r, k = (
-            scalarise(codegen.expand(codegen.integrand(f))).data[()] for f in (self.residual, self.tangent)
-        )
+        r, k = (scalarise.scalar(codegen.expand(codegen.integrand(f))) for f in (self.residual, self.tangent))
         zero = scalarise.graph.zero
         rows = codegen.coefficients(r, (n,), zero)
         full = codegen.coefficients(k, (n, n), zero)
@@ -271,9 +271,7 @@ class CoupleForm:
 
     def _source(self) -> str:
         scalarise = Scalariser({self.w: 0, self.m: 3})
-        r, k = (
-            scalarise(codegen.expand(codegen.integrand(f))).data[()] for f in (self.residual, self.tangent)
-        )
+        r, k = (scalarise.scalar(codegen.expand(codegen.integrand(f))) for f in (self.residual, self.tangent))
         zero = scalarise.graph.zero
         nodes = codegen.coefficients(r, (3,), zero) + codegen.coefficients(k, (3, 3), zero)
         return codegen.write_c(scalarise.graph, {"couple": nodes})

@@ -78,8 +78,8 @@ class Points:
         first_id: int = 0,
     ):
         """Unloaded points at x (n, d) (m) with volumes (n,) and domain half-lengths (n, d); collective."""
-        self.comm, self.materials = comm, (check_material(material),)
-        self.dim, n = x.shape[1], len(x)
+        self.comm, self.dim, n = comm, x.shape[1], len(x)
+        self.materials: tuple[Material, ...] = (check_material(material),)
         before = comm.exscan(n) or 0
         self.id = first_id + before + np.arange(n, dtype=np.int64)
         self.material = np.zeros(n, dtype=np.int32)
@@ -173,7 +173,9 @@ class Points:
         """
         mask = np.asarray(predicate(self.x))
         if mask.shape != (len(self),) or mask.dtype != bool:
-            raise InputError(f"predicate: returned {mask.dtype} {mask.shape}; a bool for each point is needed")
+            raise InputError(
+                f"predicate: returned {mask.dtype} {mask.shape}; a bool for each point is needed"
+            )
         return self._select(mask)
 
     def farthest(self, direction: Sequence[float], tolerance: float | None = None) -> Selection:

@@ -16,6 +16,8 @@ from .linear import DirectSolver
 from .pointforms import Kernel
 from .timing import Timer
 
+_ROUNDING = 16 * float(np.finfo(float).eps)
+
 
 class PointSystem:
     """Implements `newton.System` between two resets.
@@ -37,10 +39,12 @@ class PointSystem:
         self.layout, self.comm = interpolation.layout, interpolation.grid.comm
         self.kernels, self.couple_kernel, self.prescribed = kernels, couple_kernel, prescribed
         shape = (len(self.nodes), self.layout.block)
-        self.x, self.residual, self.external = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-        self._lift, self._lift_forces = np.zeros(shape), np.zeros(shape)
-        self._last = np.zeros(shape)
-        self._pending, self._scale = False, 0.0
+        self.x, self._last = np.zeros(shape), np.zeros(shape)
+        self.residual: np.ndarray = np.zeros(shape)
+        self.external: np.ndarray = np.zeros(shape)
+        self._lift: np.ndarray = np.zeros(shape)
+        self._lift_forces: np.ndarray = np.zeros(shape)
+        self._pending, self._rounding = False, 0.0
         symmetric = couple_kernel is None
         with timer("pattern"):
             self.pattern = sparsity.build(
@@ -61,14 +65,16 @@ class PointSystem:
 
     # loads and supports ---------------------------------------------------------------------------
     def set_loads(self, forces: np.ndarray, couples: np.ndarray) -> None:
-        """Forces (np, d) and couples (np, r) at the points. Collective."""
+        """Forces (np, d) and couples (np, r) at the points; begins a step. Collective."""
+        self._rounding = 0.0
         self.external = self.interpolation.spread(np.concatenate([forces, couples], axis=1))
         if self.couple_kernel is not None:
             for k, b in enumerate(self.interpolation.batches):
                 mine = couples[b.rows]
                 loaded = np.any(mine != 0.0, axis=1)
                 row = np.where(loaded, np.cumsum(loaded) - 1, -1).astype(np.int32)
-                self._couples[k] = (row, np.ascontiguousarray(np.concatenate([mine[loaded], np.zeros((1, 3))])))
+                table = np.concatenate([mine[loaded], np.zeros((1, 3))])  # never empty
+                self._couples[k] = (row, np.ascontiguousarray(table))
 
     def set_prescribed(self, increments: np.ndarray) -> None:
         """Target of the prescribed unknowns, as increments since the reset (nodes, block). Collective."""
@@ -85,27 +91,27 @@ class PointSystem:
 
     def _evaluate(self, tangent: bool) -> None:
         internal, self._lift_forces = np.zeros_like(self.x), np.zeros_like(self.x)
-        scale = np.zeros(1)
         matrix = self.pattern.matrix
         if tangent:
             self.pattern.values[:] = 0.0
             native.fill(matrix, lift=self._lift if self._pending else None)
         for k, batch in enumerate(self.interpolation.batches):
-            self._assemble(k, batch, matrix if tangent else None, internal, scale)
+            self._assemble(k, batch, matrix if tangent else None, internal)
         self.nodes.add_to_owners(internal)
         if tangent:
             self.pattern.collect()
             if self._pending:
                 self.nodes.add_to_owners(self._lift_forces)
+            if self._rounding == 0.0:  # at the start of the step: iterates that run away must not set it
+                self._rounding = self._rounding_level()
         # dead couples in three dimensions are part of the kernels' residual already
         external = self.external.copy()
         if self.couple_kernel is not None:
             external[:, self.layout.dim :] = 0.0
         self.residual = internal - external
-        self._scale = float(scale[0])
 
     def _assemble(
-        self, k: int, batch: PointBatch, matrix: native.Matrix | None, internal: np.ndarray, scale: np.ndarray
+        self, k: int, batch: PointBatch, matrix: native.Matrix | None, internal: np.ndarray
     ) -> None:
         law = native.Law()
         native.fill(law, kernel=self.kernels[k][matrix is not None].address)
@@ -119,7 +125,6 @@ class PointSystem:
             self.x.ctypes.data,
             internal.ctypes.data,
             self._lift_forces.ctypes.data,
-            scale.ctypes.data,
         )
         if failed:
             raise MemoryError("no memory for the sums over material points")
@@ -140,15 +145,26 @@ class PointSystem:
                 np.sum(total**2),
                 abs(np.sum((r * free) * self._last[own])),
                 np.sum(total * self.x[own]),
-                self._scale,
             ]
         )
         self.comm.Allreduce(MPI.IN_PLACE, sums)
-        # without loads and reactions the stresses themselves tell what rounding is
-        floor = 1e-6 * np.sqrt(sums[4]) / min(self.interpolation.grid.cell)
-        force = np.sqrt(sums[0]) / max(np.sqrt(sums[1]), floor) if sums[0] > 0 else np.sqrt(sums[0])
+        out, loads = np.sqrt(sums[:2])
+        if out <= self._rounding:
+            return 0.0, 0.0
+        force = out / loads if loads > 0 else np.inf
         energy = sums[2] / abs(sums[3]) if sums[3] != 0 else np.inf
         return float(force), float(energy)
+
+    def _rounding_level(self) -> float:
+        """Out-of-balance force that a relative rounding of strains and rotations makes. Collective.
+
+        Loads so small that their strains are near rounding can't be balanced more closely than this.
+        """
+        diagonal = self.pattern.values[self.pattern.diagonal].reshape(-1, self.layout.block)
+        length = np.ones(self.layout.block)  # a rotation is a strain, a displacement one over a cell
+        length[: self.layout.dim] = self.interpolation.grid.cell
+        square = self.comm.allreduce(float(np.sum((diagonal * length) ** 2)))
+        return float(_ROUNDING * np.sqrt(square))
 
     def advance(self) -> None:
         fixed = self.prescribed.fixed

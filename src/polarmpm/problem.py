@@ -125,8 +125,8 @@ class QuasiStatic:
         Args:
             where: `plane(x=0.0)` or a predicate of node positions (n, d) -> (n,) bool.
             **components: u, theta (all components), or ux, uy, uz, theta_x, theta_y, theta_z (theta in
-                plane strain), in m and rad. A number is ramped with the load factor; a function of the factor,
-                or of (factor, positions), gives the total displacement or rotation.
+                plane strain), in m and rad. A number is ramped with the load factor; a function of the
+                factor, or of (factor, positions), gives the total displacement or rotation.
 
         Returns:
             The support, for `reaction`.
@@ -148,7 +148,9 @@ class QuasiStatic:
         they count per unit thickness, and the couple is one number.
         """
         if not isinstance(selection, Selection):
-            raise InputError(f"selection = {selection!r}: use points.where, points.farthest or points.nearest")
+            raise InputError(
+                f"selection = {selection!r}: use points.where, points.farthest or points.nearest"
+            )
         share = 1.0 / max(1, len(selection))
         self._add_loads(f"load {len(self.loads) + 1}", selection, force, couple, False, share)
 

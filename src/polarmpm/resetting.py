@@ -67,5 +67,7 @@ def make_policy(reset: int | ResetPolicy | None) -> ResetPolicy:
     if reset is None:
         return Never()
     if isinstance(reset, bool) or not (isinstance(reset, int) or hasattr(reset, "due")):
-        raise InputError(f"reset = {reset!r}: a whole number of steps, None, or a policy such as WhenDistorted(0.2)")
+        raise InputError(
+            f"reset = {reset!r}: a whole number of steps, None, or a policy such as WhenDistorted(0.2)"
+        )
     return EverySteps(reset) if isinstance(reset, int) else reset

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
 
@@ -93,7 +96,7 @@ def _cell_layout(layout: str, per_cell: np.ndarray) -> tuple[np.ndarray, np.ndar
     else:
         raise InputError(f"layout = {layout!r}: allowed are uniform, gauss")
     xi = np.stack(np.meshgrid(*(r[0] for r in rules), indexing="ij"), axis=-1).reshape(-1, len(rules))
-    share = np.ones(())
+    share: np.ndarray = np.ones(())
     for _, w in rules:
         share = np.multiply.outer(share, w)
     return xi, share.ravel()
@@ -106,7 +109,9 @@ def _bounds(grid: Grid, bounds: Any) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros(grid.dim, dtype=np.int64), shape
     lower, upper = (np.asarray(b, float) for b in bounds)
     if lower.shape != (grid.dim,) or upper.shape != (grid.dim,) or np.any(upper <= lower):
-        raise InputError(f"bounds = {bounds!r}: two corners of {grid.dim} coordinates, the second above the first")
+        raise InputError(
+            f"bounds = {bounds!r}: two corners of {grid.dim} coordinates, the second above the first"
+        )
     if not np.all(grid.inside(np.stack([lower, upper]))):
         raise InputError(f"bounds = {bounds!r} reach outside the grid from {grid.origin} to {grid.upper}")
     low = np.floor(grid.local(lower[None])[0] + 1e-9).astype(np.int64)
@@ -126,23 +131,33 @@ def _keep(x: np.ndarray, inside: Inside | None, bounds: Any) -> np.ndarray:
 
 
 def seed_mesh(grid: Grid, mesh: Any, *, material: Material, degree: int = 2) -> Points:
-    """Put points at the quadrature positions of a dolfinx mesh's cells (of a gmsh model, say). Collective.
+    """Put points at the quadrature positions of a mesh's cells. Collective.
 
     The points' volumes add up to the mesh's volume exactly; domains are boxes of equal volume.
 
     Args:
-        mesh: dolfinx mesh of simplices or affine boxes, in as many dimensions as the grid.
+        mesh: dolfinx mesh of simplices, quadrilaterals or hexahedra, in as many dimensions as the grid; or
+            the path of a gmsh file (.msh) whose cells are in a physical group.
         degree: of the quadrature rule; 2 gives 3 points in a triangle, 4 in a tetrahedron.
 
     Raises:
-        InputError: the mesh's dimension is not the grid's.
+        InputError: the mesh's dimension is not the grid's; the file can't be read; the rule of this degree
+            has weights that are not positive.
         PointsOutsideGrid: points lie outside the grid.
     """
-    from ._compat import mesh_quadrature
+    from ._compat import mesh_quadrature, read_gmsh
 
+    if isinstance(mesh, str | os.PathLike):
+        mesh = read_gmsh(os.fspath(mesh), grid.dim, grid.comm)
     if mesh.topology.dim != grid.dim:
         raise InputError(f"mesh: its cells have {mesh.topology.dim} dimensions, the grid has {grid.dim}")
     x, volume = mesh_quadrature(mesh, degree)
+    lowest = grid.comm.allreduce(float(volume.min(initial=np.inf)), op=MPI.MIN)
+    if not lowest > 0:
+        raise InputError(
+            f"degree = {degree}: the quadrature rule gives a point the volume {lowest:g}; "
+            "points need positive ones, take another degree"
+        )
     side = volume ** (1.0 / grid.dim)
     points = Points(x, volume, np.tile(0.5 * side[:, None], (1, grid.dim)), material, grid.comm)
     check_inside(grid, points)
@@ -158,5 +173,3 @@ def check_inside(grid: Grid, points: Points) -> None:
         ids = np.concatenate(grid.comm.allgather(points.id[outside][:20]))
         lower, upper = (tuple(round(v, 9) for v in c) for c in (grid.origin, grid.upper))
         raise PointsOutsideGrid(np.sort(ids).tolist(), count, f"from {lower} to {upper} m")
-
-

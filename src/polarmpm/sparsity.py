@@ -50,7 +50,9 @@ class Pattern:
         np.add.at(self.values, self.received_at[ok], received[ok])
 
 
-def build(nodes: ActiveNodes, batches: Sequence[native.Batch], block: int, symmetric: bool, reach: int) -> Pattern:
+def build(
+    nodes: ActiveNodes, batches: Sequence[native.Batch], block: int, symmetric: bool, reach: int
+) -> Pattern:
     """Pattern of the node sets of all batches. Collective.
 
     `reach` is the largest lattice distance of two nodes of one set.
@@ -76,7 +78,9 @@ def build(nodes: ActiveNodes, batches: Sequence[native.Batch], block: int, symme
         pairs = np.unique(np.concatenate([pairs, ghost_pairs]), axis=0)
     else:
         pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    return _assemble_pattern(nodes, block, symmetric, reach, codes, (row, code, col, mine), pairs, route, ghost_pairs)
+    return _assemble_pattern(
+        nodes, block, symmetric, reach, codes, (row, code, col, mine), pairs, route, ghost_pairs
+    )
 
 
 def _assemble_pattern(
@@ -108,7 +112,13 @@ def _assemble_pattern(
     count = len(ghosts)
     values = np.zeros(int(indptr[-1]) + count * block * block)
     pattern = Pattern(
-        nodes, block, symmetric, indptr, indices, values, _diagonal(first, pairs, nodes, indptr, block, symmetric),
+        nodes,
+        block,
+        symmetric,
+        indptr,
+        indices,
+        values,
+        _diagonal(first, pairs, nodes, indptr, block, symmetric),
         native.Matrix(),
     )
     if route is not None:
@@ -127,7 +137,9 @@ def _assemble_pattern(
     return pattern
 
 
-def _scalar_rows(cols: np.ndarray, first: np.ndarray, block: int, symmetric: bool) -> tuple[np.ndarray, np.ndarray]:
+def _scalar_rows(
+    cols: np.ndarray, first: np.ndarray, block: int, symmetric: bool
+) -> tuple[np.ndarray, np.ndarray]:
     """Scalar row pointers and columns of block rows with ascending block columns, the diagonal first."""
     nodes = len(first) - 1
     width = np.diff(first) * block
@@ -164,8 +176,8 @@ def _place_ghosts(
     block, base = pattern.block, pattern.owned_entries
     unique, begin, count = np.unique(row, return_index=True, return_counts=True)
     place[row, code] = np.arange(len(row)) - np.repeat(begin, count)
-    for i in range(block):
-        starts[unique * block + i] = base + begin * block * block + i * count * block
+    for c in range(block):
+        starts[unique * block + c] = base + begin * block * block + c * count * block
     k = place[row, code]
     start = np.repeat(begin * block * block, count) + k * block
     length = np.repeat(count * block, count)

@@ -4,7 +4,8 @@ The GIMPM weight T (2.26) is the mean of the tent function over the point's inte
 by grid planes; on each part the tent is linear, so its mean is its value at the part's centre. That is
 exact, has no case distinction, and tends to the standard weight as the interval shrinks.
 
-An interval that reaches less than `_SLIVER` of a cell across a plane would hang nodes on the body by a thread: their
+An interval that reaches less than `_SLIVER` of a cell across a plane would hang nodes on the body by a
+thread: their
 stiffness is that of the sliver squared. Such an interval is shortened on both sides, so that it ends on the
 plane and keeps its centre; linear fields are still weighted exactly.
 """

@@ -1,7 +1,7 @@
 """Restart files: all that a run needs to continue to the same digits.
 
-A file is HDF5; ranks write their rows one after the other. It is written under a temporary name and put in place
-at the end, so the file on disc is always complete.
+A file is HDF5; ranks write their rows one after the other. It is written under a temporary name and put in
+place at the end, so the file on disc is always complete.
 """
 
 from __future__ import annotations
@@ -88,7 +88,8 @@ def _header(problem: QuasiStatic) -> dict[str, Any]:
 
 
 def load(problem: QuasiStatic, path: str | os.PathLike[str]) -> None:
-    """Put a saved state into a problem with the same grid, basis and materials; `march` goes on from it. Collective.
+    """Put a saved state into a problem with the same grid, basis and materials; `march` goes on from it.
+    Collective.
 
     Supports and loads aren't in the file: the script that made the problem gives them again.
 
@@ -100,12 +101,13 @@ def load(problem: QuasiStatic, path: str | os.PathLike[str]) -> None:
         with h5py.File(path, "r") as file:
             _check(problem, file, path)
             rows = {name: _read(file, f"points/{name}", problem.comm) for name in FIELDS}
-            between = None
+            between: tuple[Reference, np.ndarray, np.ndarray] | None = None
             if "nodes" in file:
                 reference = Reference(
                     *(_read(file, f"reference/{f.name}", problem.comm) for f in fields(Reference))
                 )
-                between = (reference, *(_read(file, f"nodes/{n}", problem.comm) for n in ("lattice", "increments")))
+                lattice, values = (_read(file, f"nodes/{n}", problem.comm) for n in ("lattice", "increments"))
+                between = (reference, lattice, values)
             saved = {f.name: file.attrs[f"progress/{f.name}"].item() for f in fields(Progress)}
     except OSError as e:
         error = InputError(f"restart file {path} can't be read: {e}")

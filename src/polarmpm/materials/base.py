@@ -49,7 +49,8 @@ def check_material(material: Any) -> Material:
     """Raise InputError unless `material` has an energy."""
     if not isinstance(material, Material):
         raise InputError(
-            f"material: {material!r} is not a material; use one of polarmpm's or derive from polarmpm.Material"
+            f"material: {material!r} is not a material; "
+            "use one of polarmpm's or derive from polarmpm.Material"
         )
     if type(material).energy is Material.energy:
         raise InputError(
