@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mpi4py import MPI
 
@@ -29,9 +29,7 @@ import ufl
 from . import _compat, codegen, jit
 from . import kinematics as kin
 from .codegen import LANES, Scalariser
-
-if TYPE_CHECKING:
-    from .materials import Material
+from .materials.base import Material, evaluate_energy
 
 
 @dataclass(frozen=True)
@@ -179,7 +177,7 @@ class PointForm:
     @cached_property
     def energy(self) -> Any:
         """Strain energy per reference volume as a UFL expression of z, state and parameters."""
-        return self.material.energy(*self.strains(), self._parameters())
+        return evaluate_energy(self.material, self.strains(), self._parameters())
 
     @cached_property
     def _varied(self) -> tuple[list[Any], list[Any], Any]:
@@ -188,7 +186,7 @@ class PointForm:
         strains = self.strains()
         variables = [ufl.variable(e) for e in strains]
         variations = [ufl.derivative(e, self.z, test) for e in strains]
-        return variables, variations, self.material.energy(*variables, self._parameters())
+        return variables, variations, evaluate_energy(self.material, variables, self._parameters())
 
     @cached_property
     def residual(self) -> ufl.Form:

@@ -108,6 +108,8 @@ class QuasiStatic:
             raise InputError("points: micropolar and classical materials can't be mixed in one body")
         self.layout = layouts.pop()
         self.forms = [PointForm(m, grid.dim) for m in points.materials]
+        for form in self.forms:
+            _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
         self.supports: list[Support] = []
         self.loads: list[Load] = []
         self.progress, self.timer = Progress(), Timer()

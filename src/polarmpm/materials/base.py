@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
-from types import SimpleNamespace
 from typing import Any
+
+import ufl
 
 from ..errors import InputError
 
@@ -60,6 +61,26 @@ def check_material(material: Any) -> Material:
     return material
 
 
+def evaluate_energy(material: Material, strains: Sequence[Any], parameters: Any) -> Any:
+    """The energy as a UFL scalar.
+
+    Raises:
+        InputError: the energy raises an error itself, or is not a scalar.
+    """
+    kind = type(material).__name__
+    try:
+        energy = ufl.as_ufl(material.energy(*strains, parameters))
+    except InputError:
+        raise
+    except Exception as e:  # a user's function and UFL may raise anything
+        raise InputError(f"material: the energy of {kind} can't be evaluated: {e}") from e
+    if energy.ufl_shape or energy.ufl_free_indices:
+        raise InputError(
+            f"material: the energy of {kind} has the shape {energy.ufl_shape}; a scalar is needed"
+        )
+    return energy
+
+
 @dataclass(frozen=True)
 class UserEnergy(Material):
     """A user's energy as a function in UFL.
@@ -100,6 +121,3 @@ def require(condition: bool, name: str, value: float, allowed: str) -> None:
     """Raise InputError with the argument's name, value and what is allowed."""
     if not condition:
         raise InputError(f"{name} = {value:g} is out of range: {allowed}")
-
-
-__all__ = ["Material", "SimpleNamespace", "UserEnergy", "check_material", "require", "require_finite"]
