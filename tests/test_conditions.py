@@ -245,8 +245,8 @@ def test_prescribed_functions_are_totals(strict):
             pm.plane(x=4.0), ux=lambda t: 0.2 * np.sin(np.pi * t), uy=lambda t, x: 0.1 * t**2 + 0 * x[:, 0]
         )
         for step in problem.march(4):
-            nodes = problem._system.nodes
-            totals = problem._system.prescribed.totals(step.factor)
+            nodes = problem.system.nodes
+            totals = problem.system.prescribed.totals(step.factor)
             at = abs(nodes.position[:, 0] - 4.0) < 1e-9
             np.testing.assert_allclose(totals[at, 0], 0.2 * np.sin(np.pi * step.factor), atol=1e-15)
         # the end is back where it was along x, and moved by 0.1 along y

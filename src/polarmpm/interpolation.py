@@ -172,10 +172,9 @@ class Interpolation:
         self.nodes.add_to_owners(out)
         return out
 
-    def update_points(self, x: np.ndarray) -> None:
-        """Set the points' current state from nodal increments (nodes, block), T 3.4.5."""
+    def update_points(self, inc: Increments) -> None:
+        """Set the points' current state from their increments since the reset, T 3.4.5."""
         p, ref, d = self.points, self.reference, self.layout.dim
-        inc = self.gather(x)
         p.x = ref.x + inc.value[:, :d]
         step = np.tile(np.eye(3), (len(p), 1, 1))
         step[:, :d, :d] += inc.gradient

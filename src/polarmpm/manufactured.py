@@ -88,7 +88,7 @@ class Solution:
         u, theta, stress, couple_stress = self.fields(p.X)
 
         def size(a: np.ndarray) -> np.ndarray:
-            return np.linalg.norm(a.reshape(len(a), -1), axis=1)
+            return np.sqrt(np.sum(a**2, axis=tuple(range(1, a.ndim))))
 
         values = {
             "displacement": size(p.displacement - u),

@@ -26,7 +26,7 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
-from . import _compat, codegen, jit
+from . import _compat, codegen, jit, scalargraph
 from . import kinematics as kin
 from .codegen import LANES, Scalariser
 from .materials.base import Material, evaluate_energy
@@ -56,7 +56,7 @@ class Layout:
 
 @cache
 def _generator_version() -> str:
-    return jit.digest(Path(codegen.__file__).read_text())
+    return jit.digest(*(Path(str(module.__file__)).read_text() for module in (codegen, scalargraph)))
 
 
 class Kernel:

@@ -47,7 +47,7 @@ class Points:
     """Material points of one body.
 
     Attributes:
-        id: permanent ids, the same for any number of ranks.
+        id: permanent ids; of points seeded on the lattice the same for any number of ranks.
         material: row of `materials`.
         X, x: initial and current position (m), vector.
         F: deformation gradient, tensor.

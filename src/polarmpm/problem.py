@@ -14,7 +14,7 @@ from . import conditions, newton, rotations
 from .conditions import Amplitude, Load, PlaneSpec, Prescribed, Support
 from .errors import InputError
 from .grid import Grid
-from .interpolation import Interpolation, Reference
+from .interpolation import Increments, Interpolation, Reference
 from .newton import Controls, Outcome
 from .nodes import ActiveNodes
 from .parallel import together
@@ -128,7 +128,8 @@ class QuasiStatic:
             where: `plane(x=0.0)` or a predicate of node positions (n, d) -> (n,) bool.
             **components: u, theta (all components), or ux, uy, uz, theta_x, theta_y, theta_z (theta in
                 plane strain), in m and rad. A number is ramped with the load factor; a function of the
-                factor, or of (factor, positions), gives the total displacement or rotation.
+                factor, or of (factor, positions), gives the total displacement or rotation. In one step a
+                rotation in space may change by less than pi.
 
         Returns:
             The support, for `reaction`.
@@ -181,7 +182,7 @@ class QuasiStatic:
 
         Raises:
             NotConverged: with what was tried; the last converged state is intact.
-            PointsOutsideGrid: points have left the grid.
+            PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
         return march(self, Schedule.make(steps, **options))
 
@@ -197,29 +198,29 @@ class QuasiStatic:
             system.set_loads(forces, couples)
             system.set_prescribed(increments)
         outcome = newton.solve(system, self.controls)
-        if outcome.converged:
-            inverted = self._inverted(system)
-            if inverted:
-                outcome.converged, outcome.reason = False, f"{inverted} material point(s) turned inside out"
         if not outcome.converged:
             system.x = start
             return outcome
         with self.timer("update"):
-            self._commit(system, factor)
+            at_points = system.interpolation.gather(system.x)
+            inverted = self._inverted(at_points)
+            if inverted:
+                outcome.converged, outcome.reason = False, f"{inverted} material point(s) turned inside out"
+                system.x = start
+                return outcome
+            self._commit(system, at_points, factor)
         return outcome
 
-    def _inverted(self, system: PointSystem) -> int:
-        gradient = system.interpolation.gather(system.x).gradient
-        bad = np.linalg.det(np.eye(self.grid.dim) + gradient) <= 0
+    def _inverted(self, increments: Increments) -> int:
+        bad = np.linalg.det(np.eye(self.grid.dim) + increments.gradient) <= 0
         return self.comm.allreduce(int(np.sum(bad)))
 
-    def _commit(self, system: PointSystem, factor: float) -> None:
-        system.interpolation.update_points(system.x)
+    def _commit(self, system: PointSystem, increments: Increments, factor: float) -> None:
+        system.interpolation.update_points(increments)
         self._equilibrium = system.nodes, system.prescribed.fixed, system.residual
         p = self.progress
         p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
-        gradient = system.interpolation.gather(system.x).gradient
-        p.reset_due = self.policy.due(p.since_reset, gradient, self.comm)
+        p.reset_due = self.policy.due(p.since_reset, increments.gradient, self.comm)
         if not p.reset_due and self.layout.rotations:
             largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
             if self.comm.allreduce(largest, op=MPI.MAX) > _ROTATION_LIMIT:
@@ -324,6 +325,11 @@ class QuasiStatic:
         held = fixed[:own] & support.mask(nodes)[:own, None]
         total = self.comm.allreduce(np.sum(residual[:own] * held, axis=0))
         return total[: self.layout.dim], total[self.layout.dim :]
+
+    @property
+    def system(self) -> PointSystem | None:
+        """Active nodes, their increments and residual as of the last step; None before the first one."""
+        return self._system
 
     @property
     def unknowns(self) -> int:

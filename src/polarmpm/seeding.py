@@ -133,7 +133,8 @@ def _keep(x: np.ndarray, inside: Inside | None, bounds: Any) -> np.ndarray:
 def seed_mesh(grid: Grid, mesh: Any, *, material: Material, degree: int = 2) -> Points:
     """Put points at the quadrature positions of a mesh's cells. Collective.
 
-    The points' volumes add up to the mesh's volume exactly; domains are boxes of equal volume.
+    The points' volumes add up to the mesh's volume exactly; domains are boxes of equal volume. Ids follow the
+    mesh's partition, so they depend on the number of ranks.
 
     Args:
         mesh: dolfinx mesh of simplices, quadrilaterals or hexahedra, in as many dimensions as the grid; or

@@ -56,7 +56,7 @@ def write_vtu(
 
 
 def _rows(values: np.ndarray) -> np.ndarray:
-    return values if values.ndim == 1 else values.reshape(len(values), -1)
+    return values if values.ndim == 1 else values.reshape(len(values), int(np.prod(values.shape[1:])))
 
 
 class Collection:

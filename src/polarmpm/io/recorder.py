@@ -118,7 +118,7 @@ class Recorder:
 
     def _record_grid(self, collection: Collection, number: int, time: float) -> None:
         problem, grid = self.problem, self.problem.grid
-        dim, system = grid.dim, problem._system
+        dim, system = grid.dim, problem.system
         # The increments belong to the lattice at the last reset, hence to the cells occupied then.
         x = problem.points.x if system is None else system.interpolation.reference.x
         cells = corner_numbers(grid, occupied_cells(grid, x))
