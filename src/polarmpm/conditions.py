@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -274,7 +274,7 @@ class Load:
     couple: bool
     selection: Selection | None
     density: bool = False
-    share: float = field(default=1.0)
+    share: float = 1.0
 
     def add_to(self, out: np.ndarray, points: Points, factor: float) -> None:
         """Add this load's values (np, size) at the local points."""

@@ -10,8 +10,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-from . import conditions, newton, rotations
-from .conditions import Amplitude, Load, PlaneSpec, Prescribed, Support
+from . import conditions, newton
+from .conditions import Load, PlaneSpec, Prescribed, Support
 from .errors import InputError
 from .grid import Grid
 from .interpolation import Increments, Interpolation, Reference
@@ -335,6 +335,3 @@ class QuasiStatic:
     def unknowns(self) -> int:
         """Number of unknowns of the last step, prescribed ones included."""
         return 0 if self._system is None else self._system.nodes.total * self.layout.block
-
-
-__all__ = ["Amplitude", "Fields", "Progress", "QuasiStatic", "rotations"]
