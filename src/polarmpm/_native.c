@@ -12,7 +12,11 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { LANES = 8, WIDTH = 4 };  /* points in a kernel call; nodes in a vector */
+enum {
+    INTERFACE = 1,             /* raised with every change of a structure or signature, here and in native.py */
+    LANES = 8,                 /* points in a kernel call */
+    WIDTH = 4                  /* nodes in a vector */
+};
 
 typedef double vec __attribute__((vector_size(8 * WIDTH), aligned(8 * WIDTH)));
 typedef void (*kernel_t)(const double *in, double *out);
@@ -131,6 +135,8 @@ INLINE void gather_point(int dim, int rot, int n, int stride, const double *s, c
     }
     for (int r = 0; r < nz; ++r) z[r * zstride] = sum[r];
 }
+
+int polarmpm_interface(void) { return INTERFACE; }
 
 /* Increments at the points: z in the grid's frame [point][nz] and interpolated values [point][block]. */
 void polarmpm_gather(const Batch *b, const double *x, double *z, double *value)

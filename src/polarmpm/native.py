@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+INTERFACE = 1  # the same number as in _native.c
+
 _I32, _I64, _PTR = ctypes.c_int32, ctypes.c_int64, ctypes.c_void_p
 
 
@@ -74,6 +76,12 @@ def library() -> ctypes.CDLL:
     if spec is None or spec.origin is None:
         raise ImportError("polarmpm._native is not built; install the package (pip install -e .)")
     lib = ctypes.CDLL(spec.origin)
+    built = lib.polarmpm_interface() if hasattr(lib, "polarmpm_interface") else 0
+    if built != INTERFACE:
+        raise ImportError(
+            f"polarmpm._native has interface {built}, the package needs {INTERFACE}; "
+            "install it again (pip install -e .)"
+        )
     lib.polarmpm_gather.argtypes = [_PTR] * 4
     lib.polarmpm_spread.argtypes = [_PTR, _PTR, _I32, _PTR]
     lib.polarmpm_couple_nodes.argtypes = [_PTR, _I32, _PTR]
