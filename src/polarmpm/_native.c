@@ -23,7 +23,7 @@ typedef void (*kernel_t)(const double *in, double *out);
 
 #define INLINE static inline __attribute__((always_inline))
 #if defined(__x86_64__) && defined(__gnu_linux__) && !defined(__clang__)
-#define FAST __attribute__((target_clones("avx512f", "avx2", "default")))
+#define FAST __attribute__((target_clones("fma", "default")))
 #else
 #define FAST
 #endif

@@ -202,9 +202,10 @@ class _Groups:
 
 
 def _group(material: np.ndarray, w: Weights) -> tuple[np.ndarray, _Groups]:
-    """Sort points by material, node count and first node."""
+    """Sort points by material, first node and node count."""
     n, dim = w.first.shape
-    keys = [w.first[:, i] for i in range(dim - 1, -1, -1)] + [w.count[:, i] for i in range(dim)] + [material]
+    # neighbours next to each other: their groups share rows of the matrix, which then stay in the cache
+    keys = [w.count[:, i] for i in range(dim)] + [w.first[:, i] for i in range(dim - 1, -1, -1)] + [material]
     order = np.lexsort(keys)
     columns = np.column_stack([material, w.first, w.count])[order]
     new = np.ones(n, dtype=bool)
