@@ -45,7 +45,7 @@ def exp_map(w: Any) -> Any:
 
 
 def right_tangent(w: Any) -> Any:
-    """J_r(w): dexp(hat(w)) = exp(hat(w)) hat(J_r(w) dw). formulation: step-vector parametrisation."""
+    """J_r(w): dexp(hat(w)) = exp(hat(w)) hat(J_r(w) dw). See `docs/theory.md`."""
     s = ufl.dot(w, w)
     b, c = _one_minus_cos(s), _t_minus_sin(s)
     return (1 - s * c) * ufl.Identity(3) - b * hat(w) + c * ufl.outer(w, w)

@@ -7,7 +7,7 @@ from typing import Any
 
 import ufl
 
-# (ln x / (x - 1))^2 = sum_k _WEIGHTS[k] / (x + _poles[k]) with a relative error below 4e-11 for x between
+# (ln x / (x - 1))^2 = sum_k _WEIGHTS[k] / (x + _POLES[k]) with a relative error below 4e-11 for x between
 # 1/100 and 100, that is for principal stretches between 1/10 and 10: a least-squares fit with poles that are
 # equally spaced in ln x. Eigenvalues in closed form would do too, but their derivatives are infinite
 # wherever two of them coincide, as in uniaxial stretch.
