@@ -10,12 +10,6 @@ import polarmpm as pm
 gmsh = pytest.importorskip("gmsh")
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """The same folder on every rank."""
-    return COMM.bcast(tmp_path)
-
-
 def write(path, dim, physical=True):
     """A disc or ball of radius 1 with cells of about 0.2; rank 0 writes it."""
     if COMM.rank == 0:
@@ -59,3 +53,25 @@ def test_files_that_cannot_be_used(folder):
     COMM.Barrier()
     with pytest.raises(pm.InputError, match=r"broken\.msh"):
         pm.seed_mesh(grid(2), folder / "broken.msh", material=NEO_HOOKEAN)
+
+
+@pytest.mark.skipif(not hasattr(gmsh, "isInitialized"), reason="gmsh can't tell whether it runs")
+def test_a_session_of_the_caller_goes_on(folder):
+    """Reading a file neither ends gmsh nor touches the caller's model, also when the file is broken."""
+    file = write(folder / "ball.msh", 2)
+    if COMM.rank == 0:
+        gmsh.initialize()
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.add("mine")
+        gmsh.model.occ.addPoint(0, 0, 0, tag=7)
+        gmsh.model.occ.synchronize()
+    try:
+        pm.seed_mesh(grid(2), file, material=NEO_HOOKEAN)
+        with pytest.raises(pm.InputError):
+            pm.seed_mesh(grid(3), file, material=NEO_HOOKEAN)
+        if COMM.rank == 0:
+            gmsh.model.setCurrent("mine")
+            assert gmsh.model.getEntities(0) == [(0, 7)]
+    finally:
+        if COMM.rank == 0:
+            gmsh.finalize()

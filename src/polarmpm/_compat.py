@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import os
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -96,33 +98,40 @@ def read_gmsh(path: str, dim: int, comm: Any) -> Any:
     Raises:
         InputError: no such file, no gmsh, or no cells of this dimension in a physical group.
     """
-    error, gmsh = None, None
-    if comm.rank == 0:
-        try:
-            error, gmsh = _open_gmsh(path, dim)
-        except Exception as e:  # gmsh raises bare Exceptions
-            error = str(e).strip() or type(e).__name__
-    error = comm.bcast(error, root=0)
-    try:
+    with contextlib.ExitStack() as stack:
+        error, model = None, None
+        if comm.rank == 0:
+            try:
+                model = stack.enter_context(_gmsh_model(path))
+                if not model.getPhysicalGroups(dim):
+                    error = f"it has no cells of {dim} dimensions in a physical group"
+            except Exception as e:  # gmsh raises bare Exceptions
+                error = str(e).strip() or type(e).__name__
+        error = comm.bcast(error, root=0)
         if error:
             raise InputError(f"mesh = {path!r} can't be read: {error}")
-        return _model_to_mesh()(gmsh.model if gmsh else None, comm, 0, gdim=dim)[0]
-    finally:
-        if gmsh is not None:
-            gmsh.finalize()
+        return _model_to_mesh()(model, comm, 0, gdim=dim)[0]
 
 
-def _open_gmsh(path: str, dim: int) -> tuple[str | None, Any]:
+@contextlib.contextmanager
+def _gmsh_model(path: str) -> Iterator[Any]:
+    """The model of a gmsh file; a caller's own session goes on (gmsh 4.8 can't tell that there is one)."""
     import gmsh
 
     if not os.path.isfile(path):
-        return "no such file", None
-    gmsh.initialize()
-    gmsh.option.setNumber("General.Terminal", 0)
-    gmsh.open(path)
-    if not gmsh.model.getPhysicalGroups(dim):
-        return f"it has no cells of {dim} dimensions in a physical group", gmsh
-    return None, gmsh
+        raise FileNotFoundError("no such file")
+    running = hasattr(gmsh, "isInitialized") and bool(gmsh.isInitialized())
+    if not running:
+        gmsh.initialize()
+        gmsh.option.setNumber("General.Terminal", 0)
+    try:
+        gmsh.open(path)
+        yield gmsh.model
+    finally:
+        if running:
+            gmsh.model.remove()
+        else:
+            gmsh.finalize()
 
 
 def _model_to_mesh() -> Any:
