@@ -103,3 +103,9 @@ def beam(
 def strict() -> pm.Controls:
     """Newton's tolerances at which answers are the same to about 1e-12."""
     return newton.Controls(force_tolerance=1e-12, energy_tolerance=1e-26)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """One folder for all ranks."""
+    return COMM.bcast(tmp_path)

@@ -22,12 +22,6 @@ COMM = MPI.COMM_WORLD
 MICROPOLAR = pm.MicropolarElastic(lam=1e6, mu=1e6, kappa=2e5, alpha=0.0, gamma=1e4, beta=0.0)  # Pa, N
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """One folder for all ranks."""
-    return COMM.bcast(tmp_path)
-
-
 def cantilever():
     """Half a metre high and two metres long, clamped on the left, loaded at its end."""
     grid = pm.Grid.box((0, -1), (3, 1), 0.25)

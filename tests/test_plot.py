@@ -18,12 +18,6 @@ COMM = MPI.COMM_WORLD
 MATERIAL = pm.MicropolarElastic(lam=1e6, mu=1e6, kappa=2e5, alpha=0.0, gamma=1e4, beta=0.0)  # Pa, N
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """One folder for all ranks."""
-    return COMM.bcast(tmp_path)
-
-
 def bar():
     """Two by one metres, turned by 30 degrees and stretched."""
     points = pm.seed(

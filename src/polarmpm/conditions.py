@@ -254,9 +254,10 @@ class Prescribed:
     def increments(self, factor: float, reset: float, rotation_base: float) -> np.ndarray:
         """Prescribed increments since the last reset (rotations: since their last base), (nodes, block)."""
         d, now = self.layout.dim, self.totals(factor)
-        out = now - self.totals(reset)
+        before = self.totals(reset)
+        out = now - before
         if self.layout.rotations:
-            base = self.totals(rotation_base)
+            base = before if rotation_base == reset else self.totals(rotation_base)
             out[:, d:] = now[:, d:] - base[:, d:]
             whole = np.all(self.fixed[:, d:], axis=1)
             if self.layout.rotations == 3:

@@ -16,6 +16,7 @@ from mpi4py import MPI
 import numpy as np
 
 from . import __version__
+from .io.files import check_output
 from .problem import QuasiStatic
 
 
@@ -104,15 +105,5 @@ def _print_rows(name: str, rows: Mapping[str, Sequence[float]]) -> None:
 
 
 def output_folder(args: argparse.Namespace, comm: MPI.Comm) -> Path:
-    """Make the output folder; an error is raised on every rank. Collective."""
-    from .errors import InputError
-    from .parallel import collectively
-
-    error = None
-    if comm.rank == 0:
-        try:
-            args.output.mkdir(parents=True, exist_ok=True)
-        except OSError as e:
-            error = InputError(f"--output {args.output} can't be made: {e.strerror}")
-    collectively(comm, error)
-    return args.output
+    """Make the output folder, before any work is done; an error is raised on every rank. Collective."""
+    return check_output(comm, args.output / "files").parent

@@ -11,10 +11,13 @@ import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from mpi4py import MPI
+
 import numpy as np
 
 from . import native, rotations
 from .grid import Grid
+from .materials.base import parameter_values
 from .nodes import ActiveNodes
 from .parallel import together
 from .pointforms import Layout, PointForm
@@ -85,7 +88,7 @@ class Interpolation:
             self._batch(form, m, w, order, groups, node_sets, to_local) for m, form in enumerate(forms)
         ]
         local_reach = int((groups.count - 1).max(initial=1))
-        self.reach = int(grid.comm.allreduce(local_reach, op=_max()))
+        self.reach = int(grid.comm.allreduce(local_reach, op=MPI.MAX))
         self.pack()
 
     def _batch(
@@ -103,7 +106,7 @@ class Interpolation:
         sizes = groups.first[mine + 1] - groups.first[mine]
         sets = [to_local[node_sets[g]] for g in mine]
         lengths = np.array([len(s) for s in sets], dtype=np.int64)
-        parameters = list(form.material.parameters().values()) or [0.0]
+        parameters = parameter_values(form.material)
         batch = native.Batch()
         native.fill(
             batch,
@@ -116,7 +119,7 @@ class Interpolation:
             ngroups=len(mine),
             weights=np.ascontiguousarray(w.table[rows]),
             count=np.ascontiguousarray(groups.count[mine], dtype=np.int32),
-            param=np.array(parameters, dtype=float),
+            param=parameters,
             volume=np.ascontiguousarray(self.points.volume0[rows]),
             first=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
             node_first=np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64),
@@ -133,8 +136,9 @@ class Interpolation:
             iso, micropolar = b.form.material.isotropic, b.form.material.micropolar
             frame = f
             if micropolar and iso:
-                back = np.swapaxes(rotations.to_tensor(q), 1, 2)
-                frame, wryness = f @ back, rotations.to_tensor(q) @ wryness @ back
+                turn = rotations.to_tensor(q)
+                back = np.swapaxes(turn, 1, 2)
+                frame, wryness = f @ back, turn @ wryness @ back
             parts = [frame[:, :d, :d].reshape(len(f), d * d)]
             if micropolar:
                 if not iso:
@@ -228,9 +232,3 @@ def _node_sets(grid: Grid, groups: _Groups) -> tuple[np.ndarray, list[np.ndarray
     touched, inverse = np.unique(np.concatenate(numbers or [base]), return_inverse=True)
     ends = np.cumsum([len(s) for s in numbers])
     return touched, np.split(inverse, ends[:-1]) if numbers else []
-
-
-def _max() -> object:
-    from mpi4py import MPI
-
-    return MPI.MAX

@@ -8,7 +8,6 @@ f = -Div P and m_k = e_ijk tau_ij - (Div Q S)_k, per reference volume.
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import Any
 
 from mpi4py import MPI
@@ -19,6 +18,7 @@ import ufl
 from . import _compat
 from . import kinematics as kin
 from .materials import Material
+from .materials.base import named_parameters, parameter_values
 from .pointforms import compile_expressions
 from .problem import QuasiStatic
 
@@ -46,7 +46,7 @@ class Solution:
         )
         point = ufl.Coefficient(space)
         X = ufl.variable(ufl.as_vector([point[i] for i in range(3)]))
-        p = SimpleNamespace(**{name: numbers[i] for i, name in enumerate(names)})
+        p = named_parameters(material, numbers)
         u, theta = displacement(X), rotation(X)
         F, Q = ufl.Identity(3) + ufl.diff(u, X), kin.exp_map(theta)
         E = ufl.variable(ufl.dot(ufl.transpose(Q), F) - ufl.Identity(3))
@@ -63,7 +63,7 @@ class Solution:
                 for k in range(3)
             ]
         )
-        self._values = np.array(list(names.values()), dtype=float)
+        self._values = parameter_values(material)
         terminals = {point: 0, numbers: 3}
         inputs = 3 + len(names)
         self._sources = compile_expressions([force, couple], terminals, inputs, domain, comm)

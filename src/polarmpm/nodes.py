@@ -66,19 +66,6 @@ class ActiveNodes:
         at = np.searchsorted(self.lattice[order], lattice)
         return np.arange(len(self))[order][at]
 
-    def pick(self, lattice: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Local rows of values (m, ...) that the ranks hold for lattice numbers (m,), each once.
-        Collective.
-        """
-        comm = self.grid.comm
-        if comm.size > 1:
-            home = Route(comm, lattice % comm.size)
-            lattice, values = home.forward(lattice), home.forward(values)
-        order = np.argsort(lattice, kind="stable")
-        ask = Route(comm, self.lattice % comm.size)
-        at = order[np.searchsorted(lattice[order], ask.forward(self.lattice))]
-        return ask.backward(values[at])
-
     # ghosts -------------------------------------------------------------------------------------
     @cached_property
     def _route(self) -> tuple[Route, np.ndarray]:

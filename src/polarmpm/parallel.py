@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from mpi4py import MPI
 
@@ -49,9 +48,19 @@ class Route:
         return out
 
 
-def total(comm: MPI.Comm, value: Any) -> Any:
-    """Sum of a number over all ranks."""
-    return comm.allreduce(value, op=MPI.SUM)
+def look_up(comm: MPI.Comm, numbers: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Values (m, c) that ranks hold under numbers (m,), each on one rank, for the wanted numbers. Collective.
+
+    Numbers that nobody holds get zeros. A number tells which rank keeps the book on it.
+    """
+    home = Route(comm, numbers % comm.size)
+    known = np.append(home.forward(numbers), -1)
+    rows = np.vstack([home.forward(values), np.zeros((1, values.shape[1]))])
+    order = np.argsort(known)
+    ask = Route(comm, wanted % comm.size)
+    asked = ask.forward(wanted)
+    at = order[np.searchsorted(known, asked, sorter=order, side="right") - 1]
+    return ask.backward(np.where((known[at] == asked)[:, None], rows[at], 0.0))
 
 
 def collectively(comm: MPI.Comm, error: Exception | None) -> None:

@@ -18,7 +18,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 from mpi4py import MPI
@@ -29,7 +28,7 @@ import ufl
 from . import _compat, codegen, jit, scalargraph
 from . import kinematics as kin
 from .codegen import LANES, Scalariser
-from .materials.base import Material, evaluate_energy
+from .materials.base import Material, evaluate_energy, named_parameters, parameter_values
 
 
 @dataclass(frozen=True)
@@ -113,7 +112,7 @@ class PointForm:
     def __init__(self, material: Material, dim: int):
         self.material, self.layout = material, Layout.of(material, dim)
         self.space = _Space(_compat.point_domain())
-        self.parameters = self.space.coefficient(max(1, len(material.parameters())))
+        self.parameters = self.space.coefficient(len(parameter_values(material)))
         self.z = self.space.coefficient(self.layout.unknowns)
         self.state = self.space.coefficient(self.state_size)
 
@@ -134,7 +133,7 @@ class PointForm:
 
     @property
     def inputs(self) -> int:
-        return self.layout.unknowns + self.state_size + max(1, len(self.material.parameters()))
+        return self.layout.unknowns + self.state_size + len(parameter_values(self.material))
 
     # kinematics ---------------------------------------------------------------------------------
     def strains(self) -> tuple[Any, ...]:
@@ -169,15 +168,13 @@ class PointForm:
             strain = ufl.dot(ufl.transpose(q0), strain)
         return strain - ufl.Identity(3), wryness
 
-    def _parameters(self) -> SimpleNamespace:
-        names = self.material.parameters()
-        return SimpleNamespace(**{name: self.parameters[i] for i, name in enumerate(names)})
-
     # forms --------------------------------------------------------------------------------------
     @cached_property
     def energy(self) -> Any:
         """Strain energy per reference volume as a UFL expression of z, state and parameters."""
-        return evaluate_energy(self.material, self.strains(), self._parameters())
+        return evaluate_energy(
+            self.material, self.strains(), named_parameters(self.material, self.parameters)
+        )
 
     @cached_property
     def _varied(self) -> tuple[list[Any], list[Any], Any]:
@@ -186,7 +183,11 @@ class PointForm:
         strains = self.strains()
         variables = [ufl.variable(e) for e in strains]
         variations = [ufl.derivative(e, self.z, test) for e in strains]
-        return variables, variations, evaluate_energy(self.material, variables, self._parameters())
+        return (
+            variables,
+            variations,
+            evaluate_energy(self.material, variables, named_parameters(self.material, self.parameters)),
+        )
 
     @cached_property
     def residual(self) -> ufl.Form:
@@ -290,12 +291,11 @@ class FieldForm:
         self.space = _Space(_compat.point_domain())
         c = self.space.coefficient
         self.f, self.q, self.wryness = c(9), c(4), c(9)
-        self.parameters = c(max(1, len(material.parameters())))
+        self.parameters = c(len(parameter_values(material)))
 
     def expressions(self) -> list[Any]:
         """[W, sigma, mu]; sigma = Q B F^T / J, mu = Q S F^T / J (T 3.4)."""
-        names = self.material.parameters()
-        p = SimpleNamespace(**{name: self.parameters[i] for i, name in enumerate(names)})
+        p = named_parameters(self.material, self.parameters)
         f, gamma = _matrix(self.f, 3, 3), ufl.variable(_matrix(self.wryness, 3, 3))
         j = ufl.det(f)
         if not self.material.micropolar:
@@ -314,5 +314,5 @@ class FieldForm:
     def compile(self, comm: MPI.Comm) -> Callable[..., np.ndarray]:
         """Kernel (F, q, Gamma, parameters) -> (W, sigma, mu), 19 numbers a row. Collective."""
         terminals = {self.f: 0, self.q: 9, self.wryness: 13, self.parameters: 22}
-        inputs = 22 + max(1, len(self.material.parameters()))
+        inputs = 22 + len(parameter_values(self.material))
         return compile_expressions(self.expressions(), terminals, inputs, self.space.domain, comm)

@@ -15,9 +15,10 @@ from .conditions import Load, PlaneSpec, Prescribed, Support
 from .errors import InputError
 from .grid import Grid
 from .interpolation import Increments, Interpolation, Reference
+from .materials.base import parameter_values
 from .newton import Controls, Outcome
 from .nodes import ActiveNodes
-from .parallel import together
+from .parallel import look_up, together
 from .pointforms import CoupleForm, FieldForm, Kernel, Layout, PointForm
 from .points import Points, Selection
 from .pointsystem import PointSystem
@@ -198,17 +199,17 @@ class QuasiStatic:
             system.set_loads(forces, couples)
             system.set_prescribed(increments)
         outcome = newton.solve(system, self.controls)
-        if not outcome.converged:
-            system.x = start
-            return outcome
         with self.timer("update"):
-            at_points = system.interpolation.gather(system.x)
-            inverted = self._inverted(at_points)
-            if inverted:
-                outcome.converged, outcome.reason = False, f"{inverted} material point(s) turned inside out"
+            if outcome.converged:
+                at_points = system.interpolation.gather(system.x)
+                inverted = self._inverted(at_points)
+                if inverted:
+                    outcome.converged = False
+                    outcome.reason = f"{inverted} material point(s) turned inside out"
+            if outcome.converged:
+                self._commit(system, at_points, factor)
+            else:
                 system.x = start
-                return outcome
-            self._commit(system, at_points, factor)
         return outcome
 
     def _inverted(self, increments: Increments) -> int:
@@ -289,7 +290,7 @@ class QuasiStatic:
         reference, lattice, values = increments
         interpolation = Interpolation(self.grid, self.points, self.basis, self.forms, reference)
         self._system, self._stale = self._build(interpolation), False
-        self._system.x[:] = interpolation.nodes.pick(lattice, values)
+        self._system.x[:] = look_up(self.comm, lattice, values, interpolation.nodes.lattice)
 
     # results --------------------------------------------------------------------------------------
     def fields(self) -> Fields:
@@ -301,8 +302,7 @@ class QuasiStatic:
         for m, (material, kernel) in enumerate(zip(p.materials, c.fields, strict=True)):
             rows = np.flatnonzero(p.material == m)
             if len(rows):
-                values = list(material.parameters().values()) or [0.0]
-                numbers = np.tile(values, (len(rows), 1))
+                numbers = np.tile(parameter_values(material), (len(rows), 1))
                 out[rows] = kernel(p.F[rows], p.q[rows], p.wryness[rows], numbers)
         return Fields(out[:, 0], out[:, 1:10].reshape(-1, 3, 3), out[:, 10:].reshape(-1, 3, 3))
 

@@ -7,13 +7,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 
 from ..cellmesh import corner_numbers, occupied_cells
 from ..errors import InputError
-from ..parallel import Route
+from ..parallel import look_up
 from ..points import Points
 from ..stepping import Step
 from .paraview import Collection, box_corners, padded
@@ -126,7 +124,7 @@ class Recorder:
         increments = np.zeros((len(numbers), problem.layout.block))
         if system is not None:
             owned = system.nodes.owned
-            increments = _from_owners(
+            increments = look_up(
                 grid.comm, system.nodes.lattice[:owned], np.asarray(system.x[:owned]), numbers
             )
         data = {"displacement_increment": padded(increments[:, :dim])}
@@ -152,19 +150,3 @@ def field_arrays(problem: Any, names: Sequence[str]) -> dict[str, np.ndarray]:
         name: getattr(stresses, name) if name in _OF_MATERIALS else _OF_POINTS[name](problem.points)
         for name in names
     }
-
-
-def _from_owners(comm: MPI.Comm, lattice: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Values (n, c) of lattice nodes, each given by its owner, for the wanted numbers. Collective.
-
-    Nodes that nobody owns get zeros: a point exactly on a cell's face may not reach the cell's far side.
-    """
-    # the node's number tells which rank keeps the book on it
-    home = Route(comm, lattice % comm.size)
-    known = np.append(home.forward(lattice), -1)
-    rows = np.vstack([home.forward(values), np.zeros((1, values.shape[1]))])
-    order = np.argsort(known)
-    ask = Route(comm, wanted % comm.size)
-    asked = ask.forward(wanted)
-    at = order[np.searchsorted(known, asked, sorter=order, side="right") - 1]
-    return ask.backward(np.where((known[at] == asked)[:, None], rows[at], 0.0))

@@ -7,7 +7,6 @@ place at the end, so the file on disc is always complete.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -40,7 +39,7 @@ def save(problem: QuasiStatic, path: str | os.PathLike[str]) -> None:
         reference, lattice, values = between
         arrays |= {f"reference/{f.name}": getattr(reference, f.name) for f in fields(reference)}
         arrays |= {"nodes/lattice": lattice, "nodes/increments": values}
-    for rank in _turns(comm):
+    for rank in range(comm.size):
         error: Exception | None = None
         if rank == comm.rank:
             try:
@@ -51,10 +50,6 @@ def save(problem: QuasiStatic, path: str | os.PathLike[str]) -> None:
     if comm.rank == 0:
         os.replace(temporary, path)
     comm.Barrier()
-
-
-def _turns(comm: MPI.Comm) -> Iterator[int]:
-    yield from range(comm.size)
 
 
 def _write_rows(path: Path, problem: QuasiStatic, arrays: dict[str, np.ndarray], first: bool) -> None:

@@ -6,8 +6,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import ufl
 
 from ..errors import InputError
@@ -59,6 +61,16 @@ def check_material(material: Any) -> Material:
             "define energy(E, Gamma, p), or energy(F, p) when it is classical"
         )
     return material
+
+
+def parameter_values(material: Material) -> np.ndarray:
+    """A material's numbers as the kernels' input; never empty, as an input of no length isn't allowed."""
+    return np.array(list(material.parameters().values()) or [0.0], dtype=float)
+
+
+def named_parameters(material: Material, coefficient: Any) -> SimpleNamespace:
+    """The components of a UFL coefficient under the names of the material's parameters."""
+    return SimpleNamespace(**{name: coefficient[i] for i, name in enumerate(material.parameters())})
 
 
 def evaluate_energy(material: Material, strains: Sequence[Any], parameters: Any) -> Any:
