@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
 from .errors import PolarMPMError
-from .sparsity import Pattern
 
 # Relative lift of the factored matrix' diagonal. A node set seen by a single point has fewer constraints than
 # unknowns, and its tangent is exactly singular; slivers of points' domains in a cell come close to that.
@@ -33,20 +31,11 @@ class DirectSolver:
       preconditions the tangent itself; where couples are too large for that, LU.
     """
 
-    def __init__(self, pattern: Pattern):
-        self.pattern = pattern
-        comm, nodes = pattern.nodes.grid.comm, pattern.nodes
-        local, total = nodes.owned * pattern.block, nodes.total * pattern.block
-        self._csr = (
-            pattern.indptr.astype(np.int32),
-            pattern.indices,
-            pattern.values[: pattern.owned_entries],
-        )
-        size = ((local, total), (local, total))
-        self.comm = comm
-        create = PETSc.Mat().createSBAIJ if pattern.symmetric else PETSc.Mat().createAIJ
-        self.matrix = create(size, 1, csr=self._csr, comm=comm)
-        self._lifted = self.matrix.duplicate()
+    def __init__(self, matrix: PETSc.Mat, symmetric: bool):
+        """`matrix` (whole, or its upper triangle when symmetric) belongs to the solver from now on; its
+        entries may change before each `factor`."""
+        self.matrix, self.symmetric, self.comm = matrix, symmetric, matrix.comm.tompi4py()
+        self._lifted: PETSc.Mat | None = None
         self.solution, self.rhs = self.matrix.createVecs()
         self._solver: PETSc.KSP | None = None
         self._method = "definite"  # then "symmetric", then "general" for an unsymmetric tangent
@@ -74,8 +63,10 @@ class DirectSolver:
     def _lift(self) -> None:
         """The matrix to factor: the tangent's symmetric part (or the tangent) with a lifted diagonal."""
         same = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
+        if self._lifted is None:
+            self._lifted = self.matrix.duplicate()
         self.matrix.copy(self._lifted, structure=same)
-        if not self.pattern.symmetric and self._method != "general":
+        if not self.symmetric and self._method != "general":
             transposed = self.matrix.transpose(PETSc.Mat())
             self._lifted.axpy(1.0, transposed, structure=same)
             self._lifted.scale(0.5)
@@ -86,21 +77,18 @@ class DirectSolver:
         diagonal.destroy()
 
     def factor(self) -> None:
-        """Factor the matrix whose entries stand in the pattern. Collective.
+        """Factor the matrix as it stands. Collective.
 
         Raises:
             SingularTangent: the matrix is singular or has entries that are not finite.
         """
-        finite = bool(np.isfinite(self._csr[2]).all())
-        if not self.comm.allreduce(finite, op=MPI.LAND):
+        if not np.isfinite(self.matrix.norm()):
             raise SingularTangent("the tangent has entries that are not finite")
-        self.matrix.setValuesCSR(*self._csr)
-        self.matrix.assemble()
         while not self._try():
             self._fall_back("the tangent is singular")
 
     def _fall_back(self, message: str) -> None:
-        methods = ["definite", "symmetric", "general"][: 2 if self.pattern.symmetric else 3]
+        methods = ["definite", "symmetric", "general"][: 2 if self.symmetric else 3]
         following = methods.index(self._method) + 1
         if following == len(methods):
             self._method = methods[0]
@@ -147,4 +135,5 @@ class DirectSolver:
         """Release PETSc's objects."""
         self._release_solver()
         for thing in (self._lifted, self.matrix, self.rhs, self.solution):
-            thing.destroy()
+            if thing is not None:
+                thing.destroy()

@@ -246,7 +246,7 @@ class QuasiStatic:
             self._system = self._build(old.interpolation)
             self._system.x[:] = old.x
         if old is not None:
-            old.solver.destroy()
+            old.destroy()
         self._stale = False
         return self._system
 
@@ -281,7 +281,7 @@ class QuasiStatic:
         """Continue from a state whose points have been put in already; see `io.restart`."""
         self.progress, self._equilibrium = progress, None
         if self._system is not None:
-            self._system.solver.destroy()
+            self._system.destroy()
             self._system = None
         if increments is None:
             progress.reset_due = True

@@ -6,6 +6,8 @@ import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from petsc4py import PETSc
+
 import numpy as np
 
 from . import native
@@ -40,6 +42,16 @@ class Pattern:
     @property
     def owned_entries(self) -> int:
         return int(self.indptr[-1])
+
+    def rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pointers, columns and entries of the owned rows as PETSc wants them; the entries are a view."""
+        return self.indptr.astype(np.int32), self.indices, self.values[: self.owned_entries]
+
+    def petsc_matrix(self) -> PETSc.Mat:
+        """Matrix of the owned rows, with the pattern's present entries."""
+        local, total = self.nodes.owned * self.block, self.nodes.total * self.block
+        create = PETSc.Mat().createSBAIJ if self.symmetric else PETSc.Mat().createAIJ
+        return create(((local, total), (local, total)), 1, csr=self.rows(), comm=self.nodes.grid.comm)
 
     def collect(self) -> None:
         """Add the rows of ghost nodes to their owners' rows. Collective."""

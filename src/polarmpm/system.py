@@ -1,0 +1,145 @@
+"""What every nonlinear system of nodal increments shares, however it is assembled."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from mpi4py import MPI
+
+import numpy as np
+
+from .conditions import Prescribed
+from .pointforms import Layout
+from .timing import Timer
+
+_ROUNDING = 16 * float(np.finfo(float).eps)
+
+
+class Nodes(Protocol):
+    """Nodes of this rank: first the owned ones, then ghosts."""
+
+    owned: int
+    total: int
+
+    @property
+    def position(self) -> np.ndarray: ...
+
+    def __len__(self) -> int: ...
+
+    def add_to_owners(self, values: np.ndarray) -> None: ...
+
+    def update_ghosts(self, values: np.ndarray) -> None: ...
+
+
+class NodalSystem:
+    """Implements `newton.System` but for the assembly and the linear solution.
+
+    Attributes:
+        x: nodal increments since the reset (nodes, block), ghosts included.
+        external: forces on the nodes, complete on owned rows.
+        residual: internal minus external forces of the last evaluation; complete on owned rows.
+        length: size of a cell (m) in each direction, which tells what a displacement means as a strain.
+    """
+
+    def __init__(
+        self,
+        nodes: Nodes,
+        layout: Layout,
+        prescribed: Prescribed,
+        length: np.ndarray,
+        comm: MPI.Comm,
+        timer: Timer,
+    ):
+        self.nodes, self.layout, self.prescribed = nodes, layout, prescribed
+        self.length, self.comm, self.timer = length, comm, timer
+        shape = (len(nodes), layout.block)
+        self.x, self._last = np.zeros(shape), np.zeros(shape)
+        self.residual: np.ndarray = np.zeros(shape)
+        self.external: np.ndarray = np.zeros(shape)
+        self._lift: np.ndarray = np.zeros(shape)
+        self._lift_forces: np.ndarray = np.zeros(shape)
+        self._pending, self._rounding = False, 0.0
+
+    # what an assembly provides --------------------------------------------------------------------
+    def assemble(self, tangent: bool) -> np.ndarray:
+        """Residual (nodes, block), complete on owned rows; with `tangent` also the matrix and, where
+        prescribed values are pending, their forces `_lift_forces`. Collective."""
+        raise NotImplementedError
+
+    def diagonal(self) -> np.ndarray:
+        """Diagonal of the tangent (owned nodes, block)."""
+        raise NotImplementedError
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Solve with the tangent for (owned nodes, block). Collective."""
+        raise NotImplementedError
+
+    def destroy(self) -> None:
+        """Release PETSc's objects."""
+        raise NotImplementedError
+
+    # newton.System ----------------------------------------------------------------------------------
+    def set_prescribed(self, increments: np.ndarray) -> None:
+        """Target of the prescribed unknowns, as increments since the reset (nodes, block); begins a step.
+        Collective."""
+        self._rounding = 0.0
+        self._lift = np.where(self.prescribed.fixed, increments - self.x, 0.0)
+        self._pending = bool(self.comm.allreduce(bool(np.any(self._lift)), op=MPI.LOR))
+
+    def pending(self) -> bool:
+        return self._pending
+
+    def evaluate(self, tangent: bool) -> None:
+        with self.timer("assembly"):
+            self.residual = self.assemble(tangent)
+            if tangent and self._rounding == 0.0:  # at the start: iterates that run away must not set it
+                self._rounding = self._rounding_level()
+
+    def measures(self) -> tuple[float, float]:
+        with np.errstate(over="ignore", invalid="ignore"):  # what diverges is told by the numbers
+            return self._measures()
+
+    def _measures(self) -> tuple[float, float]:
+        own = slice(0, self.nodes.owned)
+        free = ~self.prescribed.fixed[own]
+        r, external = self.residual[own], self.external[own]
+        # |f_ext + f_rct|: at supports the reaction makes it the internal force
+        total = np.where(free, external, r + external)
+        sums = np.array(
+            [
+                np.sum((r * free) ** 2),
+                np.sum(total**2),
+                abs(np.sum((r * free) * self._last[own])),
+                np.sum(total * self.x[own]),
+            ]
+        )
+        self.comm.Allreduce(MPI.IN_PLACE, sums)
+        out, loads = np.sqrt(sums[:2])
+        if out <= self._rounding:
+            return 0.0, 0.0
+        force = out / loads if loads > 0 else np.inf
+        energy = sums[2] / abs(sums[3]) if sums[3] != 0 else np.inf
+        return float(force), float(energy)
+
+    def _rounding_level(self) -> float:
+        """Out-of-balance force that a relative rounding of strains and rotations makes. Collective.
+
+        Loads so small that their strains are near rounding can't be balanced more closely than this.
+        """
+        scale = np.ones(self.layout.block)  # a rotation is a strain, a displacement one over a cell
+        scale[: self.layout.dim] = self.length
+        square = self.comm.allreduce(float(np.sum((self.diagonal() * scale) ** 2)))
+        return float(_ROUNDING * np.sqrt(square))
+
+    def advance(self) -> None:
+        fixed, own = self.prescribed.fixed, self.nodes.owned
+        right = -(self.residual + self._lift_forces)[:own]
+        right[fixed[:own]] = 0.0
+        step = np.zeros_like(self.x)
+        step[:own] = self.solve(right)
+        self.nodes.update_ghosts(step)
+        step[fixed] = self._lift[fixed] if self._pending else 0.0
+        self.x += step
+        self._last, self._pending = step, False
+        self._lift[:] = 0.0
+        self._lift_forces[:] = 0.0
