@@ -14,7 +14,7 @@ G = du/dx~ T and Gw = dw/dx~ T with the frame T = V~ or F~, the first entries of
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -106,6 +106,55 @@ def _matrix(c: Any, rows: int, columns: int, start: int = 0) -> Any:
     return ufl.as_tensor([[c[start + columns * i + j] for j in range(columns)] for i in range(rows)])
 
 
+def strains(material: Material, layout: Layout, z: Any, state: Any, *, rotated: bool) -> tuple[Any, ...]:
+    """(E, Gamma) of a micropolar material, the strain measures of a classical one.
+
+    Args:
+        z: scalars (G, w, Gw), gradients taken in the frame of the state.
+        state: scalars (V~, Gamma~') in the rotated frame, else (F~, q~, Gamma~), or F~ of a classical
+            material; of a plane problem without the entries that are known.
+    """
+    d, r = layout.dim, layout.rotations
+    g, frame = _matrix(z, d, d), _matrix(state, d, d)
+    f = kin.plane_tensor(frame) + kin.plane_gradient(g) if d == 2 else frame + g
+    if r == 0:
+        return material.measures(f)
+    if d == 2:
+        return _plane_strains(f, z, state, rotated)
+    w = ufl.as_vector([z[9 + i] for i in range(3)])
+    gw = _matrix(z, 3, 3, 12)
+    dq, increment = kin.exp_map(w), ufl.dot(kin.right_tangent(w), gw)
+    if rotated:
+        return ufl.dot(ufl.transpose(dq), f) - ufl.Identity(3), _matrix(state, 3, 3, 9) + increment
+    q0t = ufl.transpose(kin.quaternion_tensor([state[9 + i] for i in range(4)]))
+    strain = ufl.dot(q0t, ufl.dot(ufl.transpose(dq), f)) - ufl.Identity(3)
+    return strain, _matrix(state, 3, 3, 13) + ufl.dot(q0t, increment)
+
+
+def _plane_strains(f: Any, z: Any, state: Any, rotated: bool) -> tuple[Any, Any]:
+    first = 4 if rotated else 6
+    wryness = kin.plane_wryness([state[first + j] + z[5 + j] for j in range(2)])
+    strain = ufl.dot(ufl.transpose(kin.plane_exp_map(z[4])), f)
+    if not rotated:
+        strain = ufl.dot(ufl.transpose(kin.quaternion_tensor([state[4], 0, 0, state[5]])), strain)
+    return strain - ufl.Identity(3), wryness
+
+
+def state_size(layout: Layout, *, rotated: bool) -> int:
+    """Number of scalars of a state, see `strains`."""
+    d, r = layout.dim, layout.rotations
+    quaternion = 0 if rotated or r == 0 else (4 if d == 3 else 2)
+    return d * d + quaternion + r * d
+
+
+def virtual_work(material: Material, strains: Sequence[Any], unknown: Any, test: Any, numbers: Any) -> Any:
+    """dW/dE : dE + dW/dGamma : dGamma, T (3.145)-(3.146), with variations of the strains in `unknown`."""
+    variables = [ufl.variable(e) for e in strains]
+    w = evaluate_energy(material, variables, named_parameters(material, numbers))
+    pairs = zip(variables, strains, strict=True)
+    return sum(ufl.inner(ufl.diff(w, v), ufl.derivative(e, unknown, test)) for v, e in pairs)
+
+
 class PointForm:
     """Residual and tangent of a material at points in `dim` dimensions, as UFL forms and compiled."""
 
@@ -119,11 +168,7 @@ class PointForm:
     # sizes --------------------------------------------------------------------------------------
     @property
     def state_size(self) -> int:
-        d, r = self.layout.dim, self.layout.rotations
-        if r == 0:
-            return d * d
-        rotation = 0 if self.material.isotropic else (4 if d == 3 else 2)
-        return d * d + rotation + r * d
+        return state_size(self.layout, rotated=self.material.isotropic)
 
     @property
     def terminals(self) -> dict[Any, int]:
@@ -140,33 +185,7 @@ class PointForm:
         """(E, Gamma) of a micropolar material, the strain measures of a classical one, from z and the
         state.
         """
-        d, r, iso = self.layout.dim, self.layout.rotations, self.material.isotropic
-        plane = d == 2
-        g, frame = _matrix(self.z, d, d), _matrix(self.state, d, d)
-        f = kin.plane_tensor(frame) + kin.plane_gradient(g) if plane else frame + g
-        if r == 0:
-            return self.material.measures(f)
-        if plane:
-            return self._plane_strains(f)
-        w = ufl.as_vector([self.z[9 + i] for i in range(3)])
-        gw, wryness = _matrix(self.z, 3, 3, 12), _matrix(self.state, 3, 3, self.state_size - 9)
-        dq, increment = kin.exp_map(w), ufl.dot(kin.right_tangent(w), gw)
-        if iso:
-            return ufl.dot(ufl.transpose(dq), f) - ufl.Identity(3), wryness + increment
-        q0 = kin.quaternion_tensor([self.state[9 + i] for i in range(4)])
-        q0t = ufl.transpose(q0)
-        strain = ufl.dot(q0t, ufl.dot(ufl.transpose(dq), f)) - ufl.Identity(3)
-        return strain, wryness + ufl.dot(q0t, increment)
-
-    def _plane_strains(self, f: Any) -> tuple[Any, Any]:
-        n = self.state_size
-        dq = kin.plane_exp_map(self.z[4])
-        wryness = kin.plane_wryness([self.state[n - 2 + j] + self.z[5 + j] for j in range(2)])
-        strain = ufl.dot(ufl.transpose(dq), f)
-        if not self.material.isotropic:
-            q0 = kin.quaternion_tensor([self.state[4], 0, 0, self.state[5]])
-            strain = ufl.dot(ufl.transpose(q0), strain)
-        return strain - ufl.Identity(3), wryness
+        return strains(self.material, self.layout, self.z, self.state, rotated=self.material.isotropic)
 
     # forms --------------------------------------------------------------------------------------
     @cached_property
@@ -177,23 +196,10 @@ class PointForm:
         )
 
     @cached_property
-    def _varied(self) -> tuple[list[Any], list[Any], Any]:
-        """Strains as variables, their variations by a test function in z, and the energy."""
-        test = ufl.TestFunction(self.space.function_space(self.layout.unknowns))
-        strains = self.strains()
-        variables = [ufl.variable(e) for e in strains]
-        variations = [ufl.derivative(e, self.z, test) for e in strains]
-        return (
-            variables,
-            variations,
-            evaluate_energy(self.material, variables, named_parameters(self.material, self.parameters)),
-        )
-
-    @cached_property
     def residual(self) -> ufl.Form:
-        """Virtual work dW/dE : dE + dW/dGamma : dGamma, T (3.145)-(3.146), for a test function in z."""
-        variables, variations, w = self._varied
-        work = sum(ufl.inner(ufl.diff(w, v), e) for v, e in zip(variables, variations, strict=True))
+        """Virtual work for a test function in z."""
+        test = ufl.TestFunction(self.space.function_space(self.layout.unknowns))
+        work = virtual_work(self.material, self.strains(), self.z, test, self.parameters)
         return work * ufl.dx(domain=self.space.domain, degree=1)
 
     @cached_property
