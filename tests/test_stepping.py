@@ -9,7 +9,7 @@ import pytest
 from conftest import COMM, GENERAL, HENCKY, MICROPOLAR, beam, by_id, rotation
 
 import polarmpm as pm
-from polarmpm import problem as problem_module
+from polarmpm import pointproblem
 from polarmpm.newton import Outcome
 from polarmpm.stepping import Schedule, march
 
@@ -204,13 +204,13 @@ def test_points_that_leave_the_grid():
 def resets(monkeypatch) -> list[int]:
     """Grows by one entry with every new set of weighting functions."""
     count: list[int] = []
-    original = problem_module.Interpolation
+    original = pointproblem.Interpolation
 
     def counting(*args, **options):
         count.append(1)
         return original(*args, **options)
 
-    monkeypatch.setattr(problem_module, "Interpolation", counting)
+    monkeypatch.setattr(pointproblem, "Interpolation", counting)
     return count
 
 

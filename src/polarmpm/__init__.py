@@ -8,8 +8,8 @@ from .io.restart import load as load_restart
 from .io.restart import save as save_restart
 from .materials import Hencky, Material, MicropolarElastic, NeoHookean, UserEnergy
 from .newton import Controls
+from .pointproblem import QuasiStatic
 from .points import Points, Selection
-from .problem import QuasiStatic
 from .resetting import EverySteps, Never, WhenDistorted
 from .seeding import seed, seed_mesh
 from .stepping import Step

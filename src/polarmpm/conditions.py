@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from mpi4py import MPI
 
@@ -14,7 +14,6 @@ import numpy as np
 from . import rotations
 from .errors import InputError
 from .grid import Grid
-from .nodes import ActiveNodes
 from .pointforms import Layout
 from .points import Points, Selection
 
@@ -113,6 +112,20 @@ class PlaneSpec:
     value: float
     beyond: str
 
+    def check_basis(self, basis: str, grid: Grid) -> None:
+        """Raise InputError for a plane on which this basis can't prescribe values.
+
+        B-splines only have functions of their own on the boundary planes of the grid.
+        """
+        if basis != "bspline" or self.axis >= grid.dim:
+            return
+        walls, cell = (grid.origin[self.axis], grid.upper[self.axis]), grid.cell[self.axis]
+        if min(abs(self.value - wall) for wall in walls) > 1e-6 * cell:
+            raise InputError(
+                f"plane {'xyz'[self.axis]} = {self.value:g} is not a boundary plane of the grid; with "
+                f"basis = 'bspline' allowed are {walls[0]:g} and {walls[1]:g}"
+            )
+
     def resolve(self, grid: Grid, points: Points) -> Plane:
         """Check the plane against the grid and find which side the body is on. Collective."""
         if self.axis >= grid.dim:
@@ -154,6 +167,15 @@ def component_names(layout: Layout) -> list[str]:
     return names + [f"theta_{a}" for a in "xyz"[: layout.rotations]]
 
 
+class Positioned(Protocol):
+    """Nodes of this rank."""
+
+    @property
+    def position(self) -> np.ndarray: ...
+
+    def __len__(self) -> int: ...
+
+
 @dataclass
 class Support:
     """Prescribed components on the nodes of a plane or predicate."""
@@ -162,7 +184,7 @@ class Support:
     where: Callable[[np.ndarray], np.ndarray]
     columns: dict[int, tuple[Amplitude, int]]  # unknown -> amplitude and its component
 
-    def mask(self, nodes: ActiveNodes) -> np.ndarray:
+    def mask(self, nodes: Positioned) -> np.ndarray:
         """Which nodes are meant, (n,) bool."""
         mask = np.asarray(self.where(nodes.position))
         if mask.shape != (len(nodes),) or mask.dtype != bool:
@@ -174,21 +196,13 @@ class Support:
 
 
 def make_support(
-    where: PlaneSpec | Callable[[np.ndarray], np.ndarray],
+    where: Callable[[np.ndarray], np.ndarray],
+    label: str,
     components: dict[str, Any],
     layout: Layout,
-    grid: Grid,
-    points: Points,
     number: int,
 ) -> Support:
-    """Check a user's support and bind it to the grid. Collective."""
-    if isinstance(where, PlaneSpec):
-        predicate: Callable[[np.ndarray], np.ndarray] = where.resolve(grid, points)
-        label = f"{'xyz'[where.axis]} = {where.value:g}"
-    elif callable(where):
-        predicate, label = where, getattr(where, "__name__", "predicate")
-    else:
-        raise InputError(f"where = {where!r}: a plane or a predicate of node positions")
+    """Check a user's support; `where` is a predicate of node positions."""
     if not components:
         raise InputError("fix: names no component; for example u=0, ux=0, theta=0")
     names, columns = component_names(layout), {}
@@ -208,7 +222,7 @@ def make_support(
             if names.index(g) in columns:
                 raise InputError(f"fix: component {g!r} is given twice")
             columns[names.index(g)] = (amplitude, i)
-    return Support(f"support {number} ({label})", predicate, columns)
+    return Support(f"support {number} ({label})", where, columns)
 
 
 class Prescribed:
@@ -218,7 +232,7 @@ class Prescribed:
         fixed: (nodes, block) bool.
     """
 
-    def __init__(self, nodes: ActiveNodes, supports: Sequence[Support], layout: Layout):
+    def __init__(self, nodes: Positioned, supports: Sequence[Support], layout: Layout):
         self.nodes, self.supports, self.layout = nodes, supports, layout
         self.masks = [s.mask(nodes) for s in supports]
         self.fixed = np.zeros((len(nodes), layout.block), dtype=bool)

@@ -17,7 +17,7 @@ import numpy as np
 
 from . import __version__
 from .io.files import check_output
-from .problem import QuasiStatic
+from .problem import Problem
 
 
 def arguments(
@@ -49,7 +49,7 @@ def arguments(
 
 
 def report(
-    args: argparse.Namespace, case: str, problem: QuasiStatic, result: Mapping[str, Any], **parameters: Any
+    args: argparse.Namespace, case: str, problem: Problem, result: Mapping[str, Any], **parameters: Any
 ) -> dict[str, Any]:
     """Print what a demo has found, as text or JSON, on one rank. Collective.
 

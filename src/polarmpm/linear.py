@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -35,7 +37,7 @@ class DirectSolver:
         """`matrix` (whole, or its upper triangle when symmetric) belongs to the solver from now on; its
         entries may change before each `factor`."""
         self.matrix, self.symmetric, self.comm = matrix, symmetric, matrix.comm.tompi4py()
-        self._lifted: PETSc.Mat | None = None
+        self._lifted: Any = None  # made when the matrix has its entries
         self.solution, self.rhs = self.matrix.createVecs()
         self._solver: PETSc.KSP | None = None
         self._method = "definite"  # then "symmetric", then "general" for an unsymmetric tangent

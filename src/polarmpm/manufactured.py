@@ -20,7 +20,7 @@ from . import kinematics as kin
 from .materials import Material
 from .materials.base import named_parameters, parameter_values
 from .pointforms import compile_expressions
-from .problem import QuasiStatic
+from .problem import Problem
 
 
 class Solution:
@@ -82,7 +82,7 @@ class Solution:
         out = self._fields(*self._inputs(X)) if len(X) else np.zeros((0, 24))
         return out[:, :3], out[:, 3:6], out[:, 6:15].reshape(-1, 3, 3), out[:, 15:].reshape(-1, 3, 3)
 
-    def errors(self, problem: QuasiStatic) -> dict[str, float]:
+    def errors(self, problem: Problem) -> dict[str, float]:
         """L1 norms of the errors at the points, those of stresses relative, T (3.187)-(3.188). Collective."""
         p, stresses = problem.points, problem.fields()
         u, theta, stress, couple_stress = self.fields(p.X)

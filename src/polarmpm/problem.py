@@ -1,9 +1,9 @@
-"""Quasi-static problems of material points: the object that a user's script talks to."""
+"""What quasi-static problems share, of material points and of finite elements."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -11,24 +11,17 @@ from mpi4py import MPI
 import numpy as np
 
 from . import conditions, newton
-from .conditions import Load, PlaneSpec, Prescribed, Support
+from .conditions import Load, Prescribed, Support
 from .errors import InputError
-from .grid import Grid
-from .interpolation import Increments, Interpolation, Reference
+from .interpolation import Increments
 from .materials.base import parameter_values
 from .newton import Controls, Outcome
-from .nodes import ActiveNodes
-from .parallel import look_up, together
-from .pointforms import CoupleForm, FieldForm, Kernel, Layout, PointForm
+from .parallel import together
+from .pointforms import FieldForm, Layout
 from .points import Points, Selection
-from .pointsystem import PointSystem
-from .resetting import ResetPolicy, make_policy
-from .seeding import check_inside
 from .stepping import Schedule, Step, march
+from .system import NodalSystem, Nodes
 from .timing import Timer
-from .weighting import check_basis
-
-_ROTATION_LIMIT = 1.0  # rad; larger increments than this get a new base after a step
 
 
 @dataclass
@@ -66,67 +59,68 @@ class Fields:
     couple_stress: np.ndarray
 
 
-@dataclass
-class _Compiled:
-    kernels: list[tuple[Kernel, Kernel]] = field(default_factory=list)
-    couple: Kernel | None = None
-    fields: list[Callable[..., np.ndarray]] = field(default_factory=list)
+class Problem:
+    """Equilibrium of a body under slowly changing loads. All methods are collective.
 
-
-class QuasiStatic:
-    """Equilibrium of material points on a grid under slowly changing loads. All methods are collective.
-
-    Args:
-        grid: background grid.
-        points: the body.
-        basis: weighting functions, "gimpm" or "mpm" (T 2.3.2).
-        reset: when the grid is reset: every n steps (1: the papers' method), a policy such as
-            `WhenDistorted(0.2)`, or None for never.
-        controls: tolerances of Newton's method.
-
-    Raises:
-        InputError: an argument is out of range; materials that don't go together.
-        PointsOutsideGrid: points lie outside the grid; the message names them.
+    Attributes:
+        points: where the body's state lives: material points, or the elements' quadrature points.
+        progress: load factor and number of steps of the last converged state.
+        steps: converged steps so far.
+        timer: CPU seconds of this rank by phase.
     """
 
-    def __init__(
-        self,
-        grid: Grid,
-        points: Points,
-        *,
-        basis: str = "gimpm",
-        reset: int | ResetPolicy | None = 1,
-        controls: Controls | None = None,
-    ):
-        self.grid, self.points, self.comm = grid, points, grid.comm
-        self.basis, self.policy = check_basis(basis), make_policy(reset)
-        self.controls = controls or Controls()
-        if points.dim != grid.dim:
-            raise InputError(f"points have {points.dim} dimensions, the grid has {grid.dim}")
-        check_inside(grid, points)
-        layouts = {Layout.of(m, grid.dim) for m in points.materials}
+    def __init__(self, comm: MPI.Comm, points: Points, dim: int, controls: Controls | None):
+        self.comm, self.points, self.controls = comm, points, controls or Controls()
+        layouts = {Layout.of(m, dim) for m in points.materials}
         if len(layouts) > 1:
             raise InputError("points: micropolar and classical materials can't be mixed in one body")
         self.layout = layouts.pop()
-        self.forms = [PointForm(m, grid.dim) for m in points.materials]
-        for form in self.forms:
-            _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
         self.supports: list[Support] = []
         self.loads: list[Load] = []
         self.progress, self.timer = Progress(), Timer()
         self.steps: list[Step] = []
-        self._compiled = _Compiled()
-        self._system: PointSystem | None = None
         self._stale = False  # conditions have changed since the system was built
+        self._field_kernels: list[Callable[..., np.ndarray]] = []
         # nodes, what was prescribed, and out-of-balance forces of the last converged step
-        self._equilibrium: tuple[ActiveNodes, np.ndarray, np.ndarray] | None = None
+        self._equilibrium: tuple[Nodes, np.ndarray, np.ndarray] | None = None
+
+    # what the methods differ in -------------------------------------------------------------------
+    def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
+        """Predicate of node positions, and its name, of what the user gives to `fix`."""
+        raise NotImplementedError
+
+    def _prepare(self) -> NodalSystem:
+        """The system in which the next step is to be solved."""
+        raise NotImplementedError
+
+    def _set_loads(self, system: Any, factor: float) -> None:
+        """Put the loads of a load factor into the system."""
+        raise NotImplementedError
+
+    def _increments(self, system: Any) -> Increments:
+        """Increments at the local points."""
+        raise NotImplementedError
+
+    def _fault(self, increments: Increments) -> str:
+        """Why a solution is not acceptable; empty when it is."""
+        raise NotImplementedError
+
+    def _commit(self, system: Any, increments: Increments, factor: float) -> None:
+        """Make a solution the body's state."""
+        raise NotImplementedError
+
+    @property
+    def system(self) -> NodalSystem | None:
+        """Nodes, their increments and residual as of the last step; None before the first one."""
+        raise NotImplementedError
 
     # conditions -----------------------------------------------------------------------------------
-    def fix(self, where: PlaneSpec | Callable[[np.ndarray], np.ndarray], **components: Any) -> Support:
-        """Prescribe components of grid nodes.
+    def fix(self, where: Any, **components: Any) -> Support:
+        """Prescribe components of nodes.
 
         Args:
-            where: `plane(x=0.0)` or a predicate of node positions (n, d) -> (n,) bool.
+            where: `plane(x=0.0)` or a predicate of node positions (n, d) -> (n,) bool; for finite elements
+                also facets, or the name of a physical group.
             **components: u, theta (all components), or ux, uy, uz, theta_x, theta_y, theta_z (theta in
                 plane strain), in m and rad. A number is ramped with the load factor; a function of the
                 factor, or of (factor, positions), gives the total displacement or rotation. In one step a
@@ -136,27 +130,13 @@ class QuasiStatic:
             The support, for `reaction`.
 
         Raises:
-            InputError: unknown component, plane that isn't one of the grid, value that isn't finite.
+            InputError: unknown component, plane without nodes, value that isn't finite.
         """
-        support = conditions.make_support(
-            where, components, self.layout, self.grid, self.points, len(self.supports) + 1
-        )
+        predicate, label = self._place(where)
+        support = conditions.make_support(predicate, label, components, self.layout, len(self.supports) + 1)
         self.supports.append(support)
         self._stale = True
         return support
-
-    def load(self, selection: Selection, *, force: Any = None, couple: Any = None) -> None:
-        """A dead force (N) and couple (N m) in total, shared equally by the selected points.
-
-        Values as in `fix`: numbers are ramped, functions of the load factor give the value. In plane strain
-        they count per unit thickness, and the couple is one number.
-        """
-        if not isinstance(selection, Selection):
-            raise InputError(
-                f"selection = {selection!r}: use points.where, points.farthest or points.nearest"
-            )
-        share = 1.0 / max(1, len(selection))
-        self._add_loads(f"load {len(self.loads) + 1}", selection, force, couple, False, share)
 
     def body_load(self, *, force: Any = None, couple: Any = None, on: Selection | None = None) -> None:
         """A dead force (N/m^3) and couple (N/m^2) per reference volume, on all points or a selection.
@@ -189,117 +169,38 @@ class QuasiStatic:
 
     def attempt(self, factor: float) -> Outcome:
         """Try to find equilibrium at a load factor; on failure everything stays as it was."""
-        system = self._prepare()
+        system, p = self._prepare(), self.progress
         start = system.x.copy()
-        p = self.progress
         with self.timer("conditions"):
+            self._set_loads(system, factor)
             with together(self.comm):
-                forces, couples = conditions.point_loads(self.loads, self.points, self.layout, factor)
                 increments = system.prescribed.increments(factor, p.reset_factor, p.rotation_factor)
-            system.set_loads(forces, couples)
             system.set_prescribed(increments)
         outcome = newton.solve(system, self.controls)
         with self.timer("update"):
             if outcome.converged:
-                at_points = system.interpolation.gather(system.x)
-                inverted = self._inverted(at_points)
-                if inverted:
-                    outcome.converged = False
-                    outcome.reason = f"{inverted} material point(s) turned inside out"
+                at_points = self._increments(system)
+                outcome.reason = self._fault(at_points)
+                outcome.converged = not outcome.reason
             if outcome.converged:
                 self._commit(system, at_points, factor)
+                self._equilibrium = system.nodes, system.prescribed.fixed, system.residual
             else:
                 system.x = start
         return outcome
 
-    def _inverted(self, increments: Increments) -> int:
-        bad = np.linalg.det(np.eye(self.grid.dim) + increments.gradient) <= 0
-        return self.comm.allreduce(int(np.sum(bad)))
-
-    def _commit(self, system: PointSystem, increments: Increments, factor: float) -> None:
-        system.interpolation.update_points(increments)
-        self._equilibrium = system.nodes, system.prescribed.fixed, system.residual
-        p = self.progress
-        p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
-        p.reset_due = self.policy.due(p.since_reset, increments.gradient, self.comm)
-        if not p.reset_due and self.layout.rotations:
-            largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
-            if self.comm.allreduce(largest, op=MPI.MAX) > _ROTATION_LIMIT:
-                system.interpolation.rebase_rotations()
-                system.x[:, self.layout.dim :] = 0.0
-                p.rotation_factor = factor
-
-    def _prepare(self) -> PointSystem:
-        """The system of the present grid; reset if that is due, renewed if conditions have changed."""
-        p, old = self.progress, self._system
-        if old is not None and not p.reset_due and not self._stale:
-            return old
-        self._compile()
-        if old is None or p.reset_due:
-            check_inside(self.grid, self.points)
-            with self.timer("reset"):
-                interpolation = Interpolation(self.grid, self.points, self.basis, self.forms)
-            self._system = self._build(interpolation)
-            p.reset_due, p.since_reset = False, 0
-            p.reset_factor = p.rotation_factor = p.factor
-        else:
-            self._system = self._build(old.interpolation)
-            self._system.x[:] = old.x
-        if old is not None:
-            old.destroy()
-        self._stale = False
-        return self._system
-
-    def _build(self, interpolation: Interpolation) -> PointSystem:
+    def _prescribed(self, nodes: Nodes) -> Prescribed:
         with self.timer("conditions"), together(self.comm):
-            prescribed = Prescribed(interpolation.nodes, self.supports, self.layout)
-        c = self._compiled
-        return PointSystem(interpolation, c.kernels, c.couple, prescribed, self.timer)
-
-    def _compile(self) -> None:
-        c = self._compiled
-        with self.timer("compile"):
-            if not c.kernels:
-                c.kernels = [form.compile(self.comm) for form in self.forms]
-            unsymmetric = self.layout.rotations == 3 and any(load.couple for load in self.loads)
-            if unsymmetric and c.couple is None:
-                c.couple = CoupleForm().compile(self.comm)
-
-    # restart --------------------------------------------------------------------------------------
-    def increments(self) -> tuple[Reference, np.ndarray, np.ndarray] | None:
-        """What a restart needs between two resets: reference state, lattice numbers of the owned nodes and
-        their increments (n, block); None when the grid is to be reset before the next step."""
-        s = self._system
-        if s is None or self.progress.reset_due:
-            return None
-        own = s.nodes.owned
-        return s.interpolation.reference, s.nodes.lattice[:own], s.x[:own]
-
-    def restore(
-        self, progress: Progress, increments: tuple[Reference, np.ndarray, np.ndarray] | None
-    ) -> None:
-        """Continue from a state whose points have been put in already; see `io.restart`."""
-        self.progress, self._equilibrium = progress, None
-        if self._system is not None:
-            self._system.destroy()
-            self._system = None
-        if increments is None:
-            progress.reset_due = True
-            return
-        self._compile()
-        reference, lattice, values = increments
-        interpolation = Interpolation(self.grid, self.points, self.basis, self.forms, reference)
-        self._system, self._stale = self._build(interpolation), False
-        self._system.x[:] = look_up(self.comm, lattice, values, interpolation.nodes.lattice)
+            return Prescribed(nodes, self.supports, self.layout)
 
     # results --------------------------------------------------------------------------------------
     def fields(self) -> Fields:
         """Energy, Cauchy stress and couple stress at the local points."""
-        c, p = self._compiled, self.points
-        if not c.fields:
-            c.fields = [FieldForm(m).compile(self.comm) for m in p.materials]
+        p = self.points
+        if not self._field_kernels:
+            self._field_kernels = [FieldForm(m).compile(self.comm) for m in p.materials]
         out = np.zeros((len(p), 19))
-        for m, (material, kernel) in enumerate(zip(p.materials, c.fields, strict=True)):
+        for m, (material, kernel) in enumerate(zip(p.materials, self._field_kernels, strict=True)):
             rows = np.flatnonzero(p.material == m)
             if len(rows):
                 numbers = np.tile(parameter_values(material), (len(rows), 1))
@@ -327,11 +228,6 @@ class QuasiStatic:
         return total[: self.layout.dim], total[self.layout.dim :]
 
     @property
-    def system(self) -> PointSystem | None:
-        """Active nodes, their increments and residual as of the last step; None before the first one."""
-        return self._system
-
-    @property
     def unknowns(self) -> int:
         """Number of unknowns of the last step, prescribed ones included."""
-        return 0 if self._system is None else self._system.nodes.total * self.layout.block
+        return 0 if self.system is None else self.system.nodes.total * self.layout.block

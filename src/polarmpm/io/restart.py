@@ -19,8 +19,9 @@ import numpy as np
 from ..errors import InputError
 from ..interpolation import Reference
 from ..parallel import collectively
+from ..pointproblem import QuasiStatic
 from ..points import FIELDS
-from ..problem import Progress, QuasiStatic
+from ..problem import Progress
 
 _FORMAT = 1
 

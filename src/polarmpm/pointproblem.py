@@ -1,0 +1,186 @@
+"""Quasi-static problems of material points on a grid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from . import conditions
+from .conditions import PlaneSpec
+from .errors import InputError
+from .grid import Grid
+from .interpolation import Increments, Interpolation, Reference
+from .newton import Controls
+from .parallel import look_up, together
+from .pointforms import CoupleForm, Kernel, PointForm
+from .points import Points, Selection
+from .pointsystem import PointSystem
+from .problem import Problem, Progress
+from .resetting import ResetPolicy, make_policy
+from .seeding import check_inside
+from .weighting import check_basis
+
+_ROTATION_LIMIT = 1.0  # rad; larger increments than this get a new base after a step
+
+
+@dataclass
+class _Compiled:
+    kernels: list[tuple[Kernel, Kernel]] = field(default_factory=list)
+    couple: Kernel | None = None
+
+
+class QuasiStatic(Problem):
+    """Equilibrium of material points on a grid under slowly changing loads. All methods are collective.
+
+    Args:
+        grid: background grid.
+        points: the body.
+        basis: weighting functions, "gimpm" or "mpm" (T 2.3.2).
+        reset: when the grid is reset: every n steps (1: the papers' method), a policy such as
+            `WhenDistorted(0.2)`, or None for never.
+        controls: tolerances of Newton's method.
+
+    Raises:
+        InputError: an argument is out of range; materials that don't go together.
+        PointsOutsideGrid: points lie outside the grid; the message names them.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        points: Points,
+        *,
+        basis: str = "gimpm",
+        reset: int | ResetPolicy | None = 1,
+        controls: Controls | None = None,
+    ):
+        self.grid = grid
+        self.basis, self.policy = check_basis(basis), make_policy(reset)
+        if points.dim != grid.dim:
+            raise InputError(f"points have {points.dim} dimensions, the grid has {grid.dim}")
+        check_inside(grid, points)
+        super().__init__(grid.comm, points, grid.dim, controls)
+        self.forms = [PointForm(m, grid.dim) for m in points.materials]
+        for form in self.forms:
+            _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
+        self._compiled = _Compiled()
+        self._system: PointSystem | None = None
+
+    # conditions -----------------------------------------------------------------------------------
+    def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
+        if isinstance(where, PlaneSpec):
+            where.check_basis(self.basis, self.grid)
+            return where.resolve(self.grid, self.points), f"{'xyz'[where.axis]} = {where.value:g}"
+        if callable(where):
+            return where, getattr(where, "__name__", "predicate")
+        raise InputError(f"where = {where!r}: a plane or a predicate of node positions")
+
+    def load(self, selection: Selection, *, force: Any = None, couple: Any = None) -> None:
+        """A dead force (N) and couple (N m) in total, shared equally by the selected points.
+
+        Values as in `fix`: numbers are ramped, functions of the load factor give the value. In plane strain
+        they count per unit thickness, and the couple is one number.
+        """
+        if not isinstance(selection, Selection):
+            raise InputError(
+                f"selection = {selection!r}: use points.where, points.farthest or points.nearest"
+            )
+        share = 1.0 / max(1, len(selection))
+        self._add_loads(f"load {len(self.loads) + 1}", selection, force, couple, False, share)
+
+    def _set_loads(self, system: PointSystem, factor: float) -> None:
+        with together(self.comm):
+            forces, couples = conditions.point_loads(self.loads, self.points, self.layout, factor)
+        system.set_loads(forces, couples)
+
+    # solving --------------------------------------------------------------------------------------
+    def _increments(self, system: PointSystem) -> Increments:
+        return system.interpolation.gather(system.x)
+
+    def _fault(self, increments: Increments) -> str:
+        bad = np.linalg.det(np.eye(self.grid.dim) + increments.gradient) <= 0
+        inverted = self.comm.allreduce(int(np.sum(bad)))
+        return f"{inverted} material point(s) turned inside out" if inverted else ""
+
+    def _commit(self, system: PointSystem, increments: Increments, factor: float) -> None:
+        system.interpolation.update_points(increments)
+        p = self.progress
+        p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
+        p.reset_due = self.policy.due(p.since_reset, increments.gradient, self.comm)
+        if not p.reset_due and self.layout.rotations:
+            largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
+            if self.comm.allreduce(largest, op=MPI.MAX) > _ROTATION_LIMIT:
+                system.interpolation.rebase_rotations()
+                system.x[:, self.layout.dim :] = 0.0
+                p.rotation_factor = factor
+
+    def _prepare(self) -> PointSystem:
+        """The system of the present grid; reset if that is due, renewed if conditions have changed."""
+        p, old = self.progress, self._system
+        if old is not None and not p.reset_due and not self._stale:
+            return old
+        self._compile()
+        if old is None or p.reset_due:
+            check_inside(self.grid, self.points)
+            with self.timer("reset"):
+                interpolation = Interpolation(self.grid, self.points, self.basis, self.forms)
+            self._system = self._build(interpolation)
+            p.reset_due, p.since_reset = False, 0
+            p.reset_factor = p.rotation_factor = p.factor
+        else:
+            self._system = self._build(old.interpolation)
+            self._system.x[:] = old.x
+        if old is not None:
+            old.destroy()
+        self._stale = False
+        return self._system
+
+    def _build(self, interpolation: Interpolation) -> PointSystem:
+        prescribed, c = self._prescribed(interpolation.nodes), self._compiled
+        return PointSystem(interpolation, c.kernels, c.couple, prescribed, self.timer)
+
+    def _compile(self) -> None:
+        c = self._compiled
+        with self.timer("compile"):
+            if not c.kernels:
+                c.kernels = [form.compile(self.comm) for form in self.forms]
+            unsymmetric = self.layout.rotations == 3 and any(load.couple for load in self.loads)
+            if unsymmetric and c.couple is None:
+                c.couple = CoupleForm().compile(self.comm)
+
+    # restart --------------------------------------------------------------------------------------
+    def increments(self) -> tuple[Reference, np.ndarray, np.ndarray] | None:
+        """What a restart needs between two resets: reference state, lattice numbers of the owned nodes and
+        their increments (n, block); None when the grid is to be reset before the next step."""
+        s = self._system
+        if s is None or self.progress.reset_due:
+            return None
+        own = s.nodes.owned
+        return s.interpolation.reference, s.nodes.lattice[:own], s.x[:own]
+
+    def restore(
+        self, progress: Progress, increments: tuple[Reference, np.ndarray, np.ndarray] | None
+    ) -> None:
+        """Continue from a state whose points have been put in already; see `io.restart`."""
+        self.progress, self._equilibrium = progress, None
+        if self._system is not None:
+            self._system.destroy()
+            self._system = None
+        if increments is None:
+            progress.reset_due = True
+            return
+        self._compile()
+        reference, lattice, values = increments
+        interpolation = Interpolation(self.grid, self.points, self.basis, self.forms, reference)
+        self._system, self._stale = self._build(interpolation), False
+        self._system.x[:] = look_up(self.comm, lattice, values, interpolation.nodes.lattice)
+
+    @property
+    def system(self) -> PointSystem | None:
+        """Active nodes, their increments and residual as of the last step; None before the first one."""
+        return self._system
