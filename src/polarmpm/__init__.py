@@ -1,6 +1,8 @@
 """Large deformations of micropolar (Cosserat) solids with material points, on FEniCSx."""
 
 from .conditions import plane
+from .elementproblem import QuasiStaticFEM
+from .elements import Elements, Facets
 from .errors import InputError, KernelError, NotConverged, PointsOutsideGrid, PolarMPMError
 from .grid import Grid
 from .io import Recorder, Table
@@ -18,7 +20,9 @@ __version__ = "0.1.0"
 
 __all__ = [
     "Controls",
+    "Elements",
     "EverySteps",
+    "Facets",
     "Grid",
     "Hencky",
     "InputError",
@@ -32,6 +36,7 @@ __all__ = [
     "PointsOutsideGrid",
     "PolarMPMError",
     "QuasiStatic",
+    "QuasiStaticFEM",
     "Recorder",
     "Selection",
     "Step",

@@ -74,21 +74,18 @@ def mesh_quadrature(mesh: Any, degree: int) -> tuple[np.ndarray, np.ndarray]:
     import basix
 
     dim = mesh.topology.dim
-    name = mesh.ufl_cell().cellname()
+    name = cell_name(mesh)
     kind = getattr(basix.CellType, name)
-    try:
-        xi, weight = basix.make_quadrature(kind, degree)[:2]
-    except TypeError:  # basix 0.5 wants the rule first
-        xi, weight = basix.make_quadrature(basix.QuadratureType.Default, kind, degree)[:2]
+    xi, weight = _quadrature(name, degree)
     geometry = basix.create_element(basix.ElementFamily.P, kind, 1, basix.LagrangeVariant.equispaced)
-    table = np.asarray(geometry.tabulate(1, np.asarray(xi)))[:, :, :, 0]  # [value, d/dxi_1, ...][point][node]
+    table = np.asarray(geometry.tabulate(1, xi))[:, :, :, 0]  # [value, d/dxi_1, ...][point][node]
     own = mesh.topology.index_map(dim).size_local
     dofmap = mesh.geometry.dofmap
     nodes = np.asarray(dofmap.array if hasattr(dofmap, "array") else dofmap).reshape(-1, table.shape[2])[:own]
     corner = mesh.geometry.x[nodes][:, :, :dim]
     x = np.einsum("pn,cnd->cpd", table[0], corner)
     jacobian = np.einsum("jpn,cni->cpij", table[1:], corner)
-    volume = np.abs(np.linalg.det(jacobian)) * np.asarray(weight)
+    volume = np.abs(np.linalg.det(jacobian)) * weight
     return x.reshape(-1, dim), volume.ravel()
 
 
@@ -98,19 +95,62 @@ def read_gmsh(path: str, dim: int, comm: Any) -> Any:
     Raises:
         InputError: no such file, no gmsh, or no cells of this dimension in a physical group.
     """
+    return read_gmsh_groups(path, dim, comm)[0]
+
+
+def read_gmsh_groups(source: Any, dim: int, comm: Any) -> tuple[Any, Any, Any, dict[str, tuple[int, int]]]:
+    """Mesh, cell tags, facet tags and physical names {name: (dimension, tag)} of a gmsh file or model.
+    Collective; the model counts on rank 0.
+
+    Args:
+        dim: dimension of the cells; 0 means the highest one of a physical group.
+
+    Raises:
+        InputError: as `read_gmsh`; cells of an unknown type, or of several types.
+    """
+    label = repr(source) if isinstance(source, str) else "the gmsh model"
     with contextlib.ExitStack() as stack:
-        error, model = None, None
+        error, model, names = None, None, {}
         if comm.rank == 0:
             try:
-                model = stack.enter_context(_gmsh_model(path))
-                if not model.getPhysicalGroups(dim):
-                    error = f"it has no cells of {dim} dimensions in a physical group"
+                model = stack.enter_context(_gmsh_model(source)) if isinstance(source, str) else source
+                dim, error = _check_gmsh(model, dim)
+                for d, tag in model.getPhysicalGroups():
+                    names[model.getPhysicalName(d, tag) or f"{tag}"] = (d, tag)
             except Exception as e:  # gmsh raises bare Exceptions
                 error = str(e).strip() or type(e).__name__
-        error = comm.bcast(error, root=0)
+        error, dim, names = comm.bcast((error, dim, names), root=0)
         if error:
-            raise InputError(f"mesh = {path!r} can't be read: {error}")
-        return _model_to_mesh()(model, comm, 0, gdim=dim)[0]
+            raise InputError(f"mesh = {label} can't be read: {error}")
+        data = _model_to_mesh()(model, comm, 0, gdim=dim)
+        parts = data if isinstance(data, tuple) else (data.mesh, data.cell_tags, data.facet_tags)
+        return (*parts[:3], names)
+
+
+_GMSH_CELLS = (2, 3, 4, 5, 9, 10, 11, 12)  # triangles, quadrilaterals, tetrahedra, hexahedra; complete ones
+
+
+def _check_gmsh(model: Any, dim: int) -> tuple[int, str | None]:
+    """Dimension of the cells, and what is wrong with them."""
+    groups = model.getPhysicalGroups(dim) if dim else model.getPhysicalGroups()
+    dim = dim or max((d for d, _ in groups), default=0)
+    if dim < 2 or not any(d == dim for d, _ in groups):
+        what = f"{dim} dimensions" if dim else "two or three dimensions"
+        return dim, f"it has no cells of {what} in a physical group"
+    kinds: set[int] = set()
+    for d, tag in groups:
+        if d == dim:
+            for entity in model.getEntitiesForPhysicalGroup(d, tag):
+                kinds |= set(model.mesh.getElementTypes(d, entity))
+    if not kinds:
+        return dim, "its physical groups have no cells; generate the mesh first"
+    titles = [model.mesh.getElementProperties(k)[0] for k in sorted(kinds)]
+    if len(kinds) > 1 or not kinds <= set(_GMSH_CELLS):
+        return dim, (
+            f"its cells are {' and '.join(titles)}; one of triangles, quadrilaterals, tetrahedra and "
+            "hexahedra (with all nodes of their degree) is allowed"
+        )
+    return dim, None
 
 
 @contextlib.contextmanager
@@ -140,3 +180,120 @@ def _model_to_mesh() -> Any:
     except ImportError:  # dolfinx 0.10 renames the module
         from dolfinx.io.gmsh import model_to_mesh
     return model_to_mesh
+
+
+# finite elements --------------------------------------------------------------------------------
+def cell_name(mesh: Any) -> str:
+    """triangle, quadrilateral, tetrahedron, hexahedron, ..."""
+    name = mesh.ufl_cell().cellname
+    return str(name() if callable(name) else name)
+
+
+def function_space(mesh: Any, size: int, degree: int) -> Any:
+    """Continuous Lagrange space of `size` components."""
+    if _HAS_BASIX_ELEMENTS:
+        element = _basix_ufl.element("Lagrange", cell_name(mesh), degree, shape=(size,))
+    else:
+        element = ufl.VectorElement("Lagrange", mesh.ufl_cell(), degree, dim=size)
+    return _space(mesh, element)
+
+
+def quadrature_space(mesh: Any, size: int, degree: int) -> Any:
+    """Space of `size` values at every quadrature point."""
+    return _space(mesh, quadrature_element(cell_name(mesh), size, degree))
+
+
+def _space(mesh: Any, element: Any) -> Any:
+    from dolfinx import fem
+
+    return (fem.functionspace if hasattr(fem, "functionspace") else fem.FunctionSpace)(mesh, element)
+
+
+def cell_dofs(space: Any) -> np.ndarray:
+    """Blocked degrees of freedom (cells, k) of this rank's cells, ghosts included."""
+    listed = space.dofmap.list
+    if hasattr(listed, "array"):
+        return np.asarray(listed.array).reshape(listed.num_nodes, -1)
+    return np.asarray(listed)
+
+
+def quadrature_positions(cell: str, degree: int) -> np.ndarray:
+    """Positions (n, d) of a rule in the reference cell, in the order of quadrature functions."""
+    return _quadrature(cell, degree)[0]
+
+
+def quadrature_weights(cell: str, degree: int) -> np.ndarray:
+    """Weights (n,) of a rule in the reference cell."""
+    return _quadrature(cell, degree)[1]
+
+
+def _quadrature(cell: str, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    import basix
+
+    kind = getattr(basix.CellType, cell)
+    try:
+        rule = basix.make_quadrature(kind, degree)
+    except TypeError:  # basix 0.5 wants the rule first
+        rule = basix.make_quadrature(basix.QuadratureType.Default, kind, degree)
+    return np.asarray(rule[0]), np.asarray(rule[1])
+
+
+_JIT = {"timeout": 600, "cffi_extra_compile_args": ["-O2"]}
+
+
+def compile_form(form: Any) -> Any:
+    """Compile a UFL form. Collective."""
+    from dolfinx import fem
+
+    key = "jit_options" if "jit_options" in inspect.signature(fem.form).parameters else "jit_params"
+    return fem.form(form, **{key: _JIT})
+
+
+class Evaluator:
+    """Values of a UFL expression at the same reference positions of all cells."""
+
+    def __init__(self, mesh: Any, expression: Any, positions: np.ndarray):
+        from dolfinx import fem
+
+        parameters = inspect.signature(fem.Expression.__init__).parameters
+        key = "jit_options" if "jit_options" in parameters else "jit_params"
+        self._mesh, self._points = mesh, len(positions)
+        self._expression = fem.Expression(expression, positions, **{key: _JIT})
+
+    def __call__(self, cells: np.ndarray) -> np.ndarray:
+        """(cells, positions, size)."""
+        by_mesh = next(iter(inspect.signature(self._expression.eval).parameters)) == "mesh"
+        values = self._expression.eval(*([self._mesh] if by_mesh else []), cells)
+        return np.asarray(values).reshape(len(cells), self._points, -1)
+
+
+def add_reverse(function: Any) -> None:
+    """Add ghosts' values of a function to their owners'. Collective."""
+    from dolfinx import la
+
+    mode = la.ScatterMode if hasattr(la, "ScatterMode") else la.InsertMode
+    function.x.scatter_reverse(mode.add)
+
+
+def assemble_vector(form: Any, nodes: int) -> np.ndarray:
+    """Nodal values of a linear form, flattened; ghosts hold this rank's part."""
+    from dolfinx import fem
+
+    space = form.function_spaces[0]
+    out = np.zeros(nodes * space.dofmap.bs)
+    fem.assemble_vector(out, form)
+    return out
+
+
+def add_to_matrix(matrix: Any, form: Any) -> None:
+    """Add a bilinear form to a PETSc matrix, without the exchange between ranks."""
+    from dolfinx.fem import petsc
+
+    petsc.assemble_matrix(matrix, form)
+
+
+def create_matrix(form: Any) -> Any:
+    """PETSc matrix with the pattern of a bilinear form. Collective."""
+    from dolfinx.fem import petsc
+
+    return petsc.create_matrix(form)

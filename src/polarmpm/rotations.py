@@ -86,3 +86,8 @@ def relative_vector(w_to: Array, w_from: Array) -> Array:
     """Shortest rotation vector that leads from exp(w_from) to exp(w_to)."""
     q = multiply(from_vector(w_to), conjugate(from_vector(w_from)))
     return to_vector(np.where(q[:, :1] < 0, -q, q))
+
+
+def in_space(w: Array) -> Array:
+    """Rotation vectors (n, 3) of rotations (n, 1) in the plane; vectors of three components stay."""
+    return np.pad(w, ((0, 0), (2, 0))) if w.shape[1] == 1 else w
