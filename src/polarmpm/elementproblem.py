@@ -201,7 +201,8 @@ class QuasiStaticFEM(Problem):
         p.F = p.F.copy()
         p.F[:, :d, :d] += increments.gradient
         if self.layout.rotations:
-            w, gw = rotations.in_space(increments.value[:, d:]), np.zeros((len(p), 3, 3))
+            w = rotations.in_space(increments.value[:, d:])
+            gw: np.ndarray = np.zeros((len(p), 3, 3))
             if d == 3:
                 gw = increments.rotation_gradient
             else:

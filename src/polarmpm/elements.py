@@ -160,12 +160,8 @@ class Elements:
     def _quadrature_points(self, materials: tuple[Material, ...], of_cell: np.ndarray) -> Points:
         own, xi = self.body.owned_cells, self.reference_points
         weight = _compat.quadrature_weights(self.body.cell, self.quadrature_degree)
-        geometry = ufl.as_vector(
-            [
-                *(ufl.SpatialCoordinate(self.mesh)[i] for i in range(self.dim)),
-                ufl.JacobianDeterminant(self.mesh),
-            ]
-        )
+        position, determinant = ufl.SpatialCoordinate(self.mesh), ufl.JacobianDeterminant(self.mesh)
+        geometry = ufl.as_vector([*(position[i] for i in range(self.dim)), determinant])
         values = _compat.Evaluator(self.mesh, geometry, xi)(own)
         volume = (np.abs(values[:, :, -1]) * weight).ravel()
         error = None
