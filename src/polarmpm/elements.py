@@ -124,8 +124,8 @@ class Elements:
         self.nodes = SpaceNodes(self.space, self.dim)
         self.cell_nodes = _compat.cell_dofs(self.space)
         self.points = self._quadrature_points(materials, of_cell)
-        self.displacement = np.zeros((len(self.nodes), self.dim))
-        self.q = rotations.identity(len(self.nodes))
+        self.displacement: np.ndarray = np.zeros((len(self.nodes), self.dim))
+        self.q: np.ndarray = rotations.identity(len(self.nodes))
 
     # regions --------------------------------------------------------------------------------------
     def _regions(self, material: Any) -> tuple[tuple[Material, ...], np.ndarray]:
@@ -291,6 +291,15 @@ class Elements:
         weights = np.ones(len(self.nodes)) if facets is None else facets.weights
         total = self.comm.allreduce(weights[:own].sum())
         return np.asarray(self.comm.allreduce(np.tensordot(weights[:own], values[:own], 1)) / total)
+
+    def cell_mean(self, values: np.ndarray) -> np.ndarray:
+        """Means over each own cell (cells, ...), weighted by reference volume, of values at the quadrature
+        points (np, ...)."""
+        shape = len(self.body.owned_cells), len(self.reference_points)
+        weights = self.points.volume0.reshape(shape)
+        weights = weights / weights.sum(axis=1, keepdims=True)
+        values = np.asarray(values)
+        return np.einsum("cq,cq...->c...", weights, values.reshape(*shape, *values.shape[1:]))
 
     def mean_displacement(self, facets: Facets | None = None) -> np.ndarray:
         """Mean displacement (m) over facets, shape (d,). Collective."""

@@ -127,9 +127,10 @@ class ElementSystem(NodalSystem):
     def diagonal(self) -> np.ndarray:
         return self.matrix.diagonal
 
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        with self.timer("factor"):
-            self.matrix.solver.factor()
+    def solve(self, right: np.ndarray, fresh: bool) -> np.ndarray:
+        if fresh:
+            with self.timer("factor"):
+                self.matrix.solver.factor()
         with self.timer("solve"):
             return self.matrix.solver.solve(right.ravel()).reshape(right.shape)
 

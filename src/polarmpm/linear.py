@@ -37,6 +37,7 @@ class DirectSolver:
         """`matrix` (whole, or its upper triangle when symmetric) belongs to the solver from now on; its
         entries may change before each `factor`."""
         self.matrix, self.symmetric, self.comm = matrix, symmetric, matrix.comm.tompi4py()
+        self._blocked = matrix.getType() in ("seqbaij", "mpibaij")
         self._lifted: Any = None  # made when the matrix has its entries
         self.solution, self.rhs = self.matrix.createVecs()
         self._solver: PETSc.KSP | None = None
@@ -66,8 +67,12 @@ class DirectSolver:
         """The matrix to factor: the tangent's symmetric part (or the tangent) with a lifted diagonal."""
         same = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
         if self._lifted is None:
-            self._lifted = self.matrix.duplicate()
-        self.matrix.copy(self._lifted, structure=same)
+            self._lifted = PETSc.Mat() if self._blocked else self.matrix.duplicate()
+        if self._blocked:  # MUMPS factors no such matrix by Cholesky's method
+            self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
+            self.matrix.convert("sbaij" if self.symmetric else "aij", out=self._lifted)
+        else:
+            self.matrix.copy(self._lifted, structure=same)
         if not self.symmetric and self._method != "general":
             transposed = self.matrix.transpose(PETSc.Mat())
             self._lifted.axpy(1.0, transposed, structure=same)

@@ -21,8 +21,12 @@ class System(Protocol):
     def pending(self) -> bool:
         """Whether prescribed values are still to be put in."""
 
-    def advance(self) -> None:
-        """Solve with the tangent and add the correction to the unknowns."""
+    def advance(self, fresh: bool) -> None:
+        """Solve with the last tangent and add the correction to the unknowns.
+
+        Args:
+            fresh: the tangent has been evaluated since the last solution, else its factor is at hand.
+        """
 
 
 @dataclass(frozen=True)
@@ -67,10 +71,11 @@ class Outcome:
 def solve(system: System, controls: Controls) -> Outcome:
     """Iterate until one of the measures is below its tolerance. Collective.
 
-    Near the solution the next residual is predicted from the last one (quadratic convergence); when it
-    should do, the residual is evaluated without the tangent.
+    Near the solution the residual falls quadratically and the tangent hardly changes any more. Where the
+    last ratio of residuals promises that the tangent at hand is good enough for the tolerance, the last
+    correction is made with it (a chord step); should the promise fail, a full iteration follows.
     """
-    outcome, tangent = Outcome(), True
+    outcome, tangent, chord = Outcome(), True, False
     while True:
         system.evaluate(tangent)
         force, energy = system.measures()
@@ -89,11 +94,24 @@ def solve(system: System, controls: Controls) -> Outcome:
                 f"no convergence in {controls.max_iterations} iterations (force measure {force:.3g})"
             )
             return outcome
-        if not tangent:
+        ratio = _ratio(outcome)
+        chord = not chord and not system.pending() and _SAFETY * ratio * force < controls.force_tolerance
+        if not tangent and not chord:
             system.evaluate(True)
         try:
-            system.advance()
+            system.advance(fresh=not chord)
         except SingularTangent as e:
             outcome.reason = str(e)
             return outcome
-        tangent = force**2 > 1e-2 * controls.force_tolerance
+        # the next residual and ratio if both fall quadratically: is a tangent needed for what then comes?
+        following = ratio**2 * force
+        tangent = not chord and _SAFETY * ratio**2 * following > controls.force_tolerance
+
+
+_SAFETY = 10.0  # the change of the tangent is about twice the ratio
+
+
+def _ratio(outcome: Outcome) -> float:
+    """Last ratio of consecutive residuals; infinite before there are two of them."""
+    forces = [force for force, _ in outcome.history]
+    return forces[-1] / forces[-2] if len(forces) > 2 and forces[-2] > 0 else math.inf

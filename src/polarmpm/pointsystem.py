@@ -100,14 +100,15 @@ class PointSystem(NodalSystem):
     def diagonal(self) -> np.ndarray:
         return self.pattern.values[self.pattern.diagonal].reshape(-1, self.layout.block)
 
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        values = self.pattern.values
-        at = self._fixed_diagonal[values[self._fixed_diagonal] == 0.0]
-        values[at] = 1.0
-        with self.timer("factor"):
-            self.solver.matrix.setValuesCSR(*self._rows)
-            self.solver.matrix.assemble()
-            self.solver.factor()
+    def solve(self, right: np.ndarray, fresh: bool) -> np.ndarray:
+        if fresh:
+            values = self.pattern.values
+            at = self._fixed_diagonal[values[self._fixed_diagonal] == 0.0]
+            values[at] = 1.0
+            with self.timer("factor"):
+                self.solver.matrix.setValuesCSR(*self._rows)
+                self.solver.matrix.assemble()
+                self.solver.factor()
         with self.timer("solve"):
             return self.solver.solve(right.ravel()).reshape(right.shape)
 

@@ -70,8 +70,8 @@ class NodalSystem:
         """Diagonal of the tangent (owned nodes, block)."""
         raise NotImplementedError
 
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solve with the tangent for (owned nodes, block). Collective."""
+    def solve(self, right: np.ndarray, fresh: bool) -> np.ndarray:
+        """Solve with the tangent for (owned nodes, block); `fresh`: it has no factor yet. Collective."""
         raise NotImplementedError
 
     def destroy(self) -> None:
@@ -131,12 +131,12 @@ class NodalSystem:
         square = self.comm.allreduce(float(np.sum((self.diagonal() * scale) ** 2)))
         return float(_ROUNDING * np.sqrt(square))
 
-    def advance(self) -> None:
+    def advance(self, fresh: bool) -> None:
         fixed, own = self.prescribed.fixed, self.nodes.owned
         right = -(self.residual + self._lift_forces)[:own]
         right[fixed[:own]] = 0.0
         step = np.zeros_like(self.x)
-        step[:own] = self.solve(right)
+        step[:own] = self.solve(right, fresh)
         self.nodes.update_ghosts(step)
         step[fixed] = self._lift[fixed] if self._pending else 0.0
         self.x += step
