@@ -99,6 +99,17 @@ def two_materials() -> pm.QuasiStatic:
     return problem
 
 
+def splines() -> pm.QuasiStatic:
+    """Quadratic B-splines with resets; thin layers of the body in cells that ranks share."""
+    grid = pm.Grid.box((0, -3, -2), (6, 3, 3), 1.0)
+    points = pm.seed(grid, material=MATERIAL, bounds=((0, 0.2, 0.2), (4.3, 1.8, 1.8)), points_per_cell=3)
+    points.x = points.X = points.x + np.array((0.0, 0.24, 0.21))
+    problem = pm.QuasiStatic(grid, points, basis="bspline", controls=STRICT)
+    problem.fix(pm.plane(x=0.0), u=0, theta=0)
+    problem.load(points.farthest((1, 0, 0)), force=(4.0, -8.0, 5.0))
+    return problem
+
+
 # errors that only some ranks see
 def nan_in_a_field() -> pm.QuasiStatic:
     problem = body(2)
@@ -140,6 +151,7 @@ RUNS = [
     two_points,
     two_points_with_couples,
     two_materials,
+    splines,
 ]
 ERRORS = [nan_in_a_field, contradiction, outside, far_domains, not_converged]
 CASES = {f.__name__: f for f in [*RUNS, *ERRORS]}

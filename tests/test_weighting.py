@@ -7,7 +7,7 @@ import pytest
 
 import polarmpm as pm
 from polarmpm.grid import MARGIN
-from polarmpm.weighting import Weights, weights
+from polarmpm.weighting import Weights, node_positions, weights
 
 ORIGIN, CELL, CELLS = (-1.3, 0.4, 2.0), (0.5, 0.8, 1.25), (6, 5, 7)
 
@@ -49,7 +49,7 @@ def one_axis(w: Weights, p: int, axis: int) -> dict[int, tuple[float, float]]:
     }
 
 
-def nodal(grid: pm.Grid, w: Weights, p: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def nodal(grid: pm.Grid, w: Weights, p: int, basis: str = "mpm") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Node positions (n, d), weights (n,) and gradients (n, d) of a point, by (2.28)-(2.30)."""
     index = np.stack(np.meshgrid(*(range(c) for c in w.count[p]), indexing="ij"), axis=-1).reshape(
         -1, grid.dim
@@ -59,7 +59,7 @@ def nodal(grid: pm.Grid, w: Weights, p: int) -> tuple[np.ndarray, np.ndarray, np
     gradient = np.stack(
         [np.prod([w.table[p, i, int(i == j), index[:, i]] for i in axes], axis=0) for j in axes], axis=1
     )
-    return np.array(grid.origin) + (w.first[p] + index) * np.array(grid.cell), value, gradient
+    return node_positions(basis, grid, grid.node_number(w.first[p] + index)), value, gradient
 
 
 def random_points(grid: pm.Grid, largest: float, n: int = 200) -> tuple[np.ndarray, np.ndarray]:
@@ -110,7 +110,7 @@ def test_long_domains(largest):
                 assert (value, gradient) == pytest.approx(expected, abs=1e-12)
 
 
-@pytest.mark.parametrize("basis", ["gimpm", "mpm"])
+@pytest.mark.parametrize("basis", ["gimpm", "mpm", "bspline"])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_partition_of_unity_and_linear_completeness(dim, basis):
     """Weights sum to 1 and gradients to 0; nodal positions are reproduced, and their gradient is I."""
@@ -123,7 +123,7 @@ def test_partition_of_unity_and_linear_completeness(dim, basis):
     )
     w = weights(basis, grid, x, half)
     for p in range(len(x)):
-        position, value, gradient = nodal(grid, w, p)
+        position, value, gradient = nodal(grid, w, p, basis)
         assert value.min() >= 0.0
         assert value.sum() == pytest.approx(1.0, abs=1e-13)
         np.testing.assert_allclose(gradient.sum(axis=0), 0.0, atol=1e-12)
@@ -139,7 +139,7 @@ def special_places(grid: pm.Grid) -> np.ndarray:
     return np.concatenate([corners, [inner, inner + 0.25 * cell, inner - 0.25 * cell, inner + 0.5 * cell]])
 
 
-@pytest.mark.parametrize("basis", ["gimpm", "mpm"])
+@pytest.mark.parametrize("basis", ["gimpm", "mpm", "bspline"])
 def test_gradient_is_the_derivative_of_the_weight(basis):
     """Central differences in the point's position, wherever no domain end is within a step of a plane."""
     grid, h = lattice(2), 1e-6
@@ -180,6 +180,18 @@ def test_standard_weights_stay_in_one_cell():
     assert np.all(w.first + 1 <= np.array(grid.shape))
 
 
+def test_spline_weights_belong_to_the_cell():
+    """Three functions in each direction, those of the last cell on the grid's upper boundary."""
+    grid = lattice(3)
+    x = np.concatenate([random_points(grid, 0.5)[0], special_places(grid)])
+    w = weights("bspline", grid, x, np.ones_like(x))
+    assert np.all(w.count == 3)
+    np.testing.assert_array_equal(w.first, grid.cells_of(x))
+    numbers, value = w.products(grid)
+    position = node_positions("bspline", grid, numbers.ravel()).reshape(*numbers.shape, 3)
+    np.testing.assert_allclose(np.einsum("nk,nkd->nd", value, position), x, atol=1e-12)
+
+
 def test_domain_that_ends_on_a_plane_stays_in_its_cell():
     """Touching a plane, or missing it by rounding, activates no node beyond it."""
     grid = pm.Grid.box((0, 0), (1, 1), 0.1)
@@ -218,8 +230,8 @@ def test_gradients_of_full_cells_cancel():
     np.testing.assert_allclose(total[4:6, 4:6], 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("bad", ["GIMPM", "bspline", "", None])
+@pytest.mark.parametrize("bad", ["GIMPM", "splines", "", None])
 def test_unknown_basis(bad):
     """The message names what was given and what is allowed."""
-    with pytest.raises(pm.InputError, match=r"basis = .*gimpm, mpm"):
+    with pytest.raises(pm.InputError, match=r"basis = .*gimpm, mpm, bspline"):
         weights(bad, lattice(2), np.zeros((1, 2)), np.zeros((1, 2)))

@@ -10,19 +10,21 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from mpi4py import MPI
 
 import numpy as np
 
 from . import native, rotations
+from .aggregation import supporting_cells
 from .grid import Grid
 from .materials.base import parameter_values
 from .nodes import ActiveNodes
 from .parallel import together
 from .pointforms import Layout, PointForm
 from .points import Points, domain_half_length
-from .weighting import Weights, weights
+from .weighting import Weights, node_positions, weights
 
 
 @dataclass
@@ -77,11 +79,12 @@ class Interpolation:
         self.grid, self.points, self.forms = grid, points, forms
         self.layout: Layout = forms[0].layout
         self.reference = r = reference or Reference.of(points)
+        cells = supporting_cells(grid, r.x) if basis == "bspline" else None
         with together(grid.comm):
-            w = weights(basis, grid, r.x, domain_half_length(r.F, points.half_length0))
+            w = weights(basis, grid, r.x, domain_half_length(r.F, points.half_length0), cells)
         order, groups = _group(points.material, w)
         touched, node_sets = _node_sets(grid, groups)
-        self.nodes = ActiveNodes.build(grid, touched)
+        self.nodes = ActiveNodes.build(grid, touched, partial(node_positions, basis, grid))
         # lattice -> local numbers: the owned and the ghost nodes are each in ascending order
         to_local = self.nodes.local(touched)
         self.batches = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,6 +24,7 @@ class ActiveNodes:
         owned: how many are owned.
         start: global number of the first owned node.
         total: number of active nodes of all ranks.
+        positions: coordinates (m), (n, d), of lattice numbers (n,); None: the lattice nodes'.
     """
 
     grid: Grid
@@ -32,14 +34,20 @@ class ActiveNodes:
     owned: int
     start: int
     total: int
+    positions: Callable[[np.ndarray], np.ndarray] | None = None
 
     @classmethod
-    def build(cls, grid: Grid, touched: np.ndarray) -> ActiveNodes:
+    def build(
+        cls,
+        grid: Grid,
+        touched: np.ndarray,
+        positions: Callable[[np.ndarray], np.ndarray] | None = None,
+    ) -> ActiveNodes:
         """From the sorted lattice numbers that this rank's points reach. Collective."""
         comm = grid.comm
         if comm.size == 1:
             n = len(touched)
-            return cls(grid, touched, np.arange(n), np.zeros(n, dtype=np.int64), n, 0, n)
+            return cls(grid, touched, np.arange(n), np.zeros(n, dtype=np.int64), n, 0, n, positions)
         owner = _owners(comm, touched)
         mine = owner == comm.rank
         lattice = np.concatenate([touched[mine], touched[~mine]])
@@ -50,7 +58,7 @@ class ActiveNodes:
         wanted = ask.forward(lattice[owned:])
         ghosts = ask.backward(start + np.searchsorted(lattice[:owned], wanted))
         number = np.concatenate([start + np.arange(owned), ghosts])
-        return cls(grid, lattice, number, owner, owned, start, comm.allreduce(owned))
+        return cls(grid, lattice, number, owner, owned, start, comm.allreduce(owned), positions)
 
     def __len__(self) -> int:
         return len(self.lattice)
@@ -58,7 +66,7 @@ class ActiveNodes:
     @cached_property
     def position(self) -> np.ndarray:
         """Coordinates (m), (n, d)."""
-        return self.grid.node_position(self.lattice)
+        return (self.positions or self.grid.node_position)(self.lattice)
 
     def local(self, lattice: np.ndarray) -> np.ndarray:
         """Local rows of lattice numbers that are active on this rank."""

@@ -1,4 +1,4 @@
-"""Weighting functions of material points on the lattice: standard MPM and GIMPM (T 2.3.2).
+"""Weighting functions of material points on the lattice: standard MPM and GIMPM (T 2.3.2), and splines.
 
 The GIMPM weight T (2.26) is the mean of the tent function over the point's interval. The interval is cut
 by grid planes; on each part the tent is linear, so its mean is its value at the part's centre. That is
@@ -8,6 +8,11 @@ An interval that reaches less than `_SLIVER` of a cell across a plane would hang
 thread: their
 stiffness is that of the sliver squared. Such an interval is shortened on both sides, so that it ends on the
 plane and keeps its centre; linear fields are still weighted exactly.
+
+Quadratic B-splines have their knots at the grid's planes, the outer ones threefold: N cells in a direction
+have N + 2 functions, which are numbered as lattice nodes 0 .. N + 1. Only the first and the last one don't
+vanish on the grid's boundary planes. Increments are control values, which belong to the functions' Greville
+positions: a linear field has its own values there.
 """
 
 from __future__ import annotations
@@ -19,7 +24,7 @@ import numpy as np
 from .errors import InputError
 from .grid import MARGIN, Grid, snap
 
-BASES = ("gimpm", "mpm")
+BASES = ("gimpm", "mpm", "bspline")
 _SLIVER = 1e-4
 
 
@@ -37,6 +42,14 @@ class Weights:
     count: np.ndarray
     table: np.ndarray
 
+    def products(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+        """Lattice numbers of each point's nodes and their weights, (n, slots^d); unused slots weigh zero."""
+        slots = self.table.shape[-1]
+        index = np.stack(np.unravel_index(np.arange(slots**grid.dim), (slots,) * grid.dim), axis=-1)
+        numbers = grid.node_number(self.first)[:, None] + index @ grid.strides
+        value = np.prod([self.table[:, i, 0, index[:, i]] for i in range(grid.dim)], axis=0)
+        return numbers, value
+
 
 def check_basis(basis: str) -> str:
     """Raise InputError for an unknown basis."""
@@ -45,10 +58,21 @@ def check_basis(basis: str) -> str:
     return basis
 
 
-def weights(basis: str, grid: Grid, x: np.ndarray, half_length: np.ndarray) -> Weights:
-    """Weights of points at x (n, d) with domains of half-lengths (n, d), both in m."""
+def weights(
+    basis: str, grid: Grid, x: np.ndarray, half_length: np.ndarray, cells: np.ndarray | None = None
+) -> Weights:
+    """Weights of points on the lattice.
+
+    Args:
+        x: positions (n, d) (m).
+        half_length: of the domains (n, d) (m); only GIMPM looks at it.
+        cells: lattice index (n, d) of the cell whose polynomials weight a point; only splines look at it.
+            Default: the cell that the point is in. See `aggregation`.
+    """
+    if check_basis(basis) == "bspline":
+        return _spline_weights(grid, x, grid.cells_of(x) if cells is None else cells)
     xi, cell = grid.local(x), np.array(grid.cell)
-    if check_basis(basis) == "mpm":
+    if basis == "mpm":
         half_length = np.zeros_like(half_length)
     half = _without_slivers(xi, half_length / cell)
     low, high = snap(xi - half), snap(xi + half)
@@ -76,6 +100,35 @@ def weights(basis: str, grid: Grid, x: np.ndarray, half_length: np.ndarray) -> W
         table[:, :, 1, k] -= part / cell
         table[:, :, 1, k + 1] += part / cell
     return Weights(first, count, table)
+
+
+def _spline_weights(grid: Grid, x: np.ndarray, first: np.ndarray) -> Weights:
+    """Quadratic B-splines at x (n, d): of cell c = first the functions c, c + 1 and c + 2."""
+    cell = np.array(grid.cell)
+    right = snap(grid.local(x)) - first
+    left = 1.0 - right
+    # one over the cells that the outer two functions share with the middle one: two, or one at the boundary,
+    # where knots coincide
+    lower = np.where(first == 0, 1.0, 0.5)
+    upper = np.where(first == np.array(grid.shape) - 1, 1.0, 0.5)
+    values = [lower * left**2, upper * right**2]
+    slopes = [-2.0 * lower * left / cell, 2.0 * upper * right / cell]
+    table = np.empty((*x.shape, 2, 3))
+    for k, (below, above) in enumerate((values, slopes)):
+        table[:, :, k, 0], table[:, :, k, 2] = below, above
+        table[:, :, k, 1] = (1.0 if k == 0 else 0.0) - below - above
+    return Weights(first, np.full(x.shape, 3, dtype=np.int32), table)
+
+
+def node_positions(basis: str, grid: Grid, numbers: np.ndarray) -> np.ndarray:
+    """Positions (m), (n, d), at which nodal values of a linear field are the field's own.
+
+    The lattice nodes; for B-splines the Greville positions: cells' centres, and the grid's boundary planes.
+    """
+    if basis != "bspline":
+        return grid.node_position(numbers)
+    at = np.clip(grid.node_index(numbers) - 0.5, 0.0, grid.shape)
+    return np.array(grid.origin) + at * np.array(grid.cell)
 
 
 def _without_slivers(xi: np.ndarray, half: np.ndarray) -> np.ndarray:
