@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from ..aggregation import supporting_cells
 from ..cellmesh import corner_numbers, occupied_cells
 from ..errors import InputError
 from ..parallel import look_up
 from ..points import Points
 from ..stepping import Step
+from ..weighting import weights
 from .paraview import Collection, box_corners, padded
 
 # what the points know by themselves, and what needs the materials' kernels
@@ -119,14 +121,19 @@ class Recorder:
         dim, system = grid.dim, problem.system
         # The increments belong to the lattice at the last reset, hence to the cells occupied then.
         x = problem.points.x if system is None else system.interpolation.reference.x
+        if problem.basis == "bspline":  # a sliver's far corners have no value
+            x = grid.node_position(grid.node_number(supporting_cells(grid, x))) + 0.5 * np.array(grid.cell)
         cells = corner_numbers(grid, occupied_cells(grid, x))
         numbers, table = np.unique(cells, return_inverse=True)
         increments = np.zeros((len(numbers), problem.layout.block))
         if system is not None:
-            owned = system.nodes.owned
-            increments = look_up(
-                grid.comm, system.nodes.lattice[:owned], np.asarray(system.x[:owned]), numbers
-            )
+            # splines have no nodes at the corners; domains of no length have the standard weights
+            corners = grid.node_position(numbers)
+            nodes, weight = weights(problem.basis, grid, corners, np.zeros_like(corners)).products(grid)
+            wanted, at = np.unique(nodes, return_inverse=True)
+            own = system.nodes.owned
+            nodal = look_up(grid.comm, system.nodes.lattice[:own], np.asarray(system.x[:own]), wanted)
+            increments = np.einsum("nk,nkc->nc", weight, nodal[at.reshape(nodes.shape)])
         data = {"displacement_increment": padded(increments[:, :dim])}
         if problem.layout.rotations:
             rotation = increments[:, dim:]
