@@ -35,12 +35,15 @@ def supporting_cells(grid: Grid, x: np.ndarray) -> np.ndarray:
     thin = deepest < _THIN
     step = thin[:, dim:].astype(np.int64) - thin[:, :dim]
 
-    def among_cells(numbers: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        """Steps of cells, and whether they have points."""
+    def at_target() -> np.ndarray:
+        """Steps of the cells that the cells step to, and whether there are points in them."""
         known = np.hstack([step, np.ones((len(step), 1), dtype=np.int64)])
-        return look_up(comm, numbers, known.astype(float), wanted).astype(np.int64)
+        return look_up(comm, cells, known.astype(float), cells + step @ grid.strides).astype(np.int64)
 
-    step *= among_cells(cells, cells + step @ grid.strides)[:, -1:]
+    # where everything is thin, as with one point a cell near a plane, nobody has anything to lean on
+    target = at_target()
+    leans = (target[:, -1] > 0) & np.all((step == 0) | (target[:, :-1] == 0), axis=1) & np.any(step, axis=1)
+    step *= leans[:, None]
     # the cell behind the face may be a sliver in another direction
-    step += among_cells(cells, cells + step @ grid.strides)[:, :-1] * np.any(step, axis=1)[:, None]
-    return index + among_cells(cells, own)[at, :-1]
+    step += at_target()[:, :-1] * leans[:, None]
+    return index + look_up(comm, cells, step.astype(float), own).astype(np.int64)[at]
