@@ -190,9 +190,13 @@ def cell_name(mesh: Any) -> str:
 
 
 def function_space(mesh: Any, size: int, degree: int) -> Any:
-    """Continuous Lagrange space of `size` components."""
+    """Continuous Lagrange space of `size` components; its functions are scalars when that is 1, as
+    dolfinx 0.5 can't tell where the nodes of vectors of one component are."""
     if _HAS_BASIX_ELEMENTS:
-        element = _basix_ufl.element("Lagrange", cell_name(mesh), degree, shape=(size,))
+        shape = (size,) if size > 1 else None
+        element = _basix_ufl.element("Lagrange", cell_name(mesh), degree, shape=shape)
+    elif size == 1:
+        element = ufl.FiniteElement("Lagrange", mesh.ufl_cell(), degree)
     else:
         element = ufl.VectorElement("Lagrange", mesh.ufl_cell(), degree, dim=size)
     return _space(mesh, element)

@@ -29,6 +29,10 @@ def point_unknowns(layout: Layout, x: Any) -> list[Any]:
     return displacement + rotation + [gradient[i, j] for i in range(d, block) for j in range(d)]
 
 
+def _components(f: Any) -> list[Any]:
+    return [f[i] for i in range(len(f))] if f.ufl_shape else [f]
+
+
 class ElementForms:
     """Residual and tangent of a body's energy as compiled forms.
 
@@ -134,20 +138,17 @@ class ElementForms:
                 components measured on the undeformed body: the part along the normal follows the normal,
                 the part in the surface is convected with it, its size kept.
         """
-        ds, n = self.elements.surface_measure(facets.facets), len(load)
-        vector = ufl.as_vector([load[i] for i in range(n)])
+        ds, values = self.elements.surface_measure(facets.facets), _components(load)
         if follows:
-            vector = self._convected(vector)
-        zero = [0.0] * self.layout.dim
-        values = [vector[i] for i in range(n)]
+            values = _components(self._convected(ufl.as_vector(values)))
         if couple:
-            return self._work(zero + values) * ds
-        return sum(values[i] * self.test[i] for i in range(n)) * ds
+            return self._work([0.0] * self.layout.dim + values) * ds
+        return sum(f * self.test[i] for i, f in enumerate(values)) * ds
 
     def pressure_work(self, facets: Facets, pressure: Any) -> Any:
-        """Virtual work of a pressure (function of one component) against the current normal."""
+        """Virtual work of a pressure (a scalar function) against the current normal."""
         area = ufl.dot(self._cofactor(), ufl.FacetNormal(self.elements.mesh))
-        force = [-pressure[0] * area[i] for i in range(self.layout.dim)]
+        force = [-pressure * area[i] for i in range(self.layout.dim)]
         ds = self.elements.surface_measure(facets.facets)
         return sum(f * self.test[i] for i, f in enumerate(force)) * ds
 

@@ -37,6 +37,7 @@ class SurfaceLoad:
     follows: bool
     share: float
     function: Any = None  # its nodal values, made when the system is built
+    rows: Any = None  # the nodes of the facets
 
 
 @dataclass
@@ -158,6 +159,7 @@ class QuasiStaticFEM(Problem):
         for load in self.surface_loads:
             space = _compat.function_space(e.mesh, load.amplitude.size, e.degree)
             load.function = fem.Function(space)
+            load.rows = fem.locate_dofs_topological(space, self.layout.dim - 1, load.facets.facets)
             if load.kind == "pressure":
                 add(f.pressure_work(load.facets, load.function), True)
             else:
@@ -173,9 +175,9 @@ class QuasiStaticFEM(Problem):
                 density = np.concatenate([forces, couples], axis=1) / self.points.volume0[:, None]
                 self.forms.put_at_points(self._body, density)
             for load in self.surface_loads:
-                position = load.function.function_space.tabulate_dof_coordinates()[:, : self.layout.dim]
-                values = load.amplitude.at(factor, position) * load.share
-                load.function.x.array[:] = values.ravel()
+                position = load.function.function_space.tabulate_dof_coordinates()[load.rows]
+                values = load.amplitude.at(factor, position[:, : self.layout.dim]) * load.share
+                load.function.x.array.reshape(-1, load.amplitude.size)[load.rows] = values
         system.set_loads()
 
     def _increments(self, system: ElementSystem) -> Increments:
