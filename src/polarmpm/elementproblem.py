@@ -133,7 +133,7 @@ class QuasiStaticFEM(Problem):
         if self._system is not None:
             self._system.destroy()
         self._system = ElementSystem(self.forms, dead, varying, prescribed, self.timer)
-        self.forms.pack()
+        self._rebase(None)
         self._stale = False
         return self._system
 

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from . import conditions, newton
+from . import conditions, newton, rotations
 from .conditions import Load, Prescribed, Support
 from .errors import InputError
 from .interpolation import Increments
@@ -81,7 +81,7 @@ class Problem:
         self.steps: list[Step] = []
         self._stale = False  # conditions have changed since the system was built
         self._field_kernels: list[Callable[..., np.ndarray]] = []
-        # nodes, what was prescribed, and out-of-balance forces of the last converged step
+        # nodes, out-of-balance forces and rotational increments of the last converged step
         self._equilibrium: tuple[Nodes, np.ndarray, np.ndarray] | None = None
 
     # what the methods differ in -------------------------------------------------------------------
@@ -183,8 +183,8 @@ class Problem:
                 outcome.reason = self._fault(at_points)
                 outcome.converged = not outcome.reason
             if outcome.converged:
+                self._equilibrium = system.nodes, system.residual, system.x[:, self.layout.dim :].copy()
                 self._commit(system, at_points, factor)
-                self._equilibrium = system.nodes, system.prescribed.fixed, system.residual
             else:
                 system.x = start
         return outcome
@@ -212,7 +212,8 @@ class Problem:
         return self.comm.allreduce(float(self.fields().energy @ self.points.volume0))
 
     def reaction(self, support: Support) -> tuple[np.ndarray, np.ndarray]:
-        """Force (N), shape (d,), and couple (N m), shape (r,), with which a support holds the body.
+        """Force (N), shape (d,), and couple (N m), shape (r,), with which a support holds the body, by the
+        components that it prescribes.
 
         The couple sums the nodes' couples; it has no moment of the forces.
 
@@ -221,11 +222,14 @@ class Problem:
         """
         if self._equilibrium is None:
             raise InputError("reaction: no load step has been solved yet")
-        nodes, fixed, residual = self._equilibrium
-        own = nodes.owned
-        held = fixed[:own] & support.mask(nodes)[:own, None]
-        total = self.comm.allreduce(np.sum(residual[:own] * held, axis=0))
-        return total[: self.layout.dim], total[self.layout.dim :]
+        nodes, residual, w = self._equilibrium
+        own, d, held = nodes.owned, self.layout.dim, sorted(support.columns)
+        forces = np.zeros((own, self.layout.block))
+        forces[:, held] = np.where(support.mask(nodes)[:own, None], residual[:own, held], 0.0)
+        if self.layout.rotations == 3:  # what does work on Dw is J_l(Dw)^T times the couple
+            forces[:, d:] = np.linalg.solve(rotations.right_tangent(w[:own]), forces[:, d:, None])[:, :, 0]
+        total = self.comm.allreduce(forces.sum(axis=0))
+        return total[:d], total[d:]
 
     @property
     def unknowns(self) -> int:
