@@ -98,15 +98,16 @@ def read_gmsh(path: str, dim: int, comm: Any) -> Any:
     return read_gmsh_groups(path, dim, comm)[0]
 
 
-def read_gmsh_groups(source: Any, dim: int, comm: Any) -> tuple[Any, Any, Any, dict[str, tuple[int, int]]]:
-    """Mesh, cell tags, facet tags and physical names {name: (dimension, tag)} of a gmsh file or model.
+def read_gmsh_groups(source: Any, dim: int, comm: Any) -> tuple[Any, Any, Any, dict[tuple[int, str], int]]:
+    """Mesh, cell tags, facet tags and physical names {(dimension, name): tag} of a gmsh file or model.
     Collective; the model counts on rank 0.
 
     Args:
         dim: dimension of the cells; 0 means the highest one of a physical group.
 
     Raises:
-        InputError: as `read_gmsh`; cells of an unknown type, or of several types.
+        InputError: as `read_gmsh`; cells of an unknown type, of several types or in several groups, or on a
+            curved or inclined surface.
     """
     label = repr(source) if isinstance(source, str) else "the gmsh model"
     with contextlib.ExitStack() as stack:
@@ -116,7 +117,7 @@ def read_gmsh_groups(source: Any, dim: int, comm: Any) -> tuple[Any, Any, Any, d
                 model = stack.enter_context(_gmsh_model(source)) if isinstance(source, str) else source
                 dim, error = _check_gmsh(model, dim)
                 for d, tag in model.getPhysicalGroups():
-                    names[model.getPhysicalName(d, tag) or f"{tag}"] = (d, tag)
+                    names[d, model.getPhysicalName(d, tag) or f"{tag}"] = tag
             except Exception as e:  # gmsh raises bare Exceptions
                 error = str(e).strip() or type(e).__name__
         error, dim, names = comm.bcast((error, dim, names), root=0)
@@ -138,9 +139,17 @@ def _check_gmsh(model: Any, dim: int) -> tuple[int, str | None]:
         what = f"{dim} dimensions" if dim else "two or three dimensions"
         return dim, f"it has no cells of {what} in a physical group"
     kinds: set[int] = set()
+    owner: dict[tuple[int, int], int] = {}
     for d, tag in groups:
-        if d == dim:
-            for entity in model.getEntitiesForPhysicalGroup(d, tag):
+        for entity in model.getEntitiesForPhysicalGroup(d, tag) if d >= dim - 1 else ():
+            other = owner.setdefault((d, entity), tag)
+            if other != tag:
+                both = " and ".join(repr(model.getPhysicalName(d, t) or t) for t in (other, tag))
+                return dim, (
+                    f"the physical groups {both} share the {('curve', 'surface', 'volume')[d - 1]} {entity}; "
+                    "one group can be given to each"
+                )
+            if d == dim:
                 kinds |= set(model.mesh.getElementTypes(d, entity))
     if not kinds:
         return dim, "its physical groups have no cells; generate the mesh first"
@@ -150,7 +159,15 @@ def _check_gmsh(model: Any, dim: int) -> tuple[int, str | None]:
             f"its cells are {' and '.join(titles)}; one of triangles, quadrilaterals, tetrahedra and "
             "hexahedra (with all nodes of their degree) is allowed"
         )
+    z = [model.mesh.getNodesForPhysicalGroup(2, tag)[1][2::3] for d, tag in groups if d == dim == 2]
+    if z and np.ptp(np.concatenate(z)) > 1e-6 * _extent(model):
+        return dim, "its surface is not a plane z = constant; a body in space needs volumes"
     return dim, None
+
+
+def _extent(model: Any) -> float:
+    x = model.mesh.getNodes()[1].reshape(-1, 3)
+    return float(np.ptp(x, axis=0).max())
 
 
 @contextlib.contextmanager

@@ -16,7 +16,7 @@ from .conditions import PlaneSpec
 from .errors import InputError
 from .materials.base import Material, check_material
 from .meshes import BodyMesh
-from .parallel import collectively
+from .parallel import collectively, together
 from .pointforms import Layout
 from .points import Points
 
@@ -185,8 +185,8 @@ class Elements:
 
     # groups of facets -----------------------------------------------------------------------------
     def facets(self, where: Any) -> Facets:
-        """Boundary facets of a physical group (name or tag), on a plane, or whose corners and midpoint fulfil
-        a predicate of positions (n, d) -> (n,) bool. Collective.
+        """Boundary facets of a physical group (name or tag), on a plane, or all of whose corners fulfil a
+        predicate of positions (n, d) -> (n,) bool. Collective.
 
         Raises:
             InputError: no such group, or a group without facets.
@@ -215,7 +215,8 @@ class Elements:
             def marker(x: np.ndarray) -> np.ndarray:
                 return _mask(predicate(x[: self.dim].T), x.shape[1])
 
-            found = dmesh.locate_entities_boundary(self.mesh, dim, marker)
+            with together(self.comm):
+                found = dmesh.locate_entities_boundary(self.mesh, dim, marker)
         return self._group(name, np.sort(np.asarray(found, dtype=np.int32)))
 
     def on_plane(self, spec: PlaneSpec) -> Callable[[np.ndarray], np.ndarray]:

@@ -25,13 +25,13 @@ class BodyMesh:
     Attributes:
         mesh: of triangles, quadrilaterals, tetrahedra or hexahedra.
         cells, facets: tags (dolfinx' MeshTags) or None.
-        names: physical names, {name: (dimension, tag)}.
+        names: physical names, {(dimension, name): tag}.
     """
 
     mesh: Any
     cells: Any = None
     facets: Any = None
-    names: dict[str, tuple[int, int]] = field(default_factory=dict)
+    names: dict[tuple[int, str], int] = field(default_factory=dict)
 
     @classmethod
     def of(cls, source: Any, comm: MPI.Comm, *, cells: Any = None, facets: Any = None) -> BodyMesh:
@@ -122,19 +122,20 @@ class BodyMesh:
             InputError: no such group; the message lists those that exist.
         """
         tags = self.cells if dim == self.dim else self.facets
+        here = [] if tags is None else np.unique(np.asarray(tags.values)).tolist()
+        all_tags = set().union(*self.mesh.comm.allgather(here))
         if isinstance(name, str):
-            found = self.names.get(name)
-            if found is not None and found[0] == dim:
-                return found[1]
-        elif tags is not None:
-            here = np.unique(np.asarray(tags.values))
-            if int(name) in set().union(*self.mesh.comm.allgather(here.tolist())):
-                return int(name)
-        known = sorted(n for n, (d, _) in self.names.items() if d == dim)
+            found = self.names.get((dim, name))
+            if found is not None:
+                return found
+        elif int(name) in all_tags:
+            return int(name)
+        named = {tag: n for (d, n), tag in self.names.items() if d == dim}
+        known = [named.get(tag, str(tag)) for tag in sorted({*named, *all_tags})]
         what = "region" if dim == self.dim else "facets"
         raise InputError(
             f"{what}: the mesh has no physical group {name!r} of {dim} dimensions; it has "
-            f"{', '.join(known) if known else 'none with a name'}"
+            f"{', '.join(known) if known else 'none'}"
         )
 
 
