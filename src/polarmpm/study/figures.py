@@ -1,0 +1,141 @@
+"""Figures of studies: errors over cell size and over CPU time, and where the time went."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .. import plot
+from ..errors import InputError
+from .rungs import PHASES, Row
+from .tables import check_name, digits, error_names, methods
+
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")
+_MARKERS = "osD^vP<>"
+_PHASE_COLOURS = ("#4c78a8", "#e45756", "#f58518", "#72b7b2", "#54a24b", "#b279a2", "#9d755d", "#bab0ac")
+_AXES = {"h": "cell size (m)", "cpu_s": "CPU time of the load steps (s)"}
+
+
+def errors(
+    rows: Sequence[Row],
+    name: str,
+    ax: Any = None,
+    *,
+    over: str = "cpu_s",
+    unit: str = "",
+    published: Sequence[Row] = (),
+    slopes: Sequence[int] = (),
+    legend: bool = True,
+) -> Any:
+    """Draw an error, with logarithmic axes: one line for each method, failed rungs left out.
+
+    Args:
+        name: of the error's reference.
+        ax: matplotlib axes; None makes a figure.
+        over: "cpu_s" or "h".
+        unit: of the error.
+        published: drawn as open markers; with the name of a method of `rows` in its colour.
+        slopes: orders of convergence to be drawn as grey lines through the lower left.
+
+    Raises:
+        InputError: no row has an error of this name; unknown `over`.
+    """
+    if over not in _AXES:
+        raise InputError(f"over = {over!r}: allowed are {', '.join(_AXES)}")
+    check_name(rows, name)
+    if ax is None:
+        _, ax = plot.subplots(figsize=(6.5, 4.6))
+    every = methods([*rows, *published])
+    for method in every:
+        k = every.index(method)
+        style = {"color": _COLOURS[k % len(_COLOURS)], "marker": _MARKERS[k % len(_MARKERS)], "markersize": 5}
+        line = _line(rows, method, name, over)
+        if len(line):
+            ax.loglog(*line.T, "-", lw=1.5, label=method, **style)
+        line = _line(published, method, name, over)
+        if len(line):
+            open_ = {"markerfacecolor": "none", "markeredgewidth": 1.3, "ls": ":", "lw": 0.8}
+            ax.loglog(*line.T, **(style | open_ | {"markersize": 7}), label=f"{method}, published")
+    if slopes:
+        _draw_slopes(ax, rows, name, slopes)
+    ax.set_xlabel(_AXES[over])
+    ax.set_ylabel(f"error, {name}" + (f" ({unit})" if unit else ""))
+    ax.grid(True, which="major", color="0.88", linewidth=0.8)
+    ax.set_axisbelow(True)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+    if legend:
+        ax.legend(frameon=False, fontsize=8)
+    return ax
+
+
+def _line(rows: Sequence[Row], method: str, name: str, over: str) -> np.ndarray:
+    """(h or CPU time, error) of a method's rows that have both, (n, 2)."""
+    found = [(getattr(r, over), r.errors[name]) for r in rows if r.method == method and name in r.errors]
+    return np.array([pair for pair in found if None not in pair], dtype=float).reshape(-1, 2)
+
+
+def _draw_slopes(ax: Any, rows: Sequence[Row], name: str, slopes: Sequence[int]) -> None:
+    h = np.array(sorted({r.h for r in rows if name in r.errors}))
+    most = max(r.errors[name] for r in rows if name in r.errors)
+    for order, style in zip(slopes, (":", "--", "-.", (0, (1, 4))), strict=False):
+        ax.loglog(h, most * (h / h[-1]) ** order, color="0.55", ls=style, lw=1, label=f"order {order}")
+
+
+def save_errors(
+    rows: Sequence[Row],
+    path: str | os.PathLike[str],
+    *,
+    over: str = "cpu_s",
+    unit: str = "",
+    published: Sequence[Row] = (),
+    slopes: Sequence[int] = (),
+) -> None:
+    """Write a figure with one panel for each reference; see `errors`."""
+    names = error_names(rows)
+    columns = min(2, max(1, len(names)))
+    lines = max(1, -(-len(names) // columns))
+    figure, axes = plot.subplots(lines, columns, figsize=(5.4 * columns, 4.0 * lines + 0.6), squeeze=False)
+    for ax, name in zip(axes.flat, names, strict=False):
+        errors(rows, name, ax, over=over, unit=unit, published=published, slopes=slopes, legend=False)
+    for ax in axes.flat[len(names) :]:
+        ax.set_visible(False)
+    handles, labels = axes.flat[0].get_legend_handles_labels()
+    if handles:
+        # below the panels: `plot.save` makes room for it
+        where = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0)}
+        figure.legend(handles, labels, ncol=min(3, len(labels)), frameon=False, fontsize=9, **where)
+    plot.save(figure, path)
+
+
+def phases(rows: Sequence[Row], ax: Any = None) -> Any:
+    """Draw the shares of the phases in each rung's CPU time as stacked bars; the kernel's is hatched."""
+    rows = [r for r in rows if r.phases and r.cpu_s]
+    if ax is None:
+        _, ax = plot.subplots(figsize=(8.0, 0.9 + 0.27 * len(rows)))
+    total = np.array([r.cpu_s for r in rows], dtype=float)
+    at, left = np.arange(len(rows)), np.zeros(len(rows))
+    for phase, colour in zip(PHASES, _PHASE_COLOURS, strict=True):
+        share = 100 * np.array([r.phases.get(phase, 0.0) for r in rows]) / total
+        ax.barh(at, share, left=left, color=colour, label=phase, height=0.8)
+        if phase == "assembly" and any(r.kernel_s for r in rows):
+            kernel = 100 * np.array([r.kernel_s or 0.0 for r in rows]) / total
+            ax.barh(at, kernel, color="none", edgecolor="white", hatch="////", lw=0, height=0.8)
+            ax.barh(0, 0, color=colour, edgecolor="white", hatch="////", label="of it the kernel")
+        left += share
+    ax.set_yticks(at, [f"{r.method}, {r.label}   {digits(r.cpu_s, 3)} s" for r in rows], fontsize=8)
+    ax.set_ylim(len(rows) - 0.5, -0.5)
+    ax.set_xlim(0, 100)
+    ax.set_xlabel("share of the CPU time (%)")
+    ax.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+    return ax
+
+
+def save_phases(rows: Sequence[Row], path: str | os.PathLike[str]) -> None:
+    """Write the figure of `phases`."""
+    plot.save(phases(rows).figure, path)

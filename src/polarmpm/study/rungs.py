@@ -1,0 +1,112 @@
+"""What a study is made of: discretisations, and rows of what they found and cost."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..errors import InputError
+from ..problem import Problem
+
+# the order in which tables and figures have them; "rest" is what no phase has
+PHASES = ("assembly", "factor", "solve", "update", "reset", "pattern", "conditions", "rest")
+
+
+@dataclass
+class Case:
+    """What a rung's `build` returns.
+
+    Attributes:
+        problem: ready to march.
+        result: function without arguments that gives a number or a vector after the last step.
+        kernel: CPU seconds that the material's kernel needs at all points, for the residual alone (False) or
+            with the tangent (True); None where the assembly can't be taken apart.
+    """
+
+    problem: Problem
+    result: Callable[[], Any]
+    kernel: Callable[[bool], float] | None = None
+
+
+@dataclass(frozen=True)
+class Rung:
+    """A discretisation to be tried.
+
+    Attributes:
+        method: its line in figures.
+        label: names it within its method.
+        h: cell size (m).
+        build: function at the top level of a module or of the script; makes the `Case`.
+        arguments: of `build`, by keyword.
+        steps: number of load steps.
+        adaptive: cut steps that fail.
+
+    Raises:
+        InputError: an argument is out of range, or can't be sent to another process.
+    """
+
+    method: str
+    label: str
+    h: float
+    build: Callable[..., Case]
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    steps: int = 10
+    adaptive: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("method", "label"):
+            if not isinstance(getattr(self, name), str) or not getattr(self, name):
+                raise InputError(f"{name} = {getattr(self, name)!r}: a text is needed")
+        if not isinstance(self.h, int | float) or not math.isfinite(self.h) or self.h <= 0:
+            raise InputError(f"h = {self.h!r}: a positive cell size")
+        if isinstance(self.steps, bool) or not isinstance(self.steps, int) or self.steps < 1:
+            raise InputError(f"steps = {self.steps!r}: a positive whole number")
+        if not callable(self.build):
+            raise InputError(f"build = {self.build!r}: a function is needed")
+        try:
+            pickle.dumps((self.build, dict(self.arguments)))
+        except (pickle.PicklingError, AttributeError, TypeError) as e:
+            raise InputError(
+                f"build = {self.build!r}: it and its arguments must be known by name to another process; "
+                f"functions at the top level of a module or script are ({e})"
+            ) from None
+
+
+@dataclass(frozen=True)
+class Row:
+    """What a rung found and cost; also a published result, with what is known of it.
+
+    Attributes:
+        result: number or vector after the last step.
+        errors: distance of the result to each reference, by its name.
+        unknowns, points: prescribed unknowns included; of finite elements quadrature points.
+        steps, iterations, cuts: load steps, linear solves and failed attempts.
+        cpu_s: CPU seconds of the load steps, but for compiling and files; None if not known.
+        phases: parts of `cpu_s` (s), see `PHASES`.
+        kernel_s: part of the assembly that the material's kernel needs (s); None if not known.
+        startup_s: CPU seconds of all the rest before the last step: imports, set-up, compiling.
+        peak_memory_mb: most memory in use (MB).
+        failed_at: load factor at which there was no equilibrium; None for success.
+        failure: why it failed, in words.
+    """
+
+    method: str
+    label: str
+    h: float
+    result: tuple[float, ...] = ()
+    errors: Mapping[str, float] = field(default_factory=dict)
+    unknowns: int = 0
+    points: int = 0
+    steps: int = 0
+    iterations: int = 0
+    cuts: int = 0
+    cpu_s: float | None = None
+    phases: Mapping[str, float] = field(default_factory=dict)
+    kernel_s: float | None = None
+    startup_s: float | None = None
+    peak_memory_mb: float | None = None
+    failed_at: float | None = None
+    failure: str = ""

@@ -1,0 +1,176 @@
+"""Runs discretisations, each in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import resource
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from .. import native
+from ..elementproblem import QuasiStaticFEM
+from ..errors import InputError, NotConverged, PointsOutsideGrid
+from ..problem import Problem
+from ..timing import Timer
+from .rungs import Case, Row, Rung
+
+# phases of `Problem.timer` that aren't part of a method's cost
+NOT_COUNTED = ("compile", "output")
+Reference = Sequence[float] | np.ndarray | Callable[[np.ndarray], float]
+
+
+def run(
+    rungs: Sequence[Rung],
+    references: Mapping[str, Reference],
+    *,
+    record: Callable[[Row], Any] | None = None,
+) -> list[Row]:
+    """Run every rung in a process of its own, one after the other.
+
+    Args:
+        references: by name, vectors to which the distance is the error; or functions that give the error of
+            a result.
+        record: called with every row as soon as it is there.
+
+    Returns:
+        One row for each rung. A rung that finds no equilibrium, loses points or whose process dies (of too
+        little memory, say) is a row with `failed_at` and `failure`.
+
+    Raises:
+        InputError: no rungs; two rungs of one name; a reference that doesn't fit the result; several ranks.
+    """
+    if MPI.COMM_WORLD.size > 1:
+        raise InputError("run: a study starts processes of its own; run the script on one rank")
+    rungs = list(rungs)
+    if not rungs:
+        raise InputError("rungs: none is given")
+    names = [(r.method, r.label) for r in rungs]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"rungs: two are named {name[0]!r}, {name[1]!r}")
+    rows = []
+    for rung in rungs:
+        rows.append(compare(_in_new_process(rung), references))
+        if record is not None:
+            record(rows[-1])
+    return rows
+
+
+def compare(row: Row, references: Mapping[str, Reference]) -> Row:
+    """The row with its errors; see `run`."""
+    if row.failed_at is not None:
+        return row
+    found, errors = np.array(row.result), {}
+    for name, reference in references.items():
+        if callable(reference):
+            errors[name] = float(reference(found))
+            continue
+        exact = np.atleast_1d(np.asarray(reference, float))
+        if exact.shape != found.shape:
+            raise InputError(f"references: {name!r} has the shape {exact.shape}, the result {found.shape}")
+        errors[name] = float(np.linalg.norm(found - exact))
+    return replace(row, errors=errors)
+
+
+def _in_new_process(rung: Rung) -> Row:
+    # spawned rather than forked: a fork shares the parent's memory, and MPI doesn't survive it
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        try:
+            return pool.submit(_measure, rung).result()
+        except BrokenProcessPool:
+            failure = "the process ended; was there enough memory?"
+            return Row(rung.method, rung.label, rung.h, failed_at=0.0, failure=failure)
+
+
+def _measure(rung: Rung) -> Row:
+    """Build and march; runs in a process of its own."""
+    row = Row(rung.method, rung.label, rung.h)
+    try:
+        case = rung.build(**rung.arguments)
+        if not isinstance(case, Case):
+            raise InputError(f"build = {rung.build!r}: returned {case!r} and not a study.Case")
+        problem = case.problem
+    except PointsOutsideGrid as e:
+        return replace(row, failed_at=0.0, failure=str(e))
+    _load_code(problem)
+    problem.timer = timer = _Counter()
+    begin, failed, failure = time.process_time(), None, ""
+    try:
+        for _ in problem.march(rung.steps, adaptive=rung.adaptive, progress=False):
+            pass
+    except (NotConverged, PointsOutsideGrid) as e:
+        failed = e.factor if isinstance(e, NotConverged) else problem.progress.factor
+        failure = str(e)
+    spent = time.process_time() - begin
+    cpu = spent - sum(timer.seconds.get(name, 0.0) for name in NOT_COUNTED)
+    everything = sum(os.times()[:4])  # compilers included
+    phases = {name: s for name, s in timer.seconds.items() if name not in NOT_COUNTED}
+    phases["rest"] = max(0.0, cpu - sum(phases.values()))
+    memory = _peak_memory()
+    result: tuple[float, ...] = ()
+    kernel = None
+    if failed is None:
+        result = tuple(float(v) for v in np.atleast_1d(np.asarray(case.result(), float)))
+        if case.kernel is not None:
+            tangents = timer.calls.get("factor", 0)
+            others = timer.calls.get("assembly", 0) - tangents
+            kernel = tangents * case.kernel(True) + others * case.kernel(False)
+    return replace(
+        row,
+        result=result,
+        unknowns=problem.unknowns,
+        points=problem.points.total,
+        steps=len(problem.steps),
+        iterations=sum(step.iterations for step in problem.steps),
+        cuts=sum(step.cuts for step in problem.steps),
+        cpu_s=cpu,
+        phases=phases,
+        kernel_s=kernel,
+        startup_s=everything - cpu,
+        peak_memory_mb=memory,
+        failed_at=failed,
+        failure=failure,
+    )
+
+
+class _Counter(Timer):
+    """Counts how often each phase was entered, too."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.calls: dict[str, int] = {}
+
+    @contextmanager
+    def __call__(self, phase: str) -> Iterator[None]:
+        self.calls[phase] = self.calls.get(phase, 0) + 1
+        with super().__call__(phase):
+            yield
+
+
+def _load_code(problem: Problem) -> None:
+    """Load compiled code that would be loaded within phases other than "compile" otherwise."""
+    native.library()
+    if isinstance(problem, QuasiStaticFEM):
+        _ = problem.forms.point_values
+
+
+def _peak_memory() -> float:
+    """MB of this process. The usual ru_maxrss begins with what the parent had when it started this one."""
+    try:
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) / 1024
+    except OSError:
+        pass
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
