@@ -12,9 +12,24 @@ import numpy as np
 from ..parallel import collectively
 from .files import check_output, replace_file
 
-# corners with the first axis running fastest, in VTK's order
-_VTK_ORDER = {4: [0, 1, 3, 2], 8: [0, 1, 3, 2, 4, 5, 7, 6]}
-_VTK_NAME = {1: "vertex", 4: "quad", 8: "hexahedron"}
+# dolfinx' nodes in VTK's order, by meshio's name of the cell: corners (in dolfinx with the first axis
+# running fastest), then edges, faces and the middle
+_VTK_ORDER = {
+    "vertex": [0],
+    "triangle": [0, 1, 2],
+    "quad": [0, 1, 3, 2],
+    "tetra": [0, 1, 2, 3],
+    "hexahedron": [0, 1, 3, 2, 4, 5, 7, 6],
+    "triangle6": [0, 1, 2, 5, 3, 4],
+    "quad9": [0, 1, 3, 2, 4, 6, 7, 5, 8],
+    "tetra10": [0, 1, 2, 3, 9, 6, 8, 7, 5, 4],
+    "hexahedron27": [
+        *(0, 1, 3, 2, 4, 5, 7, 6),
+        *(8, 11, 13, 9, 16, 18, 19, 17, 10, 12, 15, 14),
+        *(22, 23, 21, 24, 20, 25, 26),
+    ],
+}
+_BOXES = {1: "vertex", 4: "quad", 8: "hexahedron"}
 
 
 def padded(vectors: np.ndarray) -> np.ndarray:
@@ -35,20 +50,22 @@ def write_vtu(
     cells: np.ndarray,
     point_data: dict[str, np.ndarray] | None = None,
     cell_data: dict[str, np.ndarray] | None = None,
+    kind: str | None = None,
 ) -> None:
     """Write one piece, compressed.
 
     Args:
         x: vertices (n, d) (m).
-        cells: vertices of each cell (m, 2^d), the first axis running fastest, or (m, 1).
+        cells: nodes of each cell (m, k) in dolfinx' order.
+        kind: meshio's name of the cells; by default boxes of 2^d corners, or vertices.
         point_data, cell_data: arrays (n, ...) and (m, ...); tensors become rows of 9 numbers.
     """
     import meshio  # here, as it takes a third of a second
 
-    corners = cells.shape[1]
+    kind = kind or _BOXES[cells.shape[1]]
     mesh = meshio.Mesh(
         padded(x),
-        [(_VTK_NAME[corners], cells[:, _VTK_ORDER.get(corners, [0])])],
+        [(kind, cells[:, _VTK_ORDER[kind]])],
         point_data={name: _rows(a) for name, a in (point_data or {}).items()},
         cell_data={name: [_rows(a)] for name, a in (cell_data or {}).items()},
     )
@@ -80,12 +97,13 @@ class Collection:
         cells: np.ndarray,
         point_data: dict[str, np.ndarray] | None = None,
         cell_data: dict[str, np.ndarray] | None = None,
+        kind: str | None = None,
     ) -> None:
         """Write a step's pieces, then the collection; a step of the same number is replaced."""
         error = None
         if len(cells):
             try:
-                write_vtu(self._piece(number, self.comm.rank), x, cells, point_data, cell_data)
+                write_vtu(self._piece(number, self.comm.rank), x, cells, point_data, cell_data, kind)
             except OSError as e:
                 error = e
         collectively(self.comm, error)

@@ -11,11 +11,13 @@ import numpy as np
 
 from ..aggregation import supporting_cells
 from ..cellmesh import corner_numbers, occupied_cells
+from ..elementproblem import QuasiStaticFEM
 from ..errors import InputError
 from ..parallel import look_up
 from ..points import Points
 from ..stepping import Step
 from ..weighting import weights
+from .mesh import NODAL, mesh_piece
 from .paraview import Collection, box_corners, padded
 
 # what the points know by themselves, and what needs the materials' kernels
@@ -42,6 +44,10 @@ class Recorder:
             for step in problem.march(10):
                 recorder.record(step)
 
+    Finite elements are written as the undeformed mesh of degree 1 or 2, with displacement and rotation at
+    its nodes: ParaView's "Warp By Vector" shows the deformed body. The other fields are on the cells: means
+    over the quadrature points weighted by reference volume; volume and id are the cell's own.
+
     Args:
         path: of the collection, ending in .pvd; missing folders are made.
         problem: whose states are written.
@@ -51,11 +57,13 @@ class Recorder:
         grid: also write the occupied cells of the background grid to `arch_grid.pvd`, at their position
             at the last reset, with displacement_increment (m) and rotation_increment (rad) since then.
         domains: show a point as the box of its current GIMPM domain, with the fields on cells; False as
-            a vertex, with the fields on points.
+            a vertex, with the fields on points. Of finite elements, False shows the quadrature points at
+            their current positions.
         initial: write the present state on entering the `with` statement.
 
     Raises:
-        InputError: unknown field, or files that can't be written; on every rank alike.
+        InputError: unknown field, a grid of finite elements, or files that can't be written; on every rank
+            alike.
     """
 
     def __init__(
@@ -70,6 +78,9 @@ class Recorder:
     ):
         self.problem, self.domains, self.initial = problem, domains, initial
         self.fields = _check_fields(fields)
+        self._meshed = isinstance(problem, QuasiStaticFEM)
+        if grid and self._meshed:
+            raise InputError("grid = True: finite elements have no background grid")
         file = Path(path)
         folder = file.with_suffix("")
         self._points = Collection(file, folder, problem.comm)
@@ -107,6 +118,11 @@ class Recorder:
     __call__ = record
 
     def _record_points(self, number: int, time: float) -> None:
+        if self._meshed and self.domains:
+            at_points = field_arrays(self.problem, [name for name in self.fields if name not in NODAL])
+            piece = mesh_piece(self.problem.elements, self.fields, at_points)
+            self._points.add(number, time, **piece)
+            return
         points, data = self.problem.points, field_arrays(self.problem, self.fields)
         if self.domains:
             corners = box_corners(points.x, points.half_length)

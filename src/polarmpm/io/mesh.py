@@ -1,0 +1,56 @@
+"""What ParaView shows of a body of finite elements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..elements import Elements
+from .paraview import padded
+
+_KINDS = {
+    ("triangle", 1): "triangle",
+    ("triangle", 2): "triangle6",
+    ("quadrilateral", 1): "quad",
+    ("quadrilateral", 2): "quad9",
+    ("tetrahedron", 1): "tetra",
+    ("tetrahedron", 2): "tetra10",
+    ("hexahedron", 1): "hexahedron",
+    ("hexahedron", 2): "hexahedron27",
+}
+NODAL = ("displacement", "rotation")
+
+
+def mesh_piece(elements: Elements, names: Sequence[str], at_points: dict[str, np.ndarray]) -> dict[str, Any]:
+    """This rank's own cells, undeformed, with nodal fields and cells' means, for `Collection.add`.
+
+    Args:
+        names: of all fields.
+        at_points: values at the quadrature points (np, ...) of the fields that aren't nodal.
+    """
+    own = elements.cell_nodes[: len(elements.body.owned_cells)]
+    nodes, cells = np.unique(own, return_inverse=True)
+    nodal = {}
+    if "displacement" in names:
+        nodal["displacement"] = padded(elements.displacement[nodes])
+    if "rotation" in names:
+        nodal["rotation"] = elements.rotation_vector[nodes]
+    return {
+        "x": elements.nodes.position[nodes],
+        "cells": cells.reshape(own.shape),
+        "kind": _KINDS[elements.body.cell, elements.degree],
+        "point_data": nodal,
+        "cell_data": {name: _of_cells(elements, name, a) for name, a in at_points.items()},
+    }
+
+
+def _of_cells(elements: Elements, name: str, values: np.ndarray) -> np.ndarray:
+    shape = len(elements.body.owned_cells), len(elements.reference_points)
+    each = values.reshape(*shape, *values.shape[1:])
+    if name == "id":
+        return elements.body.original_cells
+    if name == "material":
+        return each[:, 0]
+    return each.sum(axis=1) if name == "volume" else elements.cell_mean(values)
