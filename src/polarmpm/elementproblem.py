@@ -18,7 +18,7 @@ from .errors import InputError
 from .interpolation import Increments
 from .newton import Controls
 from .parallel import together
-from .problem import Problem
+from .problem import Problem, Progress
 
 
 @dataclass
@@ -227,6 +227,14 @@ class QuasiStaticFEM(Problem):
         self.forms.pack()
         if system is not None:
             system.x = np.zeros_like(system.x)
+
+    def restore(self, progress: Progress) -> None:
+        """Continue from a state that has been put into the elements already; see `io.restart`."""
+        self.progress, self._equilibrium = progress, None
+        if self._system is not None:
+            self._system.destroy()
+            self._system = None
+        self._rebase(None)
 
     # results --------------------------------------------------------------------------------------
     @property

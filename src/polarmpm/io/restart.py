@@ -1,5 +1,7 @@
 """Restart files: all that a run needs to continue to the same digits.
 
+Material points are put back as they are. Elements are made by the script, and their state is put in by the
+original numbers of cells and quadrature points, so that any number of ranks may read it.
 A file is HDF5; ranks write their rows one after the other. It is written under a temporary name and put in
 place at the end, so the file on disc is always complete.
 """
@@ -16,30 +18,27 @@ from mpi4py import MPI
 import h5py
 import numpy as np
 
+from ..elementproblem import QuasiStaticFEM
 from ..errors import InputError
 from ..interpolation import Reference
 from ..parallel import collectively
 from ..pointproblem import QuasiStatic
 from ..points import FIELDS
-from ..problem import Progress
+from ..problem import Problem, Progress
+from . import meshstate
 
 _FORMAT = 1
 
 
-def save(problem: QuasiStatic, path: str | os.PathLike[str]) -> None:
-    """Write the last converged state. Collective.
+def save(problem: Problem, path: str | os.PathLike[str]) -> None:
+    """Write the last converged state of a `QuasiStatic` or `QuasiStaticFEM`. Collective.
 
     Raises:
         InputError: the file can't be written.
     """
     path, comm = Path(path), problem.comm
     temporary = path.with_name(path.name + ".part")
-    arrays = {f"points/{name}": a for name, a in problem.points.arrays().items()}
-    between = problem.increments()
-    if between is not None:
-        reference, lattice, values = between
-        arrays |= {f"reference/{f.name}": getattr(reference, f.name) for f in fields(reference)}
-        arrays |= {"nodes/lattice": lattice, "nodes/increments": values}
+    arrays = meshstate.arrays(problem) if isinstance(problem, QuasiStaticFEM) else _arrays(problem)
     for rank in range(comm.size):
         error: Exception | None = None
         if rank == comm.rank:
@@ -53,10 +52,21 @@ def save(problem: QuasiStatic, path: str | os.PathLike[str]) -> None:
     comm.Barrier()
 
 
-def _write_rows(path: Path, problem: QuasiStatic, arrays: dict[str, np.ndarray], first: bool) -> None:
+def _arrays(problem: Any) -> dict[str, np.ndarray]:
+    """This rank's rows of a problem of material points."""
+    arrays = {f"points/{name}": a for name, a in problem.points.arrays().items()}
+    between = problem.increments()
+    if between is not None:
+        reference, lattice, values = between
+        arrays |= {f"reference/{f.name}": getattr(reference, f.name) for f in fields(reference)}
+        arrays |= {"nodes/lattice": lattice, "nodes/increments": values}
+    return arrays
+
+
+def _write_rows(path: Path, problem: Problem, arrays: dict[str, np.ndarray], first: bool) -> None:
     with h5py.File(path, "w" if first else "r+") as file:
         if first:
-            file.attrs.update(_header(problem))
+            file.attrs.update({"body": _kind(problem), **_header(problem)})
             for name, value in asdict(problem.progress).items():
                 file.attrs[f"progress/{name}"] = value
         for name, rows in arrays.items():
@@ -70,22 +80,22 @@ def _write_rows(path: Path, problem: QuasiStatic, arrays: dict[str, np.ndarray],
                     data[len(data) - len(new) :] = new
 
 
-def _header(problem: QuasiStatic) -> dict[str, Any]:
+def _header(problem: Any) -> dict[str, Any]:
+    ends = {"block": problem.layout.block, "materials": len(problem.points.materials)}
+    if isinstance(problem, QuasiStaticFEM):
+        return {"format": _FORMAT, **meshstate.header(problem), **ends}
     grid = problem.grid
-    return {
-        "format": _FORMAT,
-        "origin": grid.origin,
-        "cell": grid.cell,
-        "shape": grid.shape,
-        "basis": problem.basis,
-        "block": problem.layout.block,
-        "materials": len(problem.points.materials),
-    }
+    known = {"origin": grid.origin, "cell": grid.cell, "shape": grid.shape, "basis": problem.basis}
+    return {"format": _FORMAT, **known, **ends}
 
 
-def load(problem: QuasiStatic, path: str | os.PathLike[str]) -> None:
-    """Put a saved state into a problem with the same grid, basis and materials; `march` goes on from it.
-    Collective.
+def _kind(problem: Problem) -> str:
+    return "finite elements" if isinstance(problem, QuasiStaticFEM) else "material points"
+
+
+def load(problem: Problem, path: str | os.PathLike[str]) -> None:
+    """Put a saved state into a problem with the same grid, basis and materials, or the same mesh, degree,
+    quadrature and materials; `march` goes on from it. Collective.
 
     Supports and loads aren't in the file: the script that made the problem gives them again.
 
@@ -96,29 +106,44 @@ def load(problem: QuasiStatic, path: str | os.PathLike[str]) -> None:
     try:
         with h5py.File(path, "r") as file:
             _check(problem, file, path)
-            rows = {name: _read(file, f"points/{name}", problem.comm) for name in FIELDS}
-            between: tuple[Reference, np.ndarray, np.ndarray] | None = None
-            if "nodes" in file:
-                reference = Reference(
-                    *(_read(file, f"reference/{f.name}", problem.comm) for f in fields(Reference))
-                )
-                lattice, values = (_read(file, f"nodes/{n}", problem.comm) for n in ("lattice", "increments"))
-                between = (reference, lattice, values)
+            rows = _read_all(file, problem.comm)
             saved = {f.name: file.attrs[f"progress/{f.name}"].item() for f in fields(Progress)}
     except OSError as e:
         error = InputError(f"restart file {path} can't be read: {e}")
     except InputError as e:
         error = e
     collectively(problem.comm, error)
-    problem.points.replace(rows)
-    problem.restore(Progress(**saved), between)
+    if isinstance(problem, QuasiStaticFEM):
+        meshstate.put(problem, rows, path)
+        problem.restore(Progress(**saved))
+    elif isinstance(problem, QuasiStatic):
+        _put(problem, rows, Progress(**saved))
 
 
-def _check(problem: QuasiStatic, file: h5py.File, path: Any) -> None:
+def _put(problem: QuasiStatic, rows: dict[str, np.ndarray], progress: Progress) -> None:
+    between: tuple[Reference, np.ndarray, np.ndarray] | None = None
+    if "nodes/lattice" in rows:
+        reference = Reference(*(rows[f"reference/{f.name}"] for f in fields(Reference)))
+        between = reference, rows["nodes/lattice"], rows["nodes/increments"]
+    problem.points.replace({name: rows[f"points/{name}"] for name in FIELDS})
+    problem.restore(progress, between)
+
+
+def _check(problem: Problem, file: h5py.File, path: Any) -> None:
+    saved, here = file.attrs.get("body", "material points"), _kind(problem)
+    if "format" in file.attrs and saved != here:
+        raise InputError(f"restart file {path}: its state is of {saved}, this problem's of {here}")
     for name, value in _header(problem).items():
         found = file.attrs.get(name)
         if found is None or np.any(np.asarray(found) != np.asarray(value)):
             raise InputError(f"restart file {path}: {name} is {found}, this problem has {value}")
+
+
+def _read_all(file: h5py.File, comm: MPI.Comm) -> dict[str, np.ndarray]:
+    groups = [group for group in file if group != "counts"]
+    return {
+        f"{group}/{name}": _read(file, f"{group}/{name}", comm) for group in groups for name in file[group]
+    }
 
 
 def _read(file: h5py.File, name: str, comm: MPI.Comm) -> np.ndarray:

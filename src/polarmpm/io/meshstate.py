@@ -1,0 +1,91 @@
+"""What a restart file holds of finite elements.
+
+Rows are found by numbers that don't depend on the ranks: of a quadrature point its id, of a cell its number
+in the mesh's input. Nodes have no such number, so a cell's row has the values of all of its nodes.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..elementproblem import QuasiStaticFEM
+from ..errors import InputError
+from ..parallel import collectively, look_up
+
+_OF_POINTS = ("X", "x", "F", "q", "wryness", "material")
+_OF_CELLS = ("X", "displacement", "q")
+_NEAR = 1e-10  # of a cell; farther apart, two positions aren't the same
+
+
+def header(problem: QuasiStaticFEM) -> dict[str, Any]:
+    """What has to agree between the file and the problem."""
+    e = problem.elements
+    return {
+        "cell": e.body.cell,
+        "degree": e.degree,
+        "quadrature_degree": e.quadrature_degree,
+        "cells": int(e.mesh.topology.index_map(e.dim).size_global),
+        "nodes": e.nodes.total,
+    }
+
+
+def arrays(problem: QuasiStaticFEM) -> dict[str, np.ndarray]:
+    """This rank's rows by name."""
+    e = problem.elements
+    nodes = e.cell_nodes[: len(e.body.owned_cells)]
+    out = {f"points/{name}": getattr(e.points, name) for name in ("id", *_OF_POINTS)}
+    out["cells/id"] = e.body.original_cells
+    nodal = {"X": e.nodes.position, "displacement": e.displacement, "q": e.q}
+    return out | {f"cells/{name}": nodal[name][nodes] for name in _OF_CELLS}
+
+
+def put(problem: QuasiStaticFEM, rows: dict[str, np.ndarray], path: Any) -> None:
+    """Put a state, of which each rank has some rows, into the elements. Collective.
+
+    Raises:
+        InputError: the rows belong to another mesh, or to other regions; the state stays as it was.
+    """
+    e, p = problem.elements, problem.points
+    of_points, has_points = _find(problem, rows, "points", _OF_POINTS, p.id)
+    numbers = np.asarray(e.mesh.topology.original_cell_index, dtype=np.int64)  # ghosts too
+    of_cells, has_cells = _find(problem, rows, "cells", _OF_CELLS, numbers)
+    near, error = _NEAR * e.cell_size, None
+    if not (
+        has_points
+        and has_cells
+        and np.all(np.abs(of_points["X"] - p.X) <= near)
+        and np.all(np.abs(of_cells["X"] - e.nodes.position[e.cell_nodes]) <= near)
+    ):
+        error = InputError(f"restart file {path}: another mesh; its cells aren't where they were")
+    elif np.any(of_points["material"] != p.material):
+        error = InputError(f"restart file {path}: other regions; its cells have other materials")
+    collectively(problem.comm, error)
+    for name in ("x", "F", "q", "wryness"):
+        setattr(p, name, of_points[name])
+    e.displacement, e.q = np.zeros_like(e.displacement), np.zeros_like(e.q)
+    # backwards, so that a node gets what this rank's own cells say, which come first
+    back = e.cell_nodes[::-1]
+    e.displacement[back], e.q[back] = of_cells["displacement"][::-1], of_cells["q"][::-1]
+
+
+def _find(
+    problem: QuasiStaticFEM,
+    rows: dict[str, np.ndarray],
+    group: str,
+    names: tuple[str, ...],
+    wanted: np.ndarray,
+) -> tuple[dict[str, np.ndarray], bool]:
+    """Rows of the wanted numbers by name, and whether there are all of them. Collective."""
+    saved = [rows[f"{group}/{name}"] for name in names]
+    number = rows[f"{group}/id"]
+    flat = [a.reshape(len(number), int(np.prod(a.shape[1:], dtype=int))) for a in saved]
+    table = np.concatenate([np.ones((len(number), 1)), *flat], axis=1)
+    found = look_up(problem.comm, number, table, wanted)
+    ends = np.cumsum([1, *(a.shape[1] for a in flat)])
+    values = [
+        np.ascontiguousarray(found[:, start:end]).reshape(len(wanted), *a.shape[1:])
+        for start, end, a in zip(ends[:-1], ends[1:], saved, strict=True)
+    ]
+    return dict(zip(names, values, strict=True)), bool(np.all(found[:, 0] == 1))
