@@ -40,9 +40,12 @@ class QuasiStatic(Problem):
     Args:
         grid: background grid.
         points: the body.
-        basis: weighting functions, "gimpm" or "mpm" (T 2.3.2).
+        basis: weighting functions, "gimpm" or "mpm" (T 2.3.2), or "bspline" (quadratic).
         reset: when the grid is reset: every n steps (1: the papers' method), a policy such as
             `WhenDistorted(0.2)`, or None for never.
+        balanced_reset: a reset keeps the body in equilibrium. The new basis can't balance the points'
+            stresses to the last; the papers let the rest relax, which softens the body reset by reset. Here
+            it is carried along as forces on the nodes until the next reset (docs/theory.md).
         controls: tolerances of Newton's method.
 
     Raises:
@@ -57,6 +60,7 @@ class QuasiStatic(Problem):
         *,
         basis: str = "gimpm",
         reset: int | ResetPolicy | None = 1,
+        balanced_reset: bool = False,
         controls: Controls | None = None,
     ):
         self.grid = grid
@@ -68,8 +72,12 @@ class QuasiStatic(Problem):
         self.forms = [PointForm(m, grid.dim) for m in points.materials]
         for form in self.forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
+        self.balanced_reset = balanced_reset
         self._compiled = _Compiled()
         self._system: PointSystem | None = None
+        # forces and couples at the points of the last attempt and of the last converged step
+        self._attempted: tuple[np.ndarray, np.ndarray] | None = None
+        self._balanced: tuple[np.ndarray, np.ndarray] | None = None
 
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
@@ -94,9 +102,12 @@ class QuasiStatic(Problem):
         self._add_loads(f"load {len(self.loads) + 1}", selection, force, couple, False, share)
 
     def _set_loads(self, system: PointSystem, factor: float) -> None:
+        self._attempted = self._loads_at(factor)
+        system.set_loads(*self._attempted)
+
+    def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
         with together(self.comm):
-            forces, couples = conditions.point_loads(self.loads, self.points, self.layout, factor)
-        system.set_loads(forces, couples)
+            return conditions.point_loads(self.loads, self.points, self.layout, factor)
 
     # solving --------------------------------------------------------------------------------------
     def _increments(self, system: PointSystem) -> Increments:
@@ -109,6 +120,7 @@ class QuasiStatic(Problem):
 
     def _commit(self, system: PointSystem, increments: Increments, factor: float) -> None:
         system.interpolation.update_points(increments)
+        self._balanced = self._attempted
         p = self.progress
         p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
         p.reset_due = self.policy.due(p.since_reset, increments.gradient, self.comm)
@@ -132,9 +144,13 @@ class QuasiStatic(Problem):
             self._system = self._build(interpolation)
             p.reset_due, p.since_reset = False, 0
             p.reset_factor = p.rotation_factor = p.factor
+            if self.balanced_reset and p.step:
+                # not the loads of now: what was added since the last step is to be felt
+                self._system.set_loads(*(self._balanced or self._loads_at(p.factor)))
+                self._system.carry_imbalance()
         else:
             self._system = self._build(old.interpolation)
-            self._system.x[:] = old.x
+            self._system.x[:], self._system.carried[:] = old.x, old.carried
         if old is not None:
             old.destroy()
         self._stale = False
@@ -155,19 +171,20 @@ class QuasiStatic(Problem):
 
     # restart --------------------------------------------------------------------------------------
     def increments(self) -> tuple[Reference, np.ndarray, np.ndarray] | None:
-        """What a restart needs between two resets: reference state, lattice numbers of the owned nodes and
-        their increments (n, block); None when the grid is to be reset before the next step."""
+        """What a restart needs between two resets: reference state, lattice numbers of the owned nodes, and
+        their increments and carried forces (n, 2 block); None when the grid is to be reset before the next
+        step."""
         s = self._system
         if s is None or self.progress.reset_due:
             return None
         own = s.nodes.owned
-        return s.interpolation.reference, s.nodes.lattice[:own], s.x[:own]
+        return s.interpolation.reference, s.nodes.lattice[:own], np.hstack([s.x[:own], s.carried[:own]])
 
     def restore(
         self, progress: Progress, increments: tuple[Reference, np.ndarray, np.ndarray] | None
     ) -> None:
         """Continue from a state whose points have been put in already; see `io.restart`."""
-        self.progress, self._equilibrium = progress, None
+        self.progress, self._equilibrium, self._balanced = progress, None, None
         if self._system is not None:
             self._system.destroy()
             self._system = None
@@ -178,7 +195,8 @@ class QuasiStatic(Problem):
         reference, lattice, values = increments
         interpolation = Interpolation(self.grid, self.points, self.basis, self.forms, reference)
         self._system, self._stale = self._build(interpolation), False
-        self._system.x[:] = look_up(self.comm, lattice, values, interpolation.nodes.lattice)
+        here = look_up(self.comm, lattice, values, interpolation.nodes.lattice)
+        self._system.x[:], self._system.carried[:] = np.hsplit(here, 2)
 
     @property
     def system(self) -> PointSystem | None:

@@ -37,7 +37,8 @@ class NodalSystem:
     Attributes:
         x: nodal increments since the reset (nodes, block), ghosts included.
         external: forces on the nodes, complete on owned rows.
-        residual: internal minus external forces of the last evaluation; complete on owned rows.
+        residual: internal minus external and carried forces of the last evaluation; complete on owned rows.
+        carried: forces on the nodes that stand for what the basis could not balance at the last reset.
         length: size of a cell (m) in each direction, which tells what a displacement means as a strain.
     """
 
@@ -56,13 +57,14 @@ class NodalSystem:
         self.x, self._last = np.zeros(shape), np.zeros(shape)
         self.residual: np.ndarray = np.zeros(shape)
         self.external: np.ndarray = np.zeros(shape)
+        self.carried: np.ndarray = np.zeros(shape)
         self._lift: np.ndarray = np.zeros(shape)
         self._lift_forces: np.ndarray = np.zeros(shape)
         self._pending, self._rounding = False, 0.0
 
     # what an assembly provides --------------------------------------------------------------------
     def assemble(self, tangent: bool) -> np.ndarray:
-        """Residual (nodes, block), complete on owned rows; with `tangent` also the matrix and, where
+        """Internal minus external forces (nodes, block), complete on owned rows; with `tangent` also the matrix and, where
         prescribed values are pending, their forces `_lift_forces`. Collective."""
         raise NotImplementedError
 
@@ -78,6 +80,11 @@ class NodalSystem:
         """Release PETSc's objects."""
         raise NotImplementedError
 
+    def carry_imbalance(self) -> None:
+        """Take the present state as an equilibrium: carry along what is out of balance in it. Collective."""
+        free = ~self.prescribed.fixed
+        self.carried = np.where(free, self.assemble(False), 0.0)
+
     # newton.System ----------------------------------------------------------------------------------
     def set_prescribed(self, increments: np.ndarray) -> None:
         """Target of the prescribed unknowns, as increments since the reset (nodes, block); begins a step.
@@ -91,7 +98,7 @@ class NodalSystem:
 
     def evaluate(self, tangent: bool) -> None:
         with self.timer("assembly"):
-            self.residual = self.assemble(tangent)
+            self.residual = self.assemble(tangent) - self.carried
             if tangent and self._rounding == 0.0:  # at the start: iterates that run away must not set it
                 self._rounding = self._rounding_level()
 

@@ -27,7 +27,7 @@ from ..points import FIELDS
 from ..problem import Problem, Progress
 from . import meshstate
 
-_FORMAT = 1
+_FORMAT = 2
 
 
 def save(problem: Problem, path: str | os.PathLike[str]) -> None:
