@@ -55,7 +55,7 @@ def test_the_answer_depends_little_on_the_number_of_resets(basis):
     for balanced in (True, False):
         few, many = (run(cantilever(balanced=balanced, basis=basis), steps) for steps in (4, 16))
         change[balanced] = np.linalg.norm(many - few) / np.linalg.norm(never)
-    assert change[True] < 0.2 * change[False]
+    assert change[True] < 0.3 * change[False]
 
 
 def test_unloading_leads_back_to_the_start():

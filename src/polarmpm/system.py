@@ -64,8 +64,8 @@ class NodalSystem:
 
     # what an assembly provides --------------------------------------------------------------------
     def assemble(self, tangent: bool) -> np.ndarray:
-        """Internal minus external forces (nodes, block), complete on owned rows; with `tangent` also the matrix and, where
-        prescribed values are pending, their forces `_lift_forces`. Collective."""
+        """Internal minus external forces (nodes, block), complete on owned rows; with `tangent` also the
+        matrix and, where prescribed values are pending, their forces `_lift_forces`. Collective."""
         raise NotImplementedError
 
     def diagonal(self) -> np.ndarray:
