@@ -40,11 +40,8 @@ test-image: ## build the image without a Docker engine (as root) and run the fas
 	scripts/build-image-without-engine.sh build
 	scripts/build-image-without-engine.sh test
 
-study: ## compare material points with finite elements: error against time
-	@[ -f benchmarks/mpm_versus_fem.py ] \
-	  || { echo "study: benchmarks/mpm_versus_fem.py isn't there yet" >&2; exit 1; }
-	@scripts/setup.sh
-	$(RUN) python benchmarks/mpm_versus_fem.py
+study: setup ## compare material points with finite elements: error against time; writes results/mpm_versus_fem
+	$(RUN) python benchmarks/mpm_versus_fem.py --output results/mpm_versus_fem
 
 clean: ## remove what was built, installed and cached here (results stay)
 	rm -rf .venv .venv-lint build .pytest_cache .mypy_cache .ruff_cache src/*.egg-info src/polarmpm/*.so

@@ -46,9 +46,9 @@ def problem_of(demo, basis, box=((0, -40, -8), (80, 40, 64))):
     return problem, time.perf_counter() - begin
 
 
-def kernel_seconds(problem, repeat):
+def kernel_seconds(problem, repeat, tangent=True):
     """The compiled kernel alone, eight points a call, over all points."""
-    kernel = problem._compiled.kernels[0][1]
+    kernel = problem._compiled.kernels[0][tangent]
     rows = (kernel.inputs + kernel.outputs + 1) * 8
     lanes = np.zeros(rows + 8)
     start = (-lanes.ctypes.data // 8) % 8

@@ -24,18 +24,29 @@ def field(X):
     return ufl.as_vector((wave, wave, wave))
 
 
-def solve(cells, args):
-    """One grid: the problem after its load steps, and its errors T (3.187)-(3.188)."""
+def build(cells, args):
+    """The problem of one grid, and the exact solution."""
     grid = pm.Grid.box((0, 0, 0), (1, 1, 1), 1 / cells)
     points = pm.seed(grid, material=MATERIAL, points_per_cell=args.points_per_cell, layout="gauss")
-    exact = manufactured.Solution(MATERIAL, field, field, grid.comm)
     problem = pm.QuasiStatic(grid, points, basis=args.basis)
+    return problem, impose(problem)
+
+
+def impose(problem):
+    """Hold all walls, put the body force and couple on; returns the exact solution."""
+    exact = manufactured.Solution(MATERIAL, field, field, problem.comm)
     for axis in "xyz":
         for wall in (0.0, 1.0):
             problem.fix(pm.plane(**{axis: wall}), u=0, theta=0)
     problem.body_load(
         force=lambda t, X: t * exact.sources(X)[:, :3], couple=lambda t, X: t * exact.sources(X)[:, 3:]
     )
+    return exact
+
+
+def solve(cells, args):
+    """One grid: the problem after its load steps, and its errors T (3.187)-(3.188)."""
+    problem, exact = build(cells, args)
     for _ in problem.march(args.steps):
         pass
     return problem, exact.errors(problem)

@@ -51,16 +51,20 @@ def errors(
     every = methods([*rows, *published])
     for method in every:
         k = every.index(method)
-        style = {"color": _COLOURS[k % len(_COLOURS)], "marker": _MARKERS[k % len(_MARKERS)], "markersize": 5}
+        # marks get smaller, so that those of a line that is covered by a later one can still be seen
+        style: dict[str, Any] = {"color": _COLOURS[k % len(_COLOURS)], "marker": _MARKERS[k % len(_MARKERS)]}
+        style["markersize"] = max(4.0, 8.0 - k)
         line = _line(rows, method, name, over)
         if len(line):
             ax.loglog(*line.T, "-", lw=1.5, label=method, **style)
         line = _line(published, method, name, over)
         if len(line):
             open_ = {"markerfacecolor": "none", "markeredgewidth": 1.3, "ls": ":", "lw": 0.8}
-            ax.loglog(*line.T, **(style | open_ | {"markersize": 7}), label=f"{method}, published")
+            ax.loglog(*line.T, **(style | open_), label=f"{method}, published")
     if slopes:
         _draw_slopes(ax, rows, name, slopes)
+    _label_ticks(ax.xaxis, ax.get_xlim())
+    _label_ticks(ax.yaxis, ax.get_ylim())
     ax.set_xlabel(_AXES[over])
     ax.set_ylabel(f"error, {name}" + (f" ({unit})" if unit else ""))
     ax.grid(True, which="major", color="0.88", linewidth=0.8)
@@ -70,6 +74,16 @@ def errors(
     if legend:
         ax.legend(frameon=False, fontsize=8)
     return ax
+
+
+def _label_ticks(axis: Any, limits: tuple[float, float]) -> None:
+    """Plain numbers at the decades; on short axes also between them."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    decades = np.log10(limits[1] / limits[0])
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2.5 else (1.0,), numticks=30))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _line(rows: Sequence[Row], method: str, name: str, over: str) -> np.ndarray:
@@ -124,7 +138,7 @@ def phases(rows: Sequence[Row], ax: Any = None) -> Any:
         if phase == "assembly" and any(r.kernel_s for r in rows):
             kernel = 100 * np.array([r.kernel_s or 0.0 for r in rows]) / total
             ax.barh(at, kernel, color="none", edgecolor="white", hatch="////", lw=0, height=0.8)
-            ax.barh(0, 0, color=colour, edgecolor="white", hatch="////", label="of it the kernel")
+            ax.barh(0, 0, color=colour, edgecolor="white", hatch="////", label="kernel, part of it")
         left += share
     ax.set_yticks(at, [f"{r.method}, {r.label}   {digits(r.cpu_s, 3)} s" for r in rows], fontsize=8)
     ax.set_ylim(len(rows) - 0.5, -0.5)
