@@ -1,6 +1,6 @@
-"""Figures of material points and of load-displacement curves, on matplotlib.
+"""Figures of material points, meshes and load-displacement curves, on matplotlib.
 
-Points are gathered on rank 0, where the axes are returned; other ranks get None. No display is needed.
+Bodies are gathered on rank 0, where the axes are returned; other ranks get None. No display is needed.
 matplotlib takes a second to start and is imported with the first figure.
 """
 
@@ -14,17 +14,15 @@ from mpi4py import MPI
 
 import numpy as np
 
+from . import drawing
+from .elements import Elements
 from .errors import InputError
 from .io.files import check_output
 from .io.paraview import box_corners
+from .meshfaces import Faces, gather_faces
 from .parallel import collectively
 from .points import Points
 
-_GREY = "#9a9a9a"
-_PALE = "#ececec"
-_PLAIN = "#4c78a8"
-# of the rendering in three dimensions
-_LIGHT = np.array([0.35, -0.65, 0.68])
 _MOST_FACES = 60_000
 # corners of a box's faces, the first axis running fastest; lower and upper face of each axis
 _FACES = {
@@ -109,17 +107,85 @@ def plot_points(
     if X is None or half is None or corners is None:
         return None
     body = _Body(X, half, corners, colour)
+    mappable = drawing.colours(body.values, cmap, limits)
     if points.dim == 2:
-        ax = ax or _figure(body.span)
-        mappable = _draw_flat(ax, body, undeformed, cmap, limits)
+        ax = ax or drawing.new_axes(body.span)
+        _draw_flat(ax, body, undeformed, mappable)
     else:
-        ax = ax or _figure(body.span, projection="3d")
-        mappable = _draw_solid(ax, body, undeformed, cmap, limits, view)
-        ax.set_zlabel(f"z ({length[1]})", labelpad=6)
-    ax.set_xlabel(f"x ({length[1]})", labelpad=None if points.dim == 2 else 8)
-    ax.set_ylabel(f"y ({length[1]})")
+        ax = ax or drawing.new_axes(body.span, projection="3d")
+        _draw_solid(ax, body, undeformed, mappable, view)
+    drawing.name_axes(ax, points.dim, length[1])
     if mappable is not None:
-        _colour_bar(ax, mappable, label, points.dim)
+        drawing.colour_bar(ax, mappable, label, points.dim)
+    return ax
+
+
+def plot_mesh(
+    elements: Elements,
+    values: np.ndarray | None = None,
+    ax: Any = None,
+    *,
+    at: str = "nodes",
+    label: str = "",
+    limits: tuple[float, float] | None = None,
+    cmap: str = "viridis",
+    undeformed: bool = True,
+    edges: bool = True,
+    length: tuple[float, str] = (1.0, "m"),
+    view: tuple[float, float] = (22.0, -60.0),
+) -> Any:
+    """Draw the deformed mesh coloured by a value, over the undeformed body in grey. Collective.
+
+    Nodal values are interpolated in the plane; in three dimensions each outer face shows their mean. Edges
+    of degree 2 are drawn through their nodes.
+
+    Args:
+        values: numbers (n,); None colours all alike.
+        at: where the values are: at the local "nodes", on this rank's own "cells", or at its quadrature
+            "points", of which each cell shows the mean.
+        edges: draw the elements' edges.
+
+    The other arguments are those of `plot_points`.
+
+    Returns:
+        The matplotlib axes on rank 0 (`ax.figure` is the figure), None elsewhere.
+
+    Raises:
+        InputError: not one value for each local node, cell or point; on every rank alike.
+    """
+    counts = {
+        "nodes": len(elements.nodes),
+        "cells": len(elements.body.owned_cells),
+        "points": len(elements.points),
+    }
+    if at not in counts:
+        raise InputError(f"at = {at!r}: allowed are {', '.join(counts)}")
+    colour = None if values is None else np.asarray(values, float)
+    error = None
+    if colour is not None and colour.shape != (counts[at],):
+        error = InputError(f"values: have the shape {colour.shape}, {counts[at]} numbers are needed at {at}")
+    collectively(elements.comm, error)
+    if colour is not None and at == "points":
+        colour = elements.cell_mean(colour)
+    faces = gather_faces(elements, colour, at == "nodes")
+    if faces is None:
+        return None
+    faces.scale(length[0])
+    mappable = drawing.colours(faces.values if faces.of_nodes is None else faces.of_nodes, cmap, limits)
+    if elements.dim == 2:
+        ax = ax or drawing.new_axes(faces.span)
+        _draw_flat_mesh(ax, faces, undeformed, edges, mappable)
+    else:
+        ax = ax or drawing.new_axes(faces.span, projection="3d")
+        if undeformed:
+            drawing.solid_ghost(ax, faces.before, faces.outward, view)
+        fill = drawing.rgba(mappable, faces.values, len(faces.now))
+        drawing.solid_faces(ax, faces.now, fill, edges)
+        drawn = [faces.now, faces.before] if undeformed else [faces.now]
+        drawing.finish_solid(ax, [a.reshape(-1, 3) for a in drawn], view)
+    drawing.name_axes(ax, elements.dim, length[1])
+    if mappable is not None:
+        drawing.colour_bar(ax, mappable, label, elements.dim)
     return ax
 
 
@@ -145,7 +211,7 @@ def load_displacement(
     """
     if comm.rank:
         return None
-    ax = ax or _figure(None)
+    ax = ax or drawing.new_axes(None)
     marks = "osD^v<>"
     for k, (name, (x, y)) in enumerate(curves.items()):
         ax.plot(x, y, "-", marker=marks[k % len(marks)], markersize=4, linewidth=1.5, label=name)
@@ -225,146 +291,50 @@ class _Body:
 
 
 # drawing ------------------------------------------------------------------------------------------
-def _figure(span: np.ndarray | None, **options: Any) -> Any:
-    """Axes of a new figure, whose size suits the body's."""
-    from matplotlib.figure import Figure
-
-    size = (6.0, 4.2)
-    if span is not None and len(span) == 3:
-        size = (7.2, 6.0)
-    elif span is not None:
-        size = (7.2, float(np.clip(6.0 * span[1] / span[0] + 1.4, 2.4, 8.0)))
-    return Figure(size, constrained_layout=True).add_subplot(**options)
-
-
-def _colours(body: _Body, cmap: str, limits: tuple[float, float] | None) -> Any:
-    """Values to colours; None without values."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    if body.values is None:
-        return None
-    finite = body.values[np.isfinite(body.values)]
-    low, high = limits or ((finite.min(), finite.max()) if len(finite) else (0.0, 1.0))
-    if low == high:  # the colour bar needs a range
-        low, high = low - 0.5 * (abs(low) or 1.0), high + 0.5 * (abs(high) or 1.0)
-    out = ScalarMappable(Normalize(low, high), cmap)
-    out.set_array(body.values)
-    return out
-
-
-def _draw_flat(ax: Any, body: _Body, undeformed: bool, cmap: str, limits: Any) -> Any:
-    from matplotlib.collections import PolyCollection
-
+def _draw_flat(ax: Any, body: _Body, undeformed: bool, mappable: Any) -> None:
     ring = [0, 1, 3, 2]
     if undeformed:
-        # thick edges below, the filling above: only the outline of all boxes together shows
-        boxes = body.initial[:, ring]
-        ax.add_collection(PolyCollection(boxes, facecolor=_GREY, edgecolor=_GREY, linewidth=2.4, zorder=1))
-        ax.add_collection(PolyCollection(boxes, facecolor=_PALE, edgecolor=_PALE, linewidth=0.8, zorder=1.1))
-    mappable = _colours(body, cmap, limits)
-    fill = _PLAIN if mappable is None else mappable.to_rgba(body.values)
-    # edges of the fill's colour close the hairlines between neighbours
-    patches = PolyCollection(body.corners[:, ring], facecolor=fill, edgecolor="face", linewidth=0.3, zorder=2)
-    ax.add_collection(patches)
-    ax.autoscale_view()
-    ax.set_aspect("equal", adjustable="datalim" if _shared(ax) else "box")
-    ax.margins(0.04)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
-    return mappable
+        drawing.flat_ghost(ax, body.initial[:, ring])
+    fill = drawing.PLAIN if mappable is None else mappable.to_rgba(body.values)
+    drawing.flat_patches(ax, body.corners[:, ring], fill)
+    drawing.finish_flat(ax)
 
 
-def _shared(ax: Any) -> bool:
-    """Whether other axes share this one's limits; the box can't follow them all then."""
-    return len(ax.get_shared_x_axes().get_siblings(ax)) > 1
+def _draw_flat_mesh(ax: Any, faces: Faces, undeformed: bool, edges: bool, mappable: Any) -> None:
+    if undeformed:
+        drawing.flat_ghost(ax, faces.before)
+    if faces.of_nodes is not None and faces.middle is not None:
+        # triangles around the middle of each cell
+        n, k = faces.now.shape[:2]
+        first, corner = (k + 1) * np.arange(n)[:, None], np.arange(k)
+        table = np.stack(np.broadcast_arrays(first + corner, first + np.roll(corner, -1), first + k), axis=2)
+        x = np.concatenate([faces.now, faces.middle[:, None]], axis=1).reshape(-1, 2)
+        options = {"cmap": mappable.cmap, "norm": mappable.norm, "zorder": 2}
+        ax.tripcolor(*x.T, table.reshape(-1, 3), faces.of_nodes.ravel(), shading="gouraud", **options)
+    else:
+        fill = drawing.PLAIN if mappable is None else mappable.to_rgba(faces.values)
+        drawing.flat_patches(ax, faces.now, fill)
+    if edges:
+        drawing.flat_edges(ax, faces.now)
+    drawing.finish_flat(ax)
 
 
-def _draw_solid(
-    ax: Any, body: _Body, undeformed: bool, cmap: str, limits: Any, view: tuple[float, float]
-) -> Any:
-    from matplotlib.colors import to_rgba
-    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-
-    mappable = _colours(body, cmap, limits)
+def _draw_solid(ax: Any, body: _Body, undeformed: bool, mappable: Any, view: tuple[float, float]) -> None:
     point, face = body.outer_faces()
     if len(point) > _MOST_FACES:
         if undeformed:
-            ax.scatter(*body.X.T, s=0.5, color=_GREY, alpha=0.1, linewidth=0)
-        colour = _PLAIN if mappable is None else mappable.to_rgba(body.values)
+            ax.scatter(*body.X.T, s=0.5, color=drawing.GREY, alpha=0.1, linewidth=0)
+        colour = drawing.PLAIN if mappable is None else mappable.to_rgba(body.values)
         ax.scatter(*body.corners.mean(axis=1).T, s=1.0, c=colour, linewidth=0)
     else:
         corner = np.array(_FACES[3])[face]
         if undeformed:
-            # only what faces the camera: two layers of a translucent grey would show as stripes
-            seen = _camera(view)[face // 2] * (2 * (face % 2) - 1) > 0
-            ghost = Poly3DCollection(
-                body.initial[point[seen, None], corner[seen]],
-                facecolor=to_rgba(_GREY, 0.25),
-                edgecolor="none",
-            )
-            ghost.set_antialiased(False)  # no hairlines between neighbours
-            ax.add_collection3d(ghost)
-        polygons = body.corners[point[:, None], corner]
-        plain = np.tile(to_rgba(_PLAIN), (len(body.X), 1))
-        base = (plain if mappable is None else mappable.to_rgba(body.values))[point]
-        base[:, :3] *= _brightness(polygons)[:, None]
-        ax.add_collection3d(Poly3DCollection(polygons, facecolor=base, edgecolor=base, linewidth=0.2))
-    _equal_box(ax, body, undeformed)
-    ax.view_init(*view)
-    return mappable
+            outward = np.eye(3)[face // 2] * (2.0 * (face % 2) - 1.0)[:, None]
+            drawing.solid_ghost(ax, body.initial[point[:, None], corner], outward, view)
+        fill = drawing.rgba(mappable, body.values, len(body.X))[point]
+        drawing.solid_faces(ax, body.corners[point[:, None], corner], fill)
+    drawn = [body.corners, body.initial] if undeformed else [body.corners]
+    drawing.finish_solid(ax, [a.reshape(-1, 3) for a in drawn], view)
 
 
-def _camera(view: tuple[float, float]) -> np.ndarray:
-    elevation, azimuth = np.radians(view)
-    level = np.cos(elevation)
-    return np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
-
-
-def _brightness(polygons: np.ndarray) -> np.ndarray:
-    """Matt shading (0.65 to 1) of quadrilaterals (n, 4, 3), alike from both sides."""
-    normal = np.cross(polygons[:, 2] - polygons[:, 0], polygons[:, 3] - polygons[:, 1])
-    size = np.linalg.norm(normal, axis=1)
-    cosine = np.abs(normal @ _LIGHT) / np.where(size > 0, size, 1.0)
-    return 0.65 + 0.35 * np.minimum(cosine / np.linalg.norm(_LIGHT), 1.0)
-
-
-def _equal_box(ax: Any, body: _Body, undeformed: bool) -> None:
-    """One scale on all three axes, around everything drawn so far."""
-    from matplotlib.ticker import MaxNLocator
-
-    seen: list[np.ndarray] = [body.corners.reshape(-1, 3)] + (
-        [body.initial.reshape(-1, 3)] if undeformed else []
-    )
-    if getattr(ax, "_polarmpm_drawn", False):
-        seen.append(np.array([ax.get_xlim(), ax.get_ylim(), ax.get_zlim()]).T)
-    ax._polarmpm_drawn = True
-    low, high = (f(np.concatenate(seen), axis=0) for f in (np.min, np.max))
-    span = np.maximum(high - low, 0.15 * np.max(high - low))  # a thin body still gets room for its ticks
-    middle = 0.5 * (low + high)
-    for axis, name in enumerate("xyz"):
-        ends = middle[axis] - 0.52 * span[axis], middle[axis] + 0.52 * span[axis]
-        getattr(ax, f"set_{name}lim")(*ends)
-        ticks = max(1, round(6 * span[axis] / span.max()))
-        getattr(ax, f"{name}axis").set_major_locator(MaxNLocator(ticks))
-        pane = getattr(ax, f"{name}axis").pane
-        pane.set_facecolor("white")
-        pane.set_edgecolor("0.85")
-    ax.set_box_aspect(span)
-    ax.grid(False)
-
-
-def _colour_bar(ax: Any, mappable: Any, label: str, dim: int) -> None:
-    below = {"ax": ax, "label": label, "location": "bottom", "pad": 0.02}
-    if dim == 3:
-        bar = ax.figure.colorbar(mappable, shrink=0.6, aspect=35, **below)
-    elif np.ptp(ax.get_xlim()) > 2.5 * np.ptp(ax.get_ylim()):
-        bar = ax.figure.colorbar(mappable, aspect=45, **below)
-    else:
-        # inside of the axes' own frame, so that it is as high as they become with equal scales
-        place = ax.inset_axes([1.03, 0.0, 0.03, 1.0])
-        bar = ax.figure.colorbar(mappable, cax=place, label=label)
-    bar.outline.set_visible(False)
-
-
-__all__ = ["gather", "load_displacement", "plot_points", "save", "subplots"]
+__all__ = ["gather", "load_displacement", "plot_mesh", "plot_points", "save", "subplots"]

@@ -1,0 +1,171 @@
+"""Polygons, colours and axes of figures; what is drawn is up to `plot`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+GREY = "#9a9a9a"
+PALE = "#ececec"
+PLAIN = "#4c78a8"
+# of the rendering in three dimensions
+_LIGHT = np.array([0.35, -0.65, 0.68])
+
+
+def new_axes(span: np.ndarray | None, **options: Any) -> Any:
+    """Axes of a new figure, whose size suits the body's."""
+    from matplotlib.figure import Figure
+
+    size = (6.0, 4.2)
+    if span is not None and len(span) == 3:
+        size = (7.2, 6.0)
+    elif span is not None:
+        size = (7.2, float(np.clip(6.0 * span[1] / span[0] + 1.4, 2.4, 8.0)))
+    return Figure(size, constrained_layout=True).add_subplot(**options)
+
+
+def name_axes(ax: Any, dim: int, unit: str) -> None:
+    if dim == 3:
+        ax.set_zlabel(f"z ({unit})", labelpad=6)
+    ax.set_xlabel(f"x ({unit})", labelpad=None if dim == 2 else 8)
+    ax.set_ylabel(f"y ({unit})")
+
+
+# colours ------------------------------------------------------------------------------------------
+def colours(values: np.ndarray | None, cmap: str, limits: tuple[float, float] | None) -> Any:
+    """Values to colours; None without values."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    if values is None:
+        return None
+    finite = values[np.isfinite(values)]
+    low, high = limits or ((finite.min(), finite.max()) if len(finite) else (0.0, 1.0))
+    if low == high:  # the colour bar needs a range
+        low, high = low - 0.5 * (abs(low) or 1.0), high + 0.5 * (abs(high) or 1.0)
+    out = ScalarMappable(Normalize(low, high), cmap)
+    out.set_array(values)
+    return out
+
+
+def rgba(mappable: Any, values: np.ndarray | None, count: int) -> np.ndarray:
+    """Colours (count, 4) of values, or all alike."""
+    from matplotlib.colors import to_rgba
+
+    return np.tile(to_rgba(PLAIN), (count, 1)) if mappable is None else mappable.to_rgba(values)
+
+
+def colour_bar(ax: Any, mappable: Any, label: str, dim: int) -> None:
+    below = {"ax": ax, "label": label, "location": "bottom", "pad": 0.02}
+    if dim == 3:
+        bar = ax.figure.colorbar(mappable, shrink=0.6, aspect=35, **below)
+    elif np.ptp(ax.get_xlim()) > 2.5 * np.ptp(ax.get_ylim()):
+        bar = ax.figure.colorbar(mappable, aspect=45, **below)
+    else:
+        # inside of the axes' own frame, so that it is as high as they become with equal scales
+        place = ax.inset_axes([1.03, 0.0, 0.03, 1.0])
+        bar = ax.figure.colorbar(mappable, cax=place, label=label)
+    bar.outline.set_visible(False)
+
+
+# in the plane -------------------------------------------------------------------------------------
+def flat_ghost(ax: Any, polygons: np.ndarray) -> None:
+    """The undeformed body in grey, of polygons (n, k, 2) that go round."""
+    from matplotlib.collections import PolyCollection
+
+    # thick edges below, the filling above: only the outline of all polygons together shows
+    ax.add_collection(PolyCollection(polygons, facecolor=GREY, edgecolor=GREY, linewidth=2.4, zorder=1))
+    ax.add_collection(PolyCollection(polygons, facecolor=PALE, edgecolor=PALE, linewidth=0.8, zorder=1.1))
+
+
+def flat_patches(ax: Any, polygons: np.ndarray, colour: Any) -> None:
+    from matplotlib.collections import PolyCollection
+
+    # edges of the fill's colour close the hairlines between neighbours
+    patches = PolyCollection(polygons, facecolor=colour, edgecolor="face", linewidth=0.3, zorder=2)
+    ax.add_collection(patches)
+
+
+def flat_edges(ax: Any, polygons: np.ndarray) -> None:
+    from matplotlib.collections import PolyCollection
+
+    lines = PolyCollection(polygons, facecolor="none", edgecolor="black", linewidth=0.3, alpha=0.6, zorder=3)
+    ax.add_collection(lines)
+
+
+def finish_flat(ax: Any) -> None:
+    """One scale on both axes."""
+    ax.autoscale_view()
+    ax.set_aspect("equal", adjustable="datalim" if _shared(ax) else "box")
+    ax.margins(0.04)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+
+
+def _shared(ax: Any) -> bool:
+    """Whether other axes share this one's limits; the box can't follow them all then."""
+    return len(ax.get_shared_x_axes().get_siblings(ax)) > 1
+
+
+# in space -----------------------------------------------------------------------------------------
+def solid_ghost(ax: Any, polygons: np.ndarray, outward: np.ndarray, view: tuple[float, float]) -> None:
+    """The undeformed body in grey, of faces (n, k, 3) with outward normals (n, 3)."""
+    from matplotlib.colors import to_rgba
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    # only what faces the camera: two layers of a translucent grey would show as stripes
+    seen = outward @ _camera(view) > 0
+    ghost = Poly3DCollection(polygons[seen], facecolor=to_rgba(GREY, 0.25), edgecolor="none")
+    ghost.set_antialiased(False)  # no hairlines between neighbours
+    ax.add_collection3d(ghost)
+
+
+def solid_faces(ax: Any, polygons: np.ndarray, colour: np.ndarray, edges: bool = False) -> None:
+    """Faces (n, k, 3) with colours (n, 4), shaded."""
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    colour = colour.copy()
+    colour[:, :3] *= _brightness(polygons)[:, None]
+    line = colour * [0.5, 0.5, 0.5, 1.0] if edges else colour
+    ax.add_collection3d(Poly3DCollection(polygons, facecolor=colour, edgecolor=line, linewidth=0.2))
+
+
+def _camera(view: tuple[float, float]) -> np.ndarray:
+    elevation, azimuth = np.radians(view)
+    level = np.cos(elevation)
+    return np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+
+
+def _brightness(polygons: np.ndarray) -> np.ndarray:
+    """Matt shading (0.65 to 1) of polygons (n, k, 3), alike from both sides."""
+    # twice the area vector, of warped polygons too
+    normal = np.cross(polygons, np.roll(polygons, -1, axis=1)).sum(axis=1)
+    size = np.linalg.norm(normal, axis=1)
+    cosine = np.abs(normal @ _LIGHT) / np.where(size > 0, size, 1.0)
+    return 0.65 + 0.35 * np.minimum(cosine / np.linalg.norm(_LIGHT), 1.0)
+
+
+def finish_solid(ax: Any, drawn: Sequence[np.ndarray], view: tuple[float, float]) -> None:
+    """One scale on all three axes, around positions (n, 3) and everything drawn so far."""
+    from matplotlib.ticker import MaxNLocator
+
+    seen = list(drawn)
+    if getattr(ax, "_polarmpm_drawn", False):
+        seen.append(np.array([ax.get_xlim(), ax.get_ylim(), ax.get_zlim()]).T)
+    ax._polarmpm_drawn = True
+    low, high = (f(np.concatenate(seen), axis=0) for f in (np.min, np.max))
+    span = np.maximum(high - low, 0.15 * np.max(high - low))  # a thin body still gets room for its ticks
+    middle = 0.5 * (low + high)
+    for axis, name in enumerate("xyz"):
+        ends = middle[axis] - 0.52 * span[axis], middle[axis] + 0.52 * span[axis]
+        getattr(ax, f"set_{name}lim")(*ends)
+        ticks = max(1, round(6 * span[axis] / span.max()))
+        getattr(ax, f"{name}axis").set_major_locator(MaxNLocator(ticks))
+        pane = getattr(ax, f"{name}axis").pane
+        pane.set_facecolor("white")
+        pane.set_edgecolor("0.85")
+    ax.set_box_aspect(span)
+    ax.grid(False)
+    ax.view_init(*view)
