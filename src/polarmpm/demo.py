@@ -16,6 +16,7 @@ from mpi4py import MPI
 import numpy as np
 
 from . import __version__
+from .elementproblem import QuasiStaticFEM
 from .io.files import check_output
 from .problem import Problem
 
@@ -34,13 +35,44 @@ def arguments(
     """Command line of a demo with its defaults; `more` adds options of its own (flag -> argparse
     keywords).
     """
-    parser = argparse.ArgumentParser(
-        description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
+    parser = _parser(description)
     parser.add_argument("--cell", type=float, default=cell, help="cell size (unit of the scene)")
     parser.add_argument("--points-per-cell", type=int, default=points_per_cell, help="in each direction")
     parser.add_argument("--steps", type=int, default=steps, help="number of load steps")
     parser.add_argument("--basis", choices=("gimpm", "mpm"), default=basis, help="weighting functions")
+    return _parse(parser, output, more, argv)
+
+
+def element_arguments(
+    description: str,
+    *,
+    output: str,
+    elements: int,
+    degree: int,
+    steps: int,
+    argv: Sequence[str] | None = None,
+    more: Mapping[str, Mapping[str, Any]] | None = None,
+) -> argparse.Namespace:
+    """As `arguments`, of a demo with finite elements."""
+    parser = _parser(description)
+    parser.add_argument("--elements", type=int, default=elements, help="number along the body")
+    parser.add_argument("--degree", type=int, choices=(1, 2), default=degree, help="of the elements")
+    parser.add_argument("--steps", type=int, default=steps, help="number of load steps")
+    return _parse(parser, output, more, argv)
+
+
+def _parser(description: str) -> argparse.ArgumentParser:
+    return argparse.ArgumentParser(
+        description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+
+
+def _parse(
+    parser: argparse.ArgumentParser,
+    output: str,
+    more: Mapping[str, Mapping[str, Any]] | None,
+    argv: Sequence[str] | None,
+) -> argparse.Namespace:
     parser.add_argument("--output", type=Path, default=Path("results") / output, metavar="DIR", help="folder")
     parser.add_argument("--json", action="store_true", help="last line of output is one JSON object")
     for flag, keywords in (more or {}).items():
@@ -54,16 +86,22 @@ def report(
     """Print what a demo has found, as text or JSON, on one rank. Collective.
 
     Returns the object with the keys case, parameters, result, iterations (per step), points, unknowns,
-    cpu_s (by phase, summed over ranks, with total), peak_memory_mb (likewise) and version.
+    cpu_s (by phase, summed over ranks, with total), peak_memory_mb (likewise) and version; with finite
+    elements also elements, and points are the quadrature points.
     """
     comm = problem.comm
     seconds = {**problem.timer.seconds, "total": time.process_time()}
-    known = ("cell", "points_per_cell", "steps", "basis")
+    known: tuple[str, ...] = ("cell", "points_per_cell", "steps", "basis")
+    elements = {}
+    if isinstance(problem, QuasiStaticFEM):
+        known = ("elements", "degree", "steps")
+        elements = {"elements": comm.allreduce(len(problem.elements.body.owned_cells))}
     summary = {
         "case": case,
         "parameters": {**{k: getattr(args, k) for k in known}, "ranks": comm.size, **parameters},
         "result": {name: _plain(value) for name, value in result.items()},
         "iterations": [step.iterations for step in problem.steps],
+        **elements,
         "points": problem.points.total,
         "unknowns": problem.unknowns,
         "cpu_s": {name: round(comm.allreduce(seconds[name]), 3) for name in sorted(seconds)},
@@ -86,7 +124,8 @@ def _plain(value: Any) -> Any:
 
 
 def _print_text(summary: Mapping[str, Any], output: Path) -> None:
-    print(f"{summary['case']}: {summary['points']} points, {summary['unknowns']} unknowns")
+    counts = (f"{summary[name]} {name}" for name in ("elements", "points", "unknowns") if name in summary)
+    print(f"{summary['case']}: {', '.join(counts)}")
     for name, value in summary["result"].items():
         if isinstance(value, float):
             print(f"  {name}: {value:.6g}")
