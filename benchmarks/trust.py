@@ -98,13 +98,14 @@ def other_rungs(quick):
     """Load steps without resets, cell sizes, points and positions."""
     rungs = []
 
-    def add(method, label, h, build, steps=15, **arguments):
+    def add(method, label, h, build, **arguments):
+        steps = arguments.get("steps", 15)
         rungs.append(study.Rung(method, label, h, build, arguments, steps, adaptive=True))
 
     for basis in ("mpm", "gimpm"):
         name = WEIGHT[basis]
         for steps in (30, 60):
-            add(name, f"15 resets, {steps} steps", 1.0, uniform, steps, basis=basis, steps=steps, resets=15)
+            add(name, f"15 resets, {steps} steps", 1.0, uniform, basis=basis, steps=steps, resets=15)
         for cell in (2.0, 0.5)[: 1 if quick else 2]:
             add(name, f"cells of {cell:g} m", cell, uniform, basis=basis, cell=cell)
         for number in (3, 5, 6):
@@ -128,15 +129,9 @@ def other_rungs(quick):
     add("MPM, carried, fitted points", "15 resets", 1.0, fitted, basis="mpm", balanced=True)
     for degree, along in ((1, 64), (2, 32)):
         for steps in (15, 30, 60):
-            arguments = {"along": along, "across": 1, "degree": degree}
-            add(
-                f"FEM, degree {degree}, {along} x 1 x 1",
-                f"{steps} steps",
-                1.0,
-                finite_elements,
-                steps,
-                **arguments,
-            )
+            method, arguments = f"FEM, degree {degree}", {"along": along, "across": 1, "degree": degree}
+            label = f"{along} x 1 x 1, {steps} steps"
+            rungs.append(study.Rung(method, label, 1.0, finite_elements, arguments, steps, adaptive=True))
     return rungs
 
 
