@@ -184,8 +184,8 @@ def serial(case: str) -> dict:
     return solve(case)
 
 
-def on_ranks(ranks: int, case: str, timeout: float = 120.0) -> list[dict]:
-    """What each rank of a fresh mpirun found."""
+def on_ranks(ranks: int, case: str, timeout: float = 120.0, script: str = __file__) -> list[dict]:
+    """What each rank of a fresh mpirun of a script found."""
     keep = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_", "OMPI_", "PRTE_"))}
     package = str(Path(pm.__file__).parents[1])
     env = {
@@ -198,7 +198,7 @@ def on_ranks(ranks: int, case: str, timeout: float = 120.0) -> list[dict]:
         "PYTHONPATH": os.pathsep.join([package, *filter(None, [os.environ.get("PYTHONPATH")])]),
     }
     with tempfile.TemporaryDirectory() as folder:
-        command = ["mpirun", "-n", str(ranks), sys.executable, __file__, case, folder]
+        command = ["mpirun", "-n", str(ranks), sys.executable, script, case, folder]
         run = subprocess.run(
             command,
             env=env,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import inspect
+import math
 import os
 from collections.abc import Iterator
 from typing import Any
@@ -233,9 +234,8 @@ def _space(mesh: Any, element: Any) -> Any:
 def cell_dofs(space: Any) -> np.ndarray:
     """Blocked degrees of freedom (cells, k) of this rank's cells, ghosts included."""
     listed = space.dofmap.list
-    if hasattr(listed, "array"):
-        return np.asarray(listed.array).reshape(listed.num_nodes, -1)
-    return np.asarray(listed)
+    listed = listed.array if hasattr(listed, "array") else listed
+    return np.asarray(listed).reshape(-1, space.dofmap.dof_layout.num_dofs)
 
 
 def quadrature_positions(cell: str, degree: int) -> np.ndarray:
@@ -278,14 +278,14 @@ class Evaluator:
 
         parameters = inspect.signature(fem.Expression.__init__).parameters
         key = "jit_options" if "jit_options" in parameters else "jit_params"
-        self._mesh, self._points = mesh, len(positions)
+        self._mesh, self._shape = mesh, (len(positions), math.prod(expression.ufl_shape))
         self._expression = fem.Expression(expression, positions, **{key: _JIT})
 
     def __call__(self, cells: np.ndarray) -> np.ndarray:
         """(cells, positions, size)."""
         by_mesh = next(iter(inspect.signature(self._expression.eval).parameters)) == "mesh"
         values = self._expression.eval(*([self._mesh] if by_mesh else []), cells)
-        return np.asarray(values).reshape(len(cells), self._points, -1)
+        return np.asarray(values).reshape(len(cells), *self._shape)
 
 
 def add_reverse(function: Any) -> None:

@@ -60,7 +60,7 @@ class ElementForms:
     def pack(self) -> None:
         """Write the points' current state into the quadrature function."""
         d, r, p = self.layout.dim, self.layout.rotations, self.elements.points
-        parts: list[np.ndarray] = [p.F[:, :d, :d].reshape(len(p), -1)]
+        parts: list[np.ndarray] = [p.F[:, :d, :d].reshape(len(p), d * d)]
         if r:
             parts.append(p.q if d == 3 else p.q[:, [0, 3]])
             parts.append(p.wryness.reshape(len(p), 9) if d == 3 else p.wryness[:, 2, :2])

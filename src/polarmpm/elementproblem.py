@@ -183,7 +183,8 @@ class QuasiStaticFEM(Problem):
     def _increments(self, system: ElementSystem) -> Increments:
         system.forms.x.x.array[:] = system.x.ravel()
         d, block = self.layout.dim, self.layout.block
-        values = self.forms.point_values(self.elements.body.owned_cells).reshape(len(self.points), -1)
+        values = self.forms.point_values(self.elements.body.owned_cells)
+        values = values.reshape(len(self.points), block * (1 + d))
         gradient = values[:, block:].reshape(-1, block, d)
         return Increments(values[:, :block], gradient[:, :d], gradient[:, d:])
 
