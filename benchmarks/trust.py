@@ -208,27 +208,28 @@ def draw(resets, recommended, file):
 
 
 def main():
+    groups = {"resets": reset_rungs, "settings": other_rungs, "recommended": recommended_rungs}
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer settings")
+    parser.add_argument(
+        "--only", choices=groups, help="one part; the figure takes the others from their files"
+    )
     parser.add_argument("--output", type=Path, default=HERE / "results", metavar="DIR")
     args = parser.parse_args()
 
     def show(row):
         print(markdown([row]).splitlines()[-1], flush=True)
 
-    groups = {
-        "resets": reset_rungs(args.quick),
-        "settings": other_rungs(args.quick),
-        "recommended": recommended_rungs(args.quick),
-    }
-    found = {}
-    for name, rungs in groups.items():
-        found[name] = study.run(rungs, {"micropolar": REFERENCE}, record=show)
-        study.write_csv(found[name], args.output / f"trust_{name}.csv")
-        study.write_text(args.output / f"trust_{name}.md", markdown(found[name]))
-    draw(found["resets"], found["recommended"], args.output / "trust.png")
-    worst = np.nanmax([abs(relative(r)) for r in found["recommended"]], axis=0)
-    print(json.dumps({"recommended, largest error of each component (%)": worst.round(3).tolist()}))
+    for name in [args.only] if args.only else groups:
+        rows = study.run(groups[name](args.quick), {"micropolar": REFERENCE}, record=show)
+        study.write_csv(rows, args.output / f"trust_{name}.csv")
+        study.write_text(args.output / f"trust_{name}.md", markdown(rows))
+    files = {name: args.output / f"trust_{name}.csv" for name in ("resets", "recommended")}
+    if all(file.exists() for file in files.values()):
+        resets, recommended = (study.read_csv(file) for file in files.values())
+        draw(resets, recommended, args.output / "trust.png")
+        worst = np.nanmax([abs(relative(r)) for r in recommended], axis=0)
+        print(json.dumps({"recommended, largest error of each component (%)": worst.round(3).tolist()}))
 
 
 if __name__ == "__main__":
