@@ -25,7 +25,9 @@ WEIGHT = {"mpm": "MPM", "gimpm": "GIMPM", "bspline": "B-splines"}
 
 # problems -----------------------------------------------------------------------------------------
 def policy(steps, resets):
-    """Reset policy with so many resets, the first grid included, in so many load steps."""
+    """Reset policy with so many resets, the first grid included, in so many load steps; 0: when distorted."""
+    if resets == 0:
+        return pm.WhenDistorted()
     return None if resets == 1 else steps // resets
 
 
@@ -136,23 +138,20 @@ def other_rungs(quick):
 
 
 def recommended_rungs(quick):
-    """The recommended settings, with a reset after every step (the hard case) and without any."""
+    """The recommended settings, and the same with a reset after every step at the ends of the ranges."""
     rungs = []
-    for resets in ("every step", "none"):
+    for resets, method in ((0, "recommended"), (None, "reset every step")):
         for centre, bottom in POSITIONS:
             for steps in (15, 30, 60):
                 for number in (3, 4, 5, 6):
-                    # without resets only the ends of the ranges: steps and points hardly matter there
-                    if (resets == "none" and (steps == 30 or number in (4, 5))) or (
-                        quick and (steps, number) != (15, 4)
+                    if (quick and (steps, number) != (15, 4)) or (
+                        resets is None and (steps == 30 or number in (4, 5))
                     ):
                         continue
-                    arguments = {
-                        "basis": "bspline", "number": number, "centre": centre, "bottom": bottom,
-                        "steps": steps, "resets": steps if resets == "every step" else 1, "balanced": True,
-                    }  # fmt: skip
+                    arguments = {"number": number, "centre": centre, "bottom": bottom, "steps": steps}
+                    arguments |= {"basis": "bspline", "resets": steps if resets is None else 0}
+                    arguments |= {"balanced": True}
                     label = f"y = {centre:g}, z = {bottom:g} m, {steps} steps, {number}³ points"
-                    method = f"recommended, resets: {resets}"
                     rungs.append(study.Rung(method, label, 1.0, fitted, arguments, steps, adaptive=True))
     return rungs
 
@@ -192,6 +191,7 @@ def draw(resets, recommended, file):
         axes[0].plot(
             [int(r.label.split()[0]) for r in mine], [relative(r)[0] for r in mine], label=method, **style
         )
+    recommended = [r for r in recommended if r.method == "recommended"]
     for k, component in enumerate("xyz"):
         values = [relative(r)[k] for r in recommended]
         axes[1].plot(np.arange(len(values)), values, "o", ms=4, label=f"$u_{component}$")
@@ -228,8 +228,9 @@ def main():
     if all(file.exists() for file in files.values()):
         resets, recommended = (study.read_csv(file) for file in files.values())
         draw(resets, recommended, args.output / "trust.png")
-        worst = np.nanmax([abs(relative(r)) for r in recommended], axis=0)
-        print(json.dumps({"recommended, largest error of each component (%)": worst.round(3).tolist()}))
+        for method in study.methods(recommended):
+            worst = np.nanmax([abs(relative(r)) for r in recommended if r.method == method], axis=0)
+            print(json.dumps({f"{method}, largest error of each component (%)": worst.round(3).tolist()}))
 
 
 if __name__ == "__main__":
