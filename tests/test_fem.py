@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -125,6 +127,22 @@ def test_a_script_changes_its_method_in_two_lines(strict):
     assert two[1] == pytest.approx(one[1], rel=1e-11)
     np.testing.assert_allclose(two[3], one[3], rtol=1e-10)
     assert two[4] == one[4]
+
+
+@pytest.mark.mpi
+def test_points_need_nothing_of_dolfinx():
+    """A run with material points loads neither dolfinx nor its form compiler, which take seconds."""
+    script = (
+        "import sys, polarmpm as pm\n"
+        "grid, rubber = pm.Grid.box((0, 0), (2, 1), 1.0), pm.NeoHookean(lam=3e3, mu=2e3)\n"
+        "points = pm.seed(grid, material=rubber)\n"
+        "problem = pm.QuasiStatic(grid, points, basis='mpm')\n"
+        "problem.fix(pm.plane(x=0.0), u=0)\n"
+        "problem.load(points.farthest((1, 0)), force=1.0)\n"
+        "list(problem.march(1, progress=False))\n"
+        "assert not {'dolfinx', 'ffcx'} & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
 
 
 # patch tests ---------------------------------------------------------------------------------------
