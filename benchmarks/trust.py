@@ -45,12 +45,14 @@ def uniform(basis, cell=1.0, number=4, centre=-100.0, bottom=0.0, steps=15, rese
 
 
 def fitted(basis, cell=1.0, number=4, centre=-100.0, bottom=0.0, steps=15, resets=15, balanced=False):
-    """Points at the Gauss positions, `number` a direction, of a mesh that fits the arch.
+    """Points at the Gauss positions, `number` a direction, of a mesh that fits the arch, with elements as
+    large as the cells or the section.
 
     Load and displacement of the end face are extrapolated from the last two layers of points.
     """
-    arch, along = demo("curved_cantilever"), round(LENGTH)
-    mesh = arch_mesh(along, 1)
+    arch, side = demo("curved_cantilever"), min(cell, 1.0)
+    along = round(LENGTH / side)
+    mesh = arch_mesh(along, round(1 / side))
     mesh.geometry.x[:] += (0.0, centre + 100.0, bottom)
     grid = pm.Grid.box((0, -40, -8), (80, 40, 64), cell)
     points = pm.seed_mesh(grid, mesh, material=arch.MATERIAL, degree=2 * number - 1)
