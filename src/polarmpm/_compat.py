@@ -26,7 +26,9 @@ def coordinate_element(cell: str, gdim: int) -> Any:
     """Linear (multilinear on boxes) Lagrange element of the mesh geometry."""
     if _HAS_BASIX_ELEMENTS:
         return _basix_ufl.element("Lagrange", cell, 1, shape=(gdim,))
-    return ufl.VectorElement("Lagrange", ufl.Cell(cell, geometric_dimension=gdim), 1, dim=gdim)
+    # with the variant that FFCx adds when it compiles a form: later forms keep their names in the cache
+    kind = ufl.Cell(cell, geometric_dimension=gdim)
+    return ufl.VectorElement("Lagrange", kind, 1, dim=gdim, variant="equispaced")
 
 
 def quadrature_element(cell: str, size: int, degree: int = 1) -> Any:
@@ -51,20 +53,38 @@ def expression_signature(expr: Any, terminals: dict[Any, int]) -> str:
         raise KernelError(f"{e.args[0]} is not an input of this kernel") from None
 
 
-def create_mesh(comm: Any, cells: Any, positions: Any, cell: str) -> Any:
-    """A dolfinx mesh of linear cells.
+def create_mesh(comm: Any, cells: Any, positions: Any, cell: str, sharing: np.ndarray) -> Any:
+    """A dolfinx mesh of linear cells, which stay on their ranks. Collective.
 
     Args:
         cells: global node numbers of this rank's cells (m, nodes of a cell).
         positions: coordinates (n, dim) of the nodes that this rank gives, in the order of their numbers.
         cell: "quadrilateral" or "hexahedron".
+        sharing: ranks that have a node of each cell (m, any number); -1 stands for none.
     """
     from dolfinx import mesh
 
     domain = ufl.Mesh(coordinate_element(cell, positions.shape[1]))
-    names = list(inspect.signature(mesh.create_mesh).parameters)
-    order = (positions, domain) if names[2] == "x" else (domain, positions)
-    return mesh.create_mesh(comm, cells, *order)
+    parameters = list(inspect.signature(mesh.create_mesh).parameters)
+    arguments = (positions, domain) if parameters[2] == "x" else (domain, positions)
+    # dolfinx 0.5 finds out by ghost cells which ranks share a vertex, and its own partitions only have those
+    # across facets: cells on two ranks that touch at a corner would be apart. It drops the ghosts later.
+    old = "ghost_mode" in parameters
+    destinations = _destinations(comm.rank, sharing if old else sharing[:, :0])
+    options = {"ghost_mode": mesh.GhostMode.none} if old else {}
+    return mesh.create_mesh(comm, cells, *arguments, **options, partitioner=lambda *_: destinations)
+
+
+def _destinations(rank: int, others: np.ndarray) -> Any:
+    """For each cell its owner, this rank, then the other ranks named in its row (m, any number)."""
+    from dolfinx import graph
+
+    rows = [sorted(set(row) - {rank, -1}) for row in others.tolist()]
+    ends = np.cumsum([0] + [1 + len(row) for row in rows]).astype(np.int32)
+    flat = np.array([r for row in rows for r in (rank, *row)], dtype=np.int32)
+    create = graph.adjacencylist if hasattr(graph, "adjacencylist") else graph.create_adjacencylist
+    made = create(flat, ends)
+    return getattr(made, "_cpp_object", made)
 
 
 def mesh_quadrature(mesh: Any, degree: int) -> tuple[np.ndarray, np.ndarray]:
@@ -262,12 +282,12 @@ def _quadrature(cell: str, degree: int) -> tuple[np.ndarray, np.ndarray]:
 _JIT = {"timeout": 600, "cffi_extra_compile_args": ["-O2"]}
 
 
-def compile_form(form: Any) -> Any:
+def compile_form(form: Any, optimisation: str = "-O2") -> Any:
     """Compile a UFL form. Collective."""
     from dolfinx import fem
 
     key = "jit_options" if "jit_options" in inspect.signature(fem.form).parameters else "jit_params"
-    return fem.form(form, **{key: _JIT})
+    return fem.form(form, **{key: {**_JIT, "cffi_extra_compile_args": [optimisation]}})
 
 
 class Evaluator:

@@ -10,15 +10,16 @@ import numpy as np
 from . import _compat
 from .grid import Grid
 from .nodes import ActiveNodes
-from .parallel import Route
+from .parallel import lowest_ranks, sharing_ranks
 
 
 def occupied_cells(grid: Grid, x: np.ndarray) -> np.ndarray:
-    """Lattice numbers, ascending, of the cells that contain points x (n, d); each on one rank. Collective."""
+    """Lattice numbers, ascending, of the cells that contain points x (n, d). Collective.
+
+    Each is on one rank, the lowest of those that have points in it.
+    """
     mine = np.unique(grid.cell_number(grid.cells_of(x)))
-    if grid.comm.size == 1:
-        return mine
-    return np.unique(Route(grid.comm, mine % grid.comm.size).forward(mine))
+    return mine if grid.comm.size == 1 else mine[lowest_ranks(grid.comm, mine) == grid.comm.rank]
 
 
 def corner_numbers(grid: Grid, cells: np.ndarray) -> np.ndarray:
@@ -41,9 +42,13 @@ class CellMesh:
 
 
 def cell_mesh(grid: Grid, cells: np.ndarray) -> CellMesh:
-    """Mesh of the cells with the given lattice numbers, each given by one rank. Collective."""
+    """Mesh of the cells with the given lattice numbers, each given by one rank, which owns it. Collective."""
     corners = corner_numbers(grid, cells)
     nodes = ActiveNodes.build(grid, np.unique(corners))
-    table = nodes.number[nodes.local(corners.ravel())].reshape(corners.shape).astype(np.int64)
+    local = nodes.local(corners.ravel())
+    table = nodes.number[local].reshape(corners.shape).astype(np.int64)
+    most = 2**grid.dim  # cells at a node
+    sharing = sharing_ranks(grid.comm, nodes.lattice, most)[local].reshape(len(cells), most * most)
     name = "quadrilateral" if grid.dim == 2 else "hexahedron"
-    return CellMesh(_compat.create_mesh(grid.comm, table, nodes.position[: nodes.owned].copy(), name), nodes)
+    positions = nodes.position[: nodes.owned].copy()
+    return CellMesh(_compat.create_mesh(grid.comm, table, positions, name, sharing), nodes)

@@ -6,12 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
-from mpi4py import MPI
-
 import numpy as np
 
 from .grid import Grid
-from .parallel import Route
+from .parallel import Route, lowest_ranks
 
 
 @dataclass
@@ -48,7 +46,7 @@ class ActiveNodes:
         if comm.size == 1:
             n = len(touched)
             return cls(grid, touched, np.arange(n), np.zeros(n, dtype=np.int64), n, 0, n, positions)
-        owner = _owners(comm, touched)
+        owner = lowest_ranks(comm, touched)
         mine = owner == comm.rank
         lattice = np.concatenate([touched[mine], touched[~mine]])
         owner = np.concatenate([owner[mine], owner[~mine]])
@@ -91,14 +89,3 @@ class ActiveNodes:
         if self.grid.comm.size > 1:
             route, rows = self._route
             values[self.owned :] = route.backward(values[rows])
-
-
-def _owners(comm: MPI.Comm, touched: np.ndarray) -> np.ndarray:
-    """The lowest rank that touches each node; the node's number decides who keeps the book on it."""
-    route = Route(comm, touched % comm.size)
-    asked = route.forward(touched)
-    source = np.repeat(np.arange(comm.size), route.received)
-    unique, inverse = np.unique(asked, return_inverse=True)
-    lowest = np.full(len(unique), comm.size, dtype=np.int64)
-    np.minimum.at(lowest, inverse, source)
-    return route.backward(lowest[inverse])

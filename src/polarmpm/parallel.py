@@ -63,6 +63,35 @@ def look_up(comm: MPI.Comm, numbers: np.ndarray, values: np.ndarray, wanted: np.
     return ask.backward(np.where((known[at] == asked)[:, None], rows[at], 0.0))
 
 
+def lowest_ranks(comm: MPI.Comm, numbers: np.ndarray) -> np.ndarray:
+    """The lowest rank that holds each of the numbers (n,), all different on a rank. Collective."""
+    route = Route(comm, numbers % comm.size)
+    asked = route.forward(numbers)
+    source = np.repeat(np.arange(comm.size), route.received)
+    unique, inverse = np.unique(asked, return_inverse=True)
+    lowest = np.full(len(unique), comm.size, dtype=np.int64)
+    np.minimum.at(lowest, inverse, source)
+    return route.backward(lowest[inverse])
+
+
+def sharing_ranks(comm: MPI.Comm, numbers: np.ndarray, most: int) -> np.ndarray:
+    """All ranks that hold each of the numbers (n,), all different on a rank. Collective.
+
+    Returns:
+        Ranks (n, most), ascending; -1 where there are fewer.
+    """
+    route = Route(comm, numbers % comm.size)
+    asked = route.forward(numbers)
+    source = np.repeat(np.arange(comm.size), route.received)
+    order = np.argsort(asked, kind="stable")
+    first = np.searchsorted(asked[order], asked)  # where the number's entries begin
+    place = np.empty(len(asked), dtype=np.int64)
+    place[order] = np.arange(len(asked)) - first[order]
+    table = np.full((len(asked), most), -1, dtype=np.int64)
+    table[first, place] = source
+    return route.backward(table[first])
+
+
 def collectively(comm: MPI.Comm, error: Exception | None) -> None:
     """Raise on every rank what any rank has found wrong (the lowest rank's error)."""
     errors = comm.allgather(error)
