@@ -13,7 +13,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 1,             /* raised with every change of a structure or signature, here and in native.py */
+    INTERFACE = 2,             /* raised with every change of a structure or signature, here and in native.py */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4                  /* nodes in a vector */
 };
@@ -411,6 +411,45 @@ INLINE int evaluate(const Batch *b, const Law *law, const double *x, int64_t sta
     return coupled ? -lanes : lanes;
 }
 
+/* What a point's virtual work multiplies, times its volume: r [nz] and, if wanted, w->A [nz][nz]; gradients in
+ * the point's frame. */
+INLINE void point_terms(const Batch *b, const Work *w, int64_t p, int l, int coupled, int tangent, double *r)
+{
+    const int nz = unknowns_of(b->dim, b->rot);
+    for (int k = 0; k < nz; ++k) r[k] = b->volume[p] * w->out[k * LANES + l];
+    if (coupled)
+        for (int k = 0; k < 3; ++k) r[9 + k] += w->cout[k * LANES + l];
+    if (!tangent) return;
+    const double *upper = w->out + nz * LANES + l;
+    for (int i = 0, k = 0; i < nz; ++i)
+        for (int j = i; j < nz; ++j, ++k)
+            w->A[i * nz + j] = w->A[j * nz + i] = b->volume[p] * upper[k * LANES];
+    if (coupled)
+        for (int i = 0; i < 3; ++i)
+            for (int j = 0; j < 3; ++j) w->A[(9 + i) * nz + 9 + j] += w->cout[(3 + 3 * i + j) * LANES + l];
+}
+
+/* Memory for the evaluation of points and, with `scatter`, for sums of a group. Returns nonzero without memory. */
+static int create_work(const Batch *b, int tangent, int scatter, int stride, Work *w)
+{
+    const int nb = block_of(b), nz = unknowns_of(b->dim, b->rot), most = scatter ? largest_group(b) : 0;
+    const int matrix = tangent && scatter, outputs = nz + (tangent ? nz * (nz + 1) / 2 : 0);
+    *w = (Work){.in = vectors((size_t)(nz + b->nstate + b->nparam) * LANES), .out = vectors((size_t)outputs * LANES),
+                .cin = vectors(6 * LANES), .cout = vectors(12 * LANES),
+                .shapes = vectors((size_t)LANES * 4 * stride), .s = vectors((size_t)4 * stride),
+                .A = vectors((size_t)nz * nz),
+                .f = vectors((size_t)most * nb), .T = vectors((size_t)nz * nb * stride),
+                .K = vectors(matrix ? (size_t)most * nb * nb * stride : 1),
+                .at = malloc(sizeof(Place) * (most + 1))};
+    return !(w->in && w->out && w->cin && w->cout && w->shapes && w->s && w->A && w->f && w->T && w->K && w->at);
+}
+
+static void free_work(Work *w)
+{
+    free(w->in), free(w->out), free(w->cin), free(w->cout), free(w->shapes), free(w->s);
+    free(w->A), free(w->f), free(w->T), free(w->K), free(w->at);
+}
+
 /* Residual (internal minus couples' work) added to `force`, tangent to M (NULL: residual only).
  * `rhs` takes what prescribed increments add to the residual of free unknowns.
  * Returns nonzero when memory ran out. */
@@ -418,17 +457,10 @@ FAST int polarmpm_assemble(const Batch *b, const Law *law, const Matrix *M, cons
                            double *rhs)
 {
     if (b->npoints == 0) return 0;
-    const int dim = b->dim, rot = b->rot, nb = block_of(b), nz = unknowns_of(dim, rot);
-    const int most = largest_group(b), stride = (most + WIDTH - 1) / WIDTH * WIDTH;
-    const int outputs = nz + (M ? nz * (nz + 1) / 2 : 0);
-    Work w = {.in = vectors((size_t)(nz + b->nstate + b->nparam) * LANES), .out = vectors((size_t)outputs * LANES),
-              .cin = vectors(6 * LANES), .cout = vectors(12 * LANES),
-              .shapes = vectors((size_t)LANES * 4 * stride), .s = vectors((size_t)4 * stride),
-              .A = vectors((size_t)nz * nz),
-              .f = vectors((size_t)most * nb), .T = vectors((size_t)nz * nb * stride),
-              .K = vectors(M ? (size_t)most * nb * nb * stride : 1),
-              .at = malloc(sizeof(Place) * most)};
-    int failed = !(w.in && w.out && w.cin && w.cout && w.shapes && w.s && w.A && w.f && w.T && w.K && w.at);
+    const int dim = b->dim, rot = b->rot, nb = block_of(b);
+    const int stride = (largest_group(b) + WIDTH - 1) / WIDTH * WIDTH;
+    Work w;
+    const int failed = create_work(b, M != NULL, 1, stride, &w);
     int64_t group = 0, group_of[LANES], open = -1;
     for (int64_t start = 0; start < b->npoints && !failed; start += LANES) {
         int lanes = evaluate(b, law, x, start, &group, stride, group_of, &w);
@@ -443,19 +475,9 @@ FAST int polarmpm_assemble(const Batch *b, const Law *law, const Matrix *M, cons
             }
             const double *sp = w.shapes + l * 4 * stride;
             double r[21];
-            for (int k = 0; k < nz; ++k) r[k] = b->volume[p] * w.out[k * LANES + l];
-            if (coupled)
-                for (int k = 0; k < 3; ++k) r[9 + k] += w.cout[k * LANES + l];
+            point_terms(b, &w, p, l, coupled, M != NULL, r);
             add_residual(dim, rot, n, stride, sp, r, w.f);
             if (M) {
-                const double *upper = w.out + nz * LANES + l;
-                for (int i = 0, k = 0; i < nz; ++i)
-                    for (int j = i; j < nz; ++j, ++k)
-                        w.A[i * nz + j] = w.A[j * nz + i] = b->volume[p] * upper[k * LANES];
-                if (coupled)
-                    for (int i = 0; i < 3; ++i)
-                        for (int j = 0; j < 3; ++j)
-                            w.A[(9 + i) * nz + 9 + j] += w.cout[(3 + 3 * i + j) * LANES + l];
                 for (int c = 0; c <= dim; ++c)
                     memcpy((double *)w.s + c * nv * WIDTH, sp + c * stride, sizeof(double) * nv * WIDTH);
                 add_tangent_any(dim, rot, nv, M->symmetric, p == b->first[g], n, w.A, w.s, w.T, w.K);
@@ -468,7 +490,8 @@ FAST int polarmpm_assemble(const Batch *b, const Law *law, const Matrix *M, cons
             }
         }
     }
-    free(w.in), free(w.out), free(w.cin), free(w.cout), free(w.shapes), free(w.s);
-    free(w.A), free(w.f), free(w.T), free(w.K), free(w.at);
+    free_work(&w);
     return failed;
 }
+
+#include "_moments.h"

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 1  # the same number as in _native.c
+INTERFACE = 2  # the same number as in _native.c
 
 _I32, _I64, _PTR = ctypes.c_int32, ctypes.c_int64, ctypes.c_void_p
 
@@ -86,7 +86,10 @@ def library() -> ctypes.CDLL:
     lib.polarmpm_spread.argtypes = [_PTR, _PTR, _I32, _PTR]
     lib.polarmpm_couple_nodes.argtypes = [_PTR, _I32, _PTR]
     lib.polarmpm_assemble.argtypes = [_PTR] * 6
-    lib.polarmpm_assemble.restype = ctypes.c_int
-    for name in ("gather", "spread", "couple_nodes"):
+    lib.polarmpm_moments.argtypes = [_PTR, _PTR, _PTR, _I32, _PTR, _PTR]
+    lib.polarmpm_project.argtypes = [_I64, _I32, _I32, _PTR, _PTR, _PTR, _PTR]
+    for name in ("assemble", "moments"):
+        getattr(lib, f"polarmpm_{name}").restype = ctypes.c_int
+    for name in ("gather", "spread", "couple_nodes", "project"):
         getattr(lib, f"polarmpm_{name}").restype = None
     return lib

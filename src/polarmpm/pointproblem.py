@@ -19,12 +19,18 @@ from .newton import Controls
 from .parallel import look_up, together
 from .pointforms import CoupleForm, Kernel, PointForm
 from .points import Points, Selection
-from .pointsystem import PointSystem
+from .pointsystem import LoadedPoints, PointSystem
 from .problem import Problem, Progress
 from .resetting import ResetPolicy, make_policy
 from .seeding import check_inside
 from .weighting import check_basis
 
+ASSEMBLIES = ("direct", "projection")
+_NO_PROJECTION = {
+    "gimpm": "the internal force would be exact, as a domain is a sum of parts in one cell each, but the "
+    "tangent couples the parts and is no sum of integrals over cells",
+    "bspline": "splines don't live on the cells' Lagrange space",
+}
 _ROTATION_LIMIT = 1.0  # rad; larger increments than this get a new base after a step
 
 
@@ -34,6 +40,15 @@ class _Compiled:
     couple: Kernel | None = None
 
 
+def _check_assembly(assembly: str, basis: str) -> str:
+    if assembly not in ASSEMBLIES:
+        raise InputError(f"assembly = {assembly!r}: allowed are {', '.join(ASSEMBLIES)}")
+    if assembly == "projection" and basis in _NO_PROJECTION:
+        reason = _NO_PROJECTION[basis]
+        raise InputError(f"assembly = 'projection': basis = {basis!r}, allowed is 'mpm': {reason}")
+    return assembly
+
+
 class QuasiStatic(Problem):
     """Equilibrium of material points on a grid under slowly changing loads. All methods are collective.
 
@@ -41,6 +56,8 @@ class QuasiStatic(Problem):
         grid: background grid.
         points: the body.
         basis: weighting functions, "gimpm" or "mpm" (T 2.3.2), or "bspline" (quadratic).
+        assembly: how residual and tangent are summed over the points: "direct", or (with basis="mpm") as a
+            "projection" on a quadrature space, assembled by dolfinx, to the same result.
         reset: when the grid is reset: every n steps (1: the papers' method), a policy such as
             `WhenDistorted(0.2)`, or None for never.
         balanced_reset: a reset keeps the body in equilibrium. The new basis can't balance the points'
@@ -59,12 +76,14 @@ class QuasiStatic(Problem):
         points: Points,
         *,
         basis: str = "gimpm",
+        assembly: str = "direct",
         reset: int | ResetPolicy | None = 1,
         balanced_reset: bool = False,
         controls: Controls | None = None,
     ):
         self.grid = grid
         self.basis, self.policy = check_basis(basis), make_policy(reset)
+        self.assembly = _check_assembly(assembly, basis)
         if points.dim != grid.dim:
             raise InputError(f"points have {points.dim} dimensions, the grid has {grid.dim}")
         check_inside(grid, points)
@@ -74,7 +93,7 @@ class QuasiStatic(Problem):
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
         self.balanced_reset = balanced_reset
         self._compiled = _Compiled()
-        self._system: PointSystem | None = None
+        self._system: LoadedPoints | None = None
         # forces and couples at the points of the last attempt and of the last converged step
         self._attempted: tuple[np.ndarray, np.ndarray] | None = None
         self._balanced: tuple[np.ndarray, np.ndarray] | None = None
@@ -101,7 +120,7 @@ class QuasiStatic(Problem):
         share = 1.0 / max(1, len(selection))
         self._add_loads(f"load {len(self.loads) + 1}", selection, force, couple, False, share)
 
-    def _set_loads(self, system: PointSystem, factor: float) -> None:
+    def _set_loads(self, system: LoadedPoints, factor: float) -> None:
         self._attempted = self._loads_at(factor)
         system.set_loads(*self._attempted)
 
@@ -110,7 +129,7 @@ class QuasiStatic(Problem):
             return conditions.point_loads(self.loads, self.points, self.layout, factor)
 
     # solving --------------------------------------------------------------------------------------
-    def _increments(self, system: PointSystem) -> Increments:
+    def _increments(self, system: LoadedPoints) -> Increments:
         return system.interpolation.gather(system.x)
 
     def _fault(self, increments: Increments) -> str:
@@ -118,7 +137,7 @@ class QuasiStatic(Problem):
         inverted = self.comm.allreduce(int(np.sum(bad)))
         return f"{inverted} material point(s) turned inside out" if inverted else ""
 
-    def _commit(self, system: PointSystem, increments: Increments, factor: float) -> None:
+    def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
         system.interpolation.update_points(increments)
         self._balanced = self._attempted
         p = self.progress
@@ -131,7 +150,7 @@ class QuasiStatic(Problem):
                 system.x[:, self.layout.dim :] = 0.0
                 p.rotation_factor = factor
 
-    def _prepare(self) -> PointSystem:
+    def _prepare(self) -> LoadedPoints:
         """The system of the present grid; reset if that is due, renewed if conditions have changed."""
         p, old = self.progress, self._system
         if old is not None and not p.reset_due and not self._stale:
@@ -156,9 +175,12 @@ class QuasiStatic(Problem):
         self._stale = False
         return self._system
 
-    def _build(self, interpolation: Interpolation) -> PointSystem:
+    def _build(self, interpolation: Interpolation) -> LoadedPoints:
         prescribed, c = self._prescribed(interpolation.nodes), self._compiled
-        return PointSystem(interpolation, c.kernels, c.couple, prescribed, self.timer)
+        kind: type[LoadedPoints] = PointSystem
+        if self.assembly == "projection":
+            from .projection import ProjectedSystem as kind  # brings dolfinx' assembler with it
+        return kind(interpolation, c.kernels, c.couple, prescribed, self.timer)
 
     def _compile(self) -> None:
         c = self._compiled
@@ -199,6 +221,6 @@ class QuasiStatic(Problem):
         self._system.x[:], self._system.carried[:] = np.hsplit(here, 2)
 
     @property
-    def system(self) -> PointSystem | None:
+    def system(self) -> LoadedPoints | None:
         """Active nodes, their increments and residual as of the last step; None before the first one."""
         return self._system

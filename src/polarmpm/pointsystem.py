@@ -1,4 +1,4 @@
-"""The nonlinear system of the active nodes, summed directly over the points."""
+"""Systems of the active nodes: what the points bring with them, and the direct sum over the points."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from .system import NodalSystem
 from .timing import Timer
 
 
-class PointSystem(NodalSystem):
-    """Residual and tangent as sums over the points, scattered by compiled code."""
+class LoadedPoints(NodalSystem):
+    """Laws and loads of the points. How their virtual work is summed is left to subclasses."""
 
     nodes: ActiveNodes
 
@@ -33,16 +33,6 @@ class PointSystem(NodalSystem):
         grid, layout = interpolation.grid, interpolation.layout
         super().__init__(interpolation.nodes, layout, prescribed, np.array(grid.cell), grid.comm, timer)
         self.interpolation, self.kernels, self.couple_kernel = interpolation, kernels, couple_kernel
-        symmetric = couple_kernel is None
-        batches = [b.batch for b in interpolation.batches]
-        with timer("pattern"):
-            self.pattern = sparsity.build(self.nodes, batches, layout.block, symmetric, interpolation.reach)
-            self._fixed = np.ascontiguousarray(prescribed.fixed, dtype=np.uint8)
-            native.fill(self.pattern.matrix, fixed=self._fixed)
-            owned = prescribed.fixed[: self.nodes.owned].ravel()
-            self._fixed_diagonal = self.pattern.diagonal[owned]
-            self._rows = self.pattern.rows()
-            self.solver = DirectSolver(self.pattern.petsc_matrix(), symmetric)
         self._couples: list[tuple[np.ndarray, np.ndarray]] = [
             (np.full(len(b.rows), -1, dtype=np.int32), np.zeros((1, 3))) for b in interpolation.batches
         ]
@@ -58,6 +48,49 @@ class PointSystem(NodalSystem):
                 table = np.concatenate([mine[loaded], np.zeros((1, 3))])  # never empty
                 self._couples[k] = (row, np.ascontiguousarray(table))
 
+    def _law(self, k: int, tangent: bool) -> native.Law:
+        """Compiled kernels of batch k."""
+        law = native.Law()
+        native.fill(law, kernel=self.kernels[k][tangent].address)
+        if self.couple_kernel is not None:
+            rows, couples = self._couples[k]
+            native.fill(law, couple=self.couple_kernel.address, couple_of=rows, couples=couples)
+        return law
+
+    def _dead_forces(self) -> np.ndarray:
+        """External forces (nodes, block) that the kernels' residual doesn't hold already, as it does dead
+        couples in three dimensions."""
+        external = self.external.copy()
+        if self.couple_kernel is not None:
+            external[:, self.layout.dim :] = 0.0
+        return external
+
+
+class PointSystem(LoadedPoints):
+    """Residual and tangent as sums over the points, scattered by compiled code."""
+
+    def __init__(
+        self,
+        interpolation: Interpolation,
+        kernels: Sequence[tuple[Kernel, Kernel]],
+        couple_kernel: Kernel | None,
+        prescribed: Prescribed,
+        timer: Timer,
+    ):
+        super().__init__(interpolation, kernels, couple_kernel, prescribed, timer)
+        symmetric = couple_kernel is None
+        batches = [b.batch for b in interpolation.batches]
+        with timer("pattern"):
+            self.pattern = sparsity.build(
+                self.nodes, batches, self.layout.block, symmetric, interpolation.reach
+            )
+            self._fixed = np.ascontiguousarray(prescribed.fixed, dtype=np.uint8)
+            native.fill(self.pattern.matrix, fixed=self._fixed)
+            owned = prescribed.fixed[: self.nodes.owned].ravel()
+            self._fixed_diagonal = self.pattern.diagonal[owned]
+            self._rows = self.pattern.rows()
+            self.solver = DirectSolver(self.pattern.petsc_matrix(), symmetric)
+
     # assembly ---------------------------------------------------------------------------------------
     def assemble(self, tangent: bool) -> np.ndarray:
         internal, self._lift_forces = np.zeros_like(self.x), np.zeros_like(self.x)
@@ -72,23 +105,14 @@ class PointSystem(NodalSystem):
             self.pattern.collect()
             if self._pending:
                 self.nodes.add_to_owners(self._lift_forces)
-        # dead couples in three dimensions are part of the kernels' residual already
-        external = self.external.copy()
-        if self.couple_kernel is not None:
-            external[:, self.layout.dim :] = 0.0
-        return internal - external
+        return internal - self._dead_forces()
 
     def _assemble(
         self, k: int, batch: PointBatch, matrix: native.Matrix | None, internal: np.ndarray
     ) -> None:
-        law = native.Law()
-        native.fill(law, kernel=self.kernels[k][matrix is not None].address)
-        if self.couple_kernel is not None:
-            rows, couples = self._couples[k]
-            native.fill(law, couple=self.couple_kernel.address, couple_of=rows, couples=couples)
         failed = native.library().polarmpm_assemble(
             ctypes.byref(batch.batch),
-            ctypes.byref(law),
+            ctypes.byref(self._law(k, matrix is not None)),
             ctypes.byref(matrix) if matrix is not None else None,
             self.x.ctypes.data,
             internal.ctypes.data,

@@ -1,0 +1,62 @@
+/* Points' moments for the projection on a quadrature space (projection.py); the last part of _native.c. */
+
+/* Work of gradients in a point's frame T -> work of gradients with respect to x~: r_ik = sum_j r_ij T_kj. */
+INLINE void pull_back(const Batch *b, const double *frame, double *r, int step)
+{
+    const int dim = b->dim;
+    for (int i = 0; i < block_of(b); ++i) {
+        double *row = r + (i < dim ? dim * i : b->rot + dim * i) * step, old[3] = {0};
+        for (int j = 0; j < dim; ++j) old[j] = row[j * step];
+        for (int k = 0; k < dim; ++k) {
+            double sum = 0.0;
+            for (int j = 0; j < dim; ++j) sum += old[j] * frame[k * dim + j];
+            row[k * step] = sum;
+        }
+    }
+}
+
+/* What the virtual work of the points multiplies, times their volumes, for z of gradients with respect to x~:
+ * residual [point][nz] and (unless NULL) tangent, [point][nz][nz], or its upper triangle where it is symmetric.
+ * Returns nonzero when memory ran out. */
+FAST int polarmpm_moments(const Batch *b, const Law *law, const double *x, int32_t symmetric, double *residual,
+                          double *tangent)
+{
+    if (b->npoints == 0) return 0;
+    const int nz = unknowns_of(b->dim, b->rot), size = symmetric ? nz * (nz + 1) / 2 : nz * nz;
+    const int stride = (largest_group(b) + WIDTH - 1) / WIDTH * WIDTH;
+    Work w;
+    const int failed = create_work(b, tangent != NULL, 0, stride, &w);
+    int64_t group = 0, group_of[LANES];
+    for (int64_t start = 0; start < b->npoints && !failed; start += LANES) {
+        int lanes = evaluate(b, law, x, start, &group, stride, group_of, &w);
+        const int coupled = lanes < 0;
+        lanes = coupled ? -lanes : lanes;
+        for (int l = 0; l < lanes; ++l) {
+            const int64_t p = start + l;
+            const double *frame = b->state + p * b->nstate;
+            point_terms(b, &w, p, l, coupled, tangent != NULL, residual + p * nz);
+            pull_back(b, frame, residual + p * nz, 1);
+            if (!tangent) continue;
+            for (int i = 0; i < nz; ++i) pull_back(b, frame, w.A + i * nz, 1);
+            for (int j = 0; j < nz; ++j) pull_back(b, frame, w.A + j, nz);
+            double *out = tangent + p * size;
+            for (int i = 0; i < nz; ++i)
+                for (int j = symmetric ? i : 0; j < nz; ++j) *out++ = w.A[i * nz + j];
+        }
+    }
+    free_work(&w);
+    return failed;
+}
+
+/* out[place[point][k]][c] += weight[point][k] moments[point][c], for k < nk and c < nc. */
+FAST void polarmpm_project(int64_t npoints, int32_t nk, int32_t nc, const int32_t *place, const double *weight,
+                           const double *moments, double *out)
+{
+    for (int64_t p = 0; p < npoints; ++p)
+        for (int k = 0; k < nk; ++k) {
+            double *restrict row = out + (int64_t)place[p * nk + k] * nc;
+            const double *restrict m = moments + p * nc;
+            const double L = weight[p * nk + k];
+            for (int c = 0; c < nc; ++c) row[c] += L * m[c];
+        }
+}
