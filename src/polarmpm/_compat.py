@@ -53,20 +53,23 @@ def expression_signature(expr: Any, terminals: dict[Any, int]) -> str:
         raise KernelError(f"{e.args[0]} is not an input of this kernel") from None
 
 
-def create_mesh(comm: Any, cells: Any, positions: Any, cell: str, sharing: np.ndarray) -> Any:
-    """A dolfinx mesh of linear cells, which stay on their ranks. Collective.
+def create_mesh(comm: Any, cells: Any, positions: Any, cell: str, sharing: np.ndarray | None = None) -> Any:
+    """A dolfinx mesh of linear cells. Collective.
 
     Args:
         cells: global node numbers of this rank's cells (m, nodes of a cell).
         positions: coordinates (n, dim) of the nodes that this rank gives, in the order of their numbers.
         cell: "quadrilateral" or "hexahedron".
-        sharing: ranks that have a node of each cell (m, any number); -1 stands for none.
+        sharing: ranks that have a node of each cell (m, any number), -1 stands for none; cells then stay on
+            their ranks. Default: dolfinx distributes them.
     """
     from dolfinx import mesh
 
     domain = ufl.Mesh(coordinate_element(cell, positions.shape[1]))
     parameters = list(inspect.signature(mesh.create_mesh).parameters)
     arguments = (positions, domain) if parameters[2] == "x" else (domain, positions)
+    if sharing is None:
+        return mesh.create_mesh(comm, cells, *arguments)
     # dolfinx 0.5 finds out by ghost cells which ranks share a vertex, and its own partitions only have those
     # across facets: cells on two ranks that touch at a corner would be apart. It drops the ghosts later.
     old = "ghost_mode" in parameters
@@ -283,9 +286,14 @@ _JIT = {"timeout": 600, "cffi_extra_compile_args": ["-O2"]}
 
 
 def compile_form(form: Any, optimisation: str = "-O2") -> Any:
-    """Compile a UFL form. Collective."""
+    """Compile a UFL form. Collective.
+
+    The compiler writes into the integrals' metadata, and what is derived from the form later would then have
+    another signature, and be compiled anew, than in the next process, which finds the form in the cache.
+    """
     from dolfinx import fem
 
+    form = ufl.Form([i.reconstruct(metadata=dict(i.metadata())) for i in form.integrals()])
     key = "jit_options" if "jit_options" in inspect.signature(fem.form).parameters else "jit_params"
     return fem.form(form, **{key: {**_JIT, "cffi_extra_compile_args": [optimisation]}})
 
