@@ -64,8 +64,7 @@ def make_system(points: Points, basis: str, *, full: bool = False, supports=()) 
     interpolation = Interpolation(grid, points, basis, forms)
     layout = forms[0].layout
     made = [
-        make_support(where, "nodes", components, layout, k)
-        for k, (where, components) in enumerate(supports)
+        make_support(where, "nodes", components, layout, k) for k, (where, components) in enumerate(supports)
     ]
     kernels = [form.compile(COMM) for form in forms]
     couple = CoupleForm().compile(COMM) if full else None
