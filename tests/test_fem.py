@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -143,6 +144,26 @@ def test_points_need_nothing_of_dolfinx():
         "assert not {'dolfinx', 'ffcx'} & set(sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
+
+
+@pytest.mark.mpi
+def test_a_second_run_compiles_nothing(tmp_path):
+    """Forms are found in the cache by their signature, which compilers of old alter while they work."""
+    script = (
+        "import dolfinx.mesh, polarmpm as pm\n"
+        "from mpi4py import MPI\n"
+        "mesh = dolfinx.mesh.create_unit_square(MPI.COMM_WORLD, 1, 1)\n"
+        "problem = pm.QuasiStaticFEM(pm.Elements(mesh, material=pm.NeoHookean(lam=3e3, mu=2e3)))\n"
+        "problem.fix(pm.plane(x=0.0), u=0)\n"
+        "problem.pressure(pm.plane(x=1.0), 10.0)\n"
+        "list(problem.march(1, progress=False))\n"
+    )
+    found = []
+    for _ in range(2):
+        env = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+        subprocess.run([sys.executable, "-c", script], check=True, timeout=120, env=env)
+        found.append(sorted(path.name for path in tmp_path.rglob("*.so")))
+    assert found[0] == found[1] != []
 
 
 # patch tests ---------------------------------------------------------------------------------------

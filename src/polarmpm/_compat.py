@@ -224,6 +224,19 @@ def _model_to_mesh() -> Any:
 
 
 # finite elements --------------------------------------------------------------------------------
+def name_variant(mesh: Any) -> None:
+    """Give the mesh's element the variant that ffcx 0.5 gives it while it compiles a form.
+
+    Signatures tell the variant: forms built after a compilation would be compiled once more in the next
+    process, which finds the first one in the cache.
+    """
+    element = getattr(mesh.ufl_domain(), "_ufl_coordinate_element", None)
+    scalar = getattr(element, "_sub_element", None)
+    if not _HAS_BASIX_ELEMENTS and getattr(scalar, "_variant", "") is None:
+        named = scalar.reconstruct(variant="equispaced")
+        mesh.ufl_domain()._ufl_coordinate_element = ufl.VectorElement(named, dim=element.num_sub_elements())
+
+
 def cell_name(mesh: Any) -> str:
     """triangle, quadrilateral, tetrahedron, hexahedron, ..."""
     name = mesh.ufl_cell().cellname

@@ -52,6 +52,7 @@ class BodyMesh:
             raise InputError(
                 f"mesh = {source!r}: a dolfinx mesh, the path of a .msh file or a gmsh model is needed"
             )
+        _compat.name_variant(body.mesh)
         body.check()
         return body
 
