@@ -230,8 +230,8 @@ def name_variant(mesh: Any) -> None:
     Signatures tell the variant: forms built after a compilation would be compiled once more in the next
     process, which finds the first one in the cache.
     """
-    element = getattr(mesh.ufl_domain(), "_ufl_coordinate_element", None)
-    scalar = getattr(element, "_sub_element", None)
+    element: Any = getattr(mesh.ufl_domain(), "_ufl_coordinate_element", None)
+    scalar: Any = getattr(element, "_sub_element", None)
     if not _HAS_BASIX_ELEMENTS and getattr(scalar, "_variant", "") is None:
         named = scalar.reconstruct(variant="equispaced")
         mesh.ufl_domain()._ufl_coordinate_element = ufl.VectorElement(named, dim=element.num_sub_elements())
@@ -299,14 +299,9 @@ _JIT = {"timeout": 600, "cffi_extra_compile_args": ["-O2"]}
 
 
 def compile_form(form: Any, optimisation: str = "-O2") -> Any:
-    """Compile a UFL form. Collective.
-
-    The compiler writes into the integrals' metadata, and what is derived from the form later would then have
-    another signature, and be compiled anew, than in the next process, which finds the form in the cache.
-    """
+    """Compile a UFL form. Collective."""
     from dolfinx import fem
 
-    form = ufl.Form([i.reconstruct(metadata=dict(i.metadata())) for i in form.integrals()])
     key = "jit_options" if "jit_options" in inspect.signature(fem.form).parameters else "jit_params"
     return fem.form(form, **{key: {**_JIT, "cffi_extra_compile_args": [optimisation]}})
 
