@@ -50,6 +50,13 @@ def kept_weights() -> pm.QuasiStatic:
     return problem
 
 
+def balanced() -> pm.QuasiStatic:
+    """Resets after which nodal forces are carried along."""
+    problem = body(2, balanced_reset=True)
+    problem.load(problem.points.farthest((1, 0)), force=(4.0, -60.0), couple=30.0)
+    return problem
+
+
 def classical() -> pm.QuasiStatic:
     problem = body(2, CLASSICAL, basis="mpm")
     problem.load(problem.points.farthest((1, 0)), force=(4.0, -8.0))
@@ -168,6 +175,7 @@ def not_converged() -> pm.QuasiStatic:
 RUNS = [
     plane_strain,
     kept_weights,
+    balanced,
     classical,
     solid,
     couples,
