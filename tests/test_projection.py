@@ -151,7 +151,7 @@ BODIES = [
     pytest.param(3, [NEO_HOOKEAN], False, id="3d-neo-hookean"),
     pytest.param(3, [MICROPOLAR], False, id="3d"),
     pytest.param(3, [GENERAL, STIFF], False, id="3d-both-frames"),
-    pytest.param(3, [MICROPOLAR], True, id="3d-couples"),
+    pytest.param(3, [MICROPOLAR], True, id="3d-couples", marks=pytest.mark.slow),
 ]
 
 
@@ -296,7 +296,9 @@ def two_materials(assembly: str) -> pm.QuasiStatic:
     return problem
 
 
-@pytest.mark.parametrize("build", [arch, cantilever, balanced, moved, two_materials])
+@pytest.mark.parametrize(
+    "build", [arch, cantilever, balanced, pytest.param(moved, marks=pytest.mark.slow), two_materials]
+)
 def test_same_run_as_the_direct_sum(build, strict):
     """The same iterations, the same displacements to 1e-10, the same reactions."""
     results = []
