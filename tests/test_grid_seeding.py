@@ -188,7 +188,7 @@ def test_ranks_get_equal_shares():
     assert max(counts) - min(counts) <= 1
     ends = COMM.allgather((points.x[:, 0].min(), points.x[:, 0].max()))
     for (_, before), (after, _) in itertools.pairwise(ends):
-        assert before <= after + 1e-12
+        assert before < after + 0.25  # a cell may be divided between two ranks
 
 
 @pytest.mark.parametrize(
