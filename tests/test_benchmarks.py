@@ -91,6 +91,18 @@ def test_curved_cantilever(cell, limit, unlike):
     assert np.max(np.abs(found - published)) < unlike
 
 
+@pytest.mark.parametrize("resets", [0, 15])
+def test_recommended_settings_of_the_curved_cantilever(monkeypatch, resets):
+    """docs/accuracy.md: at 1 m cells within 1 % of the converged micropolar solution in every component, with
+    a reset when cells are distorted (0: never here) and with one after every step."""
+    monkeypatch.syspath_prepend(DEMOS.parent / "benchmarks")
+    trust = importlib.import_module("trust")
+    case = trust.fitted("bspline", number=4, resets=resets, balanced=True)
+    for _ in case.problem.march(15, adaptive=True, progress=False):
+        pass
+    np.testing.assert_allclose(case.result(), trust.REFERENCE, rtol=0.01)
+
+
 def test_torsion_past_a_full_turn_and_restart(tmp_path):
     """T 3.5.3: every step converges, the twist is smooth through 2 pi, the shaft lengthens (Poynting), and
     a run restarted in the middle gives the same digits."""
