@@ -147,7 +147,7 @@ def serial(case: str) -> dict:
 @pytest.mark.parametrize("ranks", [2, 3])
 @pytest.mark.parametrize("case", [f.__name__ for f in RUNS])
 def test_same_answer_on_ranks(case, ranks):
-    """All results by point id, reactions and mean values agree with the serial run to 1e-9."""
+    """All results by point id, reactions and mean values agree with the serial run to 1e-10."""
     expected = serial(case)
     assert "error" not in expected, expected
     assert abs(np.array(expected["u"])).max() > 1e-3
