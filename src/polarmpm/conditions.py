@@ -112,6 +112,11 @@ class PlaneSpec:
     value: float
     beyond: str
 
+    @property
+    def name(self) -> str:
+        """For messages, such as x = 0."""
+        return f"{'xyz'[self.axis]} = {self.value:g}"
+
     def check_basis(self, basis: str, grid: Grid) -> None:
         """Raise InputError for a plane on which this basis can't prescribe values.
 

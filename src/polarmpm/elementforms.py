@@ -18,7 +18,7 @@ from . import _compat
 from . import kinematics as kin
 from .elements import Elements, Facets
 from .materials.base import parameter_values
-from .pointforms import Layout, state_size, strains, virtual_work
+from .pointforms import Layout, pack_state, state_size, strains, virtual_work
 
 
 def point_unknowns(layout: Layout, x: Any) -> list[Any]:
@@ -59,12 +59,8 @@ class ElementForms:
     # history --------------------------------------------------------------------------------------
     def pack(self) -> None:
         """Write the points' current state into the quadrature function."""
-        d, r, p = self.layout.dim, self.layout.rotations, self.elements.points
-        parts: list[np.ndarray] = [p.F[:, :d, :d].reshape(len(p), d * d)]
-        if r:
-            parts.append(p.q if d == 3 else p.q[:, [0, 3]])
-            parts.append(p.wryness.reshape(len(p), 9) if d == 3 else p.wryness[:, 2, :2])
-        self.put_at_points(self.state, np.concatenate(parts, axis=1))
+        p = self.elements.points
+        self.put_at_points(self.state, pack_state(self.layout, p.F, p.wryness, p.q))
 
     def put_at_points(self, function: Any, values: np.ndarray) -> None:
         """Set a quadrature function from values (np, c) at the points."""

@@ -38,6 +38,7 @@ class SurfaceLoad:
     share: float
     function: Any = None  # its nodal values, made when the system is built
     rows: Any = None  # the nodes of the facets
+    position: Any = None  # where they are (n, d) (m)
 
 
 @dataclass
@@ -74,7 +75,7 @@ class QuasiStaticFEM(Problem):
             facets = e.facets(where)
             return lambda position: facets.nodes, facets.name
         if isinstance(where, PlaneSpec):
-            on, name = e.on_plane(where), f"{'xyz'[where.axis]} = {where.value:g}"
+            on, name = e.on_plane(where), where.name
             count = self.comm.allreduce(int(on(e.nodes.position).sum()))
             if not count:
                 raise InputError(f"plane {name}: no node of the mesh lies on it")
@@ -160,6 +161,7 @@ class QuasiStaticFEM(Problem):
             space = _compat.function_space(e.mesh, load.amplitude.size, e.degree)
             load.function = fem.Function(space)
             load.rows = fem.locate_dofs_topological(space, self.layout.dim - 1, load.facets.facets)
+            load.position = space.tabulate_dof_coordinates()[load.rows, : self.layout.dim]
             if load.kind == "pressure":
                 add(f.pressure_work(load.facets, load.function), True)
             else:
@@ -175,8 +177,7 @@ class QuasiStaticFEM(Problem):
                 density = np.concatenate([forces, couples], axis=1) / self.points.volume0[:, None]
                 self.forms.put_at_points(self._body, density)
             for load in self.surface_loads:
-                position = load.function.function_space.tabulate_dof_coordinates()[load.rows]
-                values = load.amplitude.at(factor, position[:, : self.layout.dim]) * load.share
+                values = load.amplitude.at(factor, load.position) * load.share
                 load.function.x.array.reshape(-1, load.amplitude.size)[load.rows] = values
         system.set_loads()
 

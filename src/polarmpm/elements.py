@@ -204,7 +204,7 @@ class Elements:
             found = np.intersect1d(found, np.asarray(dmesh.exterior_facet_indices(self.mesh.topology)))
         else:
             if isinstance(where, PlaneSpec):
-                predicate, name = self.on_plane(where), f"{'xyz'[where.axis]} = {where.value:g}"
+                predicate, name = self.on_plane(where), where.name
             elif callable(where):
                 predicate, name = where, getattr(where, "__name__", "predicate")
             else:

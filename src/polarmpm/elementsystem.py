@@ -71,8 +71,7 @@ class ElementSystem(NodalSystem):
 
     Args:
         dead: compiled linear forms of loads that don't depend on the unknowns.
-        varying: UFL forms of loads that do (followers; couples in space).
-        symmetric: the tangent is symmetric.
+        varying: loads that do (followers; couples in space), compiled; they make the tangent unsymmetric.
     """
 
     def __init__(

@@ -22,7 +22,7 @@ from .grid import Grid
 from .materials.base import parameter_values
 from .nodes import ActiveNodes
 from .parallel import together
-from .pointforms import Layout, PointForm
+from .pointforms import Layout, PointForm, pack_state
 from .points import Points, domain_half_length
 from .weighting import Weights, node_positions, weights
 
@@ -133,7 +133,7 @@ class Interpolation:
     # state --------------------------------------------------------------------------------------
     def pack(self) -> None:
         """Write the reference state into the kernels' input, see `pointforms`."""
-        r, d = self.reference, self.layout.dim
+        r = self.reference
         for b in self.batches:
             f, q, wryness = r.F[b.rows], r.q[b.rows], r.wryness[b.rows]
             iso, micropolar = b.form.material.isotropic, b.form.material.micropolar
@@ -142,12 +142,8 @@ class Interpolation:
                 turn = rotations.to_tensor(q)
                 back = np.swapaxes(turn, 1, 2)
                 frame, wryness = f @ back, turn @ wryness @ back
-            parts = [frame[:, :d, :d].reshape(len(f), d * d)]
-            if micropolar:
-                if not iso:
-                    parts.append(q if d == 3 else q[:, [0, 3]])
-                parts.append(wryness.reshape(len(f), 9) if d == 3 else wryness[:, 2, :2])
-            native.fill(b.batch, state=np.ascontiguousarray(np.concatenate(parts, axis=1)))
+            state = pack_state(self.layout, frame, wryness, None if iso else q)
+            native.fill(b.batch, state=np.ascontiguousarray(state))
 
     def rebase_rotations(self) -> None:
         """Count rotation increments from the points' current rotations on; weights and F stay."""

@@ -147,6 +147,17 @@ def state_size(layout: Layout, *, rotated: bool) -> int:
     return d * d + quaternion + r * d
 
 
+def pack_state(layout: Layout, frame: np.ndarray, wryness: np.ndarray, q: np.ndarray | None) -> np.ndarray:
+    """States (n, state_size) of tensors (n, 3, 3) and, but for the rotated frame, quaternions (n, 4)."""
+    d, n = layout.dim, len(frame)
+    parts: list[np.ndarray] = [frame[:, :d, :d].reshape(n, d * d)]
+    if layout.rotations:
+        if q is not None:
+            parts.append(q if d == 3 else q[:, [0, 3]])
+        parts.append(wryness.reshape(n, 9) if d == 3 else wryness[:, 2, :2])
+    return np.concatenate(parts, axis=1)
+
+
 def virtual_work(material: Material, strains: Sequence[Any], unknown: Any, test: Any, numbers: Any) -> Any:
     """dW/dE : dE + dW/dGamma : dGamma, T (3.145)-(3.146), with variations of the strains in `unknown`."""
     variables = [ufl.variable(e) for e in strains]

@@ -102,7 +102,7 @@ class QuasiStatic(Problem):
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
         if isinstance(where, PlaneSpec):
             where.check_basis(self.basis, self.grid)
-            return where.resolve(self.grid, self.points), f"{'xyz'[where.axis]} = {where.value:g}"
+            return where.resolve(self.grid, self.points), where.name
         if callable(where):
             return where, getattr(where, "__name__", "predicate")
         raise InputError(f"where = {where!r}: a plane or a predicate of node positions")
