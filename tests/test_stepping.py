@@ -9,7 +9,8 @@ import pytest
 from conftest import COMM, GENERAL, HENCKY, MICROPOLAR, beam, by_id, rotation
 
 import polarmpm as pm
-from polarmpm import pointproblem
+from polarmpm import newton, pointproblem
+from polarmpm.errors import LocalFailure
 from polarmpm.newton import Outcome
 from polarmpm.stepping import Schedule, march
 
@@ -341,3 +342,33 @@ def find_opposite(X: np.ndarray) -> np.ndarray:
     """Row of the point at (-x, -y, z) for each point."""
     target = X * [-1, -1, 1]
     return np.array([int(np.argmin(np.linalg.norm(X - t, axis=1))) for t in target])
+
+
+class Local:
+    """A system whose points fail at the n-th evaluation."""
+
+    def __init__(self, at: int):
+        self.left = at
+
+    def evaluate(self, tangent: bool) -> None:
+        self.left -= 1
+        if self.left == 0:
+            raise LocalFailure("3 points: no return to the yield surface")
+
+    def measures(self) -> tuple[float, float]:
+        return 1.0, 1.0
+
+    def pending(self) -> bool:
+        return False
+
+    def advance(self, fresh: bool) -> None:
+        """The state doesn't change."""
+
+
+@pytest.mark.parametrize("at", [1, 3])
+def test_a_failure_at_the_points_is_a_reason(at):
+    """What the points report fails the attempt and is told."""
+    outcome = newton.solve(Local(at), pm.Controls())
+    assert not outcome.converged
+    assert outcome.reason == "3 points: no return to the yield surface"
+    assert outcome.iterations == max(0, at - 2)

@@ -43,5 +43,12 @@ class NotConverged(PolarMPMError, RuntimeError):
         )
 
 
+class LocalFailure(PolarMPMError, RuntimeError):
+    """The state at a point could not be found, such as by a return mapping; raised on all ranks alike.
+
+    The attempt at the load step fails with the message as its reason, and adaptive stepping tries less.
+    """
+
+
 class KernelError(PolarMPMError, RuntimeError):
     """An expression could not be turned into compiled code."""

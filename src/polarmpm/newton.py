@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from .errors import LocalFailure
 from .linear import SingularTangent
 
 
@@ -13,7 +14,11 @@ class System(Protocol):
     """A nonlinear system at a load factor."""
 
     def evaluate(self, tangent: bool) -> None:
-        """Residual, and the tangent if asked, at the present unknowns."""
+        """Residual, and the tangent if asked, at the present unknowns.
+
+        Raises:
+            LocalFailure: there is none at them; the attempt has failed.
+        """
 
     def measures(self) -> tuple[float, float]:
         """Normalised out-of-balance force and energy; NaN or infinite when the state is beyond repair."""
@@ -69,40 +74,46 @@ class Outcome:
 
 
 def solve(system: System, controls: Controls) -> Outcome:
-    """Iterate until one of the measures is below its tolerance. Collective.
+    """Iterate until one of the measures is below its tolerance. Collective."""
+    outcome = Outcome()
+    try:
+        _iterate(system, controls, outcome)
+    except (LocalFailure, SingularTangent) as e:
+        outcome.converged, outcome.reason = False, str(e)
+    return outcome
+
+
+def _iterate(system: System, controls: Controls, outcome: Outcome) -> None:
+    """Put measures and the result into the outcome.
 
     Near the solution the residual falls quadratically and the tangent hardly changes any more. Where the
     last ratio of residuals promises that the tangent at hand is good enough for the tolerance, the last
     correction is made with it (a chord step); should the promise fail, a full iteration follows.
     """
-    outcome, tangent, chord = Outcome(), True, False
+    tangent, chord = True, False
     while True:
         system.evaluate(tangent)
         force, energy = system.measures()
         outcome.history.append((force, energy))
         if not math.isfinite(force) or force > controls.divergence:
             outcome.reason = f"diverged (force measure {force:.3g})"
-            return outcome
+            return
         small = force < controls.force_tolerance or (
             outcome.iterations > 0 and energy < controls.energy_tolerance
         )
         if small and not system.pending():
             outcome.converged = True
-            return outcome
+            return
         if outcome.iterations >= controls.max_iterations:
             outcome.reason = (
                 f"no convergence in {controls.max_iterations} iterations (force measure {force:.3g})"
             )
-            return outcome
+            return
         ratio = _ratio(outcome)
         chord = not chord and not system.pending() and _SAFETY * ratio * force < controls.force_tolerance
         if not tangent and not chord:
             system.evaluate(True)
-        try:
-            system.advance(fresh=not chord)
-        except SingularTangent as e:
-            outcome.reason = str(e)
-            return outcome
+        system.advance(fresh=not chord)
         # the next residual and ratio if both fall quadratically: is a tangent needed for what then comes?
         following = ratio**2 * force
         tangent = not chord and _SAFETY * ratio**2 * following > controls.force_tolerance
