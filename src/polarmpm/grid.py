@@ -1,4 +1,4 @@
-"""The background grid: a fixed Cartesian lattice of box cells.
+"""The background grid: a Cartesian lattice of box cells.
 
 The lattice is only arithmetic: cells and nodes exist as integer triples (pairs in plane strain), so empty
 space costs nothing. `cellmesh` presents the cells that matter as a dolfinx mesh.
@@ -7,7 +7,7 @@ space costs nothing. `cellmesh` presents the cells that matter as a dolfinx mesh
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mpi4py import MPI
 
@@ -82,6 +82,24 @@ class Grid:
     def upper(self) -> tuple[float, ...]:
         """Upper corner (m)."""
         return tuple(o + n * h for o, n, h in zip(self.origin, self.shape, self.cell, strict=True))
+
+    def stretched(self, axis: int, index: int, anchor: int, at: float) -> Grid:
+        """This lattice stretched evenly along an axis, its plane `anchor` staying and its plane `index` at
+        the coordinate `at` (m).
+
+        Raises:
+            InputError: the plane would lie on the one that stays, or beyond it.
+        """
+        stays = self.origin[axis] + anchor * self.cell[axis]
+        cell = (at - stays) / (index - anchor)
+        if not cell > 1e-6 * self.cell[axis]:
+            raise InputError(f"plane {'xyz'[axis]} = {at:g} has reached the wall {stays:g} of the grid")
+        origin = self.origin[axis] if anchor == 0 else stays - anchor * cell
+
+        def changed(values: tuple[float, ...], value: float) -> tuple[float, ...]:
+            return (*values[:axis], value, *values[axis + 1 :])
+
+        return replace(self, origin=changed(self.origin, origin), cell=changed(self.cell, cell))
 
     # lattice ------------------------------------------------------------------------------------
     @property

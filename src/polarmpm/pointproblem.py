@@ -10,12 +10,13 @@ from mpi4py import MPI
 
 import numpy as np
 
-from . import conditions
-from .conditions import PlaneSpec
+from . import conditions, movinggrid
+from .conditions import Plane, PlaneSpec, Support
 from .errors import InputError
 from .grid import Grid
 from .interpolation import Increments, Interpolation, Reference
 from .newton import Controls
+from .movinggrid import MovingPlane
 from .parallel import look_up, together
 from .pointforms import CoupleForm, Kernel, PointForm
 from .points import Points, Selection
@@ -54,6 +55,10 @@ class QuasiStatic(Problem):
 
     Args:
         grid: background grid.
+    Attributes:
+        grid: the background grid as of the last reset.
+        initial_grid: the grid that was given; moving planes (see `plane`) stretch it.
+
         points: the body.
         basis: weighting functions, "gimpm" or "mpm" (T 2.3.2), or "bspline" (quadratic).
         assembly: how residual and tangent are summed over the points: "direct", or (with basis="mpm") as a
@@ -81,7 +86,8 @@ class QuasiStatic(Problem):
         balanced_reset: bool = False,
         controls: Controls | None = None,
     ):
-        self.grid = grid
+        self.grid = self.initial_grid = grid
+        self._moving: list[MovingPlane] = []
         self.basis, self.policy = check_basis(basis), make_policy(reset)
         self.assembly = _check_assembly(assembly, basis)
         if points.dim != grid.dim:
@@ -101,8 +107,8 @@ class QuasiStatic(Problem):
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
         if isinstance(where, PlaneSpec):
-            where.check_basis(self.basis, self.grid)
-            return where.resolve(self.grid, self.points), where.name
+            where.check_basis(self.basis, self.initial_grid)
+            return where.resolve(self.initial_grid, self.points, now=self.grid), where.name
         if callable(where):
             return where, getattr(where, "__name__", "predicate")
         raise InputError(f"where = {where!r}: a plane or a predicate of node positions")
@@ -117,6 +123,15 @@ class QuasiStatic(Problem):
             raise InputError(
                 f"selection = {selection!r}: use points.where, points.farthest or points.nearest"
             )
+    def _admit(self, where: Any, support: Support) -> None:
+        moving = list(self._moving)
+        if isinstance(where, PlaneSpec) and where.moving:
+            if self.progress.step:
+                raise InputError(f"{support.name}: moving = True: allowed before the first load step only")
+            moving.append(MovingPlane.of(where, support))
+        movinggrid.check(moving, [*self.supports, support], self.initial_grid)
+        self._moving = moving
+
         share = 1.0 / max(1, len(selection))
         self._add_loads(f"load {len(self.loads) + 1}", selection, force, couple, False, share)
 
@@ -157,7 +172,9 @@ class QuasiStatic(Problem):
             return old
         self._compile()
         if old is None or p.reset_due:
-            check_inside(self.grid, self.points)
+            grid = movinggrid.grid_at(self._moving, self.initial_grid, p.factor)
+            check_inside(grid, self.points)
+            self._put_grid(grid)
             with self.timer("reset"):
                 interpolation = Interpolation(self.grid, self.points, self.basis, self.forms)
             self._system = self._build(interpolation)
@@ -189,6 +206,17 @@ class QuasiStatic(Problem):
                 c.kernels = [form.compile(self.comm) for form in self.forms]
             unsymmetric = self.layout.rotations == 3 and any(load.couple for load in self.loads)
             if unsymmetric and c.couple is None:
+    def _put_grid(self, grid: Grid) -> None:
+        """Make it the grid; the supports' planes follow."""
+        if grid is not self.grid:
+            self.grid = grid
+            for support in self.supports:
+                if isinstance(support.where, Plane):
+                    support.where.follow(grid)
+
+    def _interpolate(self, reference: Reference | None) -> Interpolation:
+        return Interpolation(self.grid, self.points, self.basis, self.forms, reference, self._sources)
+
                 c.couple = CoupleForm().compile(self.comm)
 
     # restart --------------------------------------------------------------------------------------
@@ -224,3 +252,5 @@ class QuasiStatic(Problem):
     def system(self) -> LoadedPoints | None:
         """Active nodes, their increments and residual as of the last step; None before the first one."""
         return self._system
+        factor = progress.factor if increments is None else progress.reset_factor
+        self._put_grid(movinggrid.grid_at(self._moving, self.initial_grid, factor))

@@ -123,8 +123,9 @@ class Problem:
                 also facets, or the name of a physical group.
             **components: u, theta (all components), or ux, uy, uz, theta_x, theta_y, theta_z (theta in
                 plane strain), in m and rad. A number is ramped with the load factor; a function of the
-                factor, or of (factor, positions), gives the total displacement or rotation. In one step a
-                rotation in space may change by less than pi.
+                factor, or of (factor, positions), gives the total displacement or rotation; positions are
+                those of the nodes at the last reset. In one step a rotation in space may change by less
+                than pi.
 
         Returns:
             The support, for `reaction`.
@@ -134,9 +135,13 @@ class Problem:
         """
         predicate, label = self._place(where)
         support = conditions.make_support(predicate, label, components, self.layout, len(self.supports) + 1)
+        self._admit(where, support)
         self.supports.append(support)
         self._stale = True
         return support
+
+    def _admit(self, where: Any, support: Support) -> None:
+        """Take note of a support that the user has put on `where`, or refuse it."""
 
     def body_load(self, *, force: Any = None, couple: Any = None, on: Selection | None = None) -> None:
         """A dead force (N/m^3) and couple (N/m^2) per reference volume, on all points or a selection.

@@ -84,7 +84,7 @@ def _header(problem: Any) -> dict[str, Any]:
     ends = {"block": problem.layout.block, "materials": len(problem.points.materials)}
     if isinstance(problem, QuasiStaticFEM):
         return {"format": _FORMAT, **meshstate.header(problem), **ends}
-    grid = problem.grid
+    grid = problem.initial_grid
     known = {"origin": grid.origin, "cell": grid.cell, "shape": grid.shape, "basis": problem.basis}
     return {"format": _FORMAT, **known, **ends}
 
