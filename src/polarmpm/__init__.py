@@ -4,6 +4,7 @@ from .conditions import plane
 from .elementproblem import QuasiStaticFEM
 from .elements import Elements, Facets
 from .errors import InputError, KernelError, NotConverged, PointsOutsideGrid, PolarMPMError
+from .ghost import GhostPenalty
 from .grid import Grid
 from .io import Recorder, Table
 from .io.restart import load as load_restart
@@ -23,6 +24,7 @@ __all__ = [
     "Elements",
     "EverySteps",
     "Facets",
+    "GhostPenalty",
     "Grid",
     "Hencky",
     "InputError",

@@ -20,6 +20,7 @@ from . import native, rotations
 from .aggregation import supporting_cells
 from .grid import Grid
 from .materials.base import parameter_values
+from .nodalterms import TermSource
 from .nodes import ActiveNodes
 from .parallel import together
 from .pointforms import Layout, PointForm, pack_state
@@ -66,6 +67,10 @@ class Interpolation:
     Args:
         forms: point form of each of the points' materials.
         reference: state at the last reset; default: the points' current state, which makes it a reset.
+        sources: of contributions to the nodal system that don't come from material points.
+
+    Attributes:
+        terms: what the sources have made of this reset.
     """
 
     def __init__(
@@ -75,6 +80,7 @@ class Interpolation:
         basis: str,
         forms: Sequence[PointForm],
         reference: Reference | None = None,
+        sources: Sequence[TermSource] = (),
     ):
         self.grid, self.points, self.forms = grid, points, forms
         self.layout: Layout = forms[0].layout
@@ -83,15 +89,17 @@ class Interpolation:
         with together(grid.comm):
             w = weights(basis, grid, r.x, domain_half_length(r.F, points.half_length0), cells)
         order, groups = _group(points.material, w)
-        touched, node_sets = _node_sets(grid, groups)
+        reached = _reached_cells(grid, groups) if sources else np.zeros(0, dtype=np.int64)
+        self.terms = [term for source in sources for term in source.terms(grid, reached)]
+        touched, node_sets = _node_sets(grid, groups, [t.boxes.numbers(grid).ravel() for t in self.terms])
         self.nodes = ActiveNodes.build(grid, touched, partial(node_positions, basis, grid))
         # lattice -> local numbers: the owned and the ghost nodes are each in ascending order
         to_local = self.nodes.local(touched)
         self.batches = [
             self._batch(form, m, w, order, groups, node_sets, to_local) for m, form in enumerate(forms)
         ]
-        local_reach = int((groups.count - 1).max(initial=1))
-        self.reach = int(grid.comm.allreduce(local_reach, op=MPI.MAX))
+        sides = [int(groups.count.max(initial=2)), *(max(t.boxes.count) for t in self.terms)]
+        self.reach = int(grid.comm.allreduce(max(sides) - 1, op=MPI.MAX))
         self.pack()
 
     def _batch(
@@ -158,7 +166,7 @@ class Interpolation:
         for b in self.batches:
             zb, vb = np.empty((len(b.rows), z.shape[1])), np.empty((len(b.rows), value.shape[1]))
             native.library().polarmpm_gather(
-                ctypes.byref(b.batch), x.ctypes.data, zb.ctypes.data, vb.ctypes.data
+                ctypes.byref(b.batch), x.ctypes.data, 0, zb.ctypes.data, vb.ctypes.data
             )
             z[b.rows], value[b.rows] = zb, vb
         return Increments(value, z[:, : d * d].reshape(n, d, d), z[:, d * d + r :].reshape(n, r, d))
@@ -218,8 +226,21 @@ def _group(material: np.ndarray, w: Weights) -> tuple[np.ndarray, _Groups]:
     return order, _Groups(heads[:, 0], heads[:, 1 : 1 + dim], heads[:, 1 + dim :], first)
 
 
-def _node_sets(grid: Grid, groups: _Groups) -> tuple[np.ndarray, list[np.ndarray]]:
-    """All lattice numbers touched, ascending, and for each group the places of its nodes among them."""
+def _reached_cells(grid: Grid, groups: _Groups) -> np.ndarray:
+    """Lattice numbers, ascending, of the cells between the groups' nodes."""
+    first, cells = grid.node_number(groups.node.reshape(-1, grid.dim)), []
+    sizes, kind = np.unique(groups.count - 1, axis=0, return_inverse=True)
+    for k, size in enumerate(sizes):
+        index = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1).reshape(-1, grid.dim)
+        cells.append((first[kind.ravel() == k][:, None] + index @ grid.strides).ravel())
+    return np.unique(np.concatenate(cells or [first]))
+
+
+def _node_sets(
+    grid: Grid, groups: _Groups, more: Sequence[np.ndarray]
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """All lattice numbers touched, those in `more` among them, ascending, and for each group the places of
+    its nodes among them."""
     base = grid.node_number(groups.node) if len(groups.node) else np.zeros(0, dtype=np.int64)
     boxes: dict[tuple[int, ...], np.ndarray] = {}
     numbers = []
@@ -228,6 +249,6 @@ def _node_sets(grid: Grid, groups: _Groups) -> tuple[np.ndarray, list[np.ndarray
             index = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1)
             boxes[count] = index.reshape(-1, grid.dim) @ grid.strides
         numbers.append(start + boxes[count])
-    touched, inverse = np.unique(np.concatenate(numbers or [base]), return_inverse=True)
-    ends = np.cumsum([len(s) for s in numbers])
-    return touched, np.split(inverse, ends[:-1]) if numbers else []
+    ends = np.cumsum([0] + [len(s) for s in numbers])
+    touched, inverse = np.unique(np.concatenate([base[:0], *numbers, *more]), return_inverse=True)
+    return touched, np.split(inverse, ends[1:])[:-1]

@@ -13,10 +13,12 @@ import numpy as np
 from . import conditions, movinggrid
 from .conditions import Plane, PlaneSpec, Support
 from .errors import InputError
+from .ghost import Ghost, GhostPenalty, make_penalty
 from .grid import Grid
 from .interpolation import Increments, Interpolation, Reference
-from .newton import Controls
 from .movinggrid import MovingPlane
+from .newton import Controls
+from .nodalterms import TermSource
 from .parallel import look_up, together
 from .pointforms import CoupleForm, Kernel, PointForm
 from .points import Points, Selection
@@ -53,12 +55,12 @@ def _check_assembly(assembly: str, basis: str) -> str:
 class QuasiStatic(Problem):
     """Equilibrium of material points on a grid under slowly changing loads. All methods are collective.
 
-    Args:
-        grid: background grid.
     Attributes:
         grid: the background grid as of the last reset.
         initial_grid: the grid that was given; moving planes (see `plane`) stretch it.
 
+    Args:
+        grid: background grid.
         points: the body.
         basis: weighting functions, "gimpm" or "mpm" (T 2.3.2), or "bspline" (quadratic).
         assembly: how residual and tangent are summed over the points: "direct", or (with basis="mpm") as a
@@ -68,6 +70,9 @@ class QuasiStatic(Problem):
         balanced_reset: a reset keeps the body in equilibrium. The new basis can't balance the points'
             stresses to the last; the papers let the rest relax, which softens the body reset by reset. Here
             it is carried along as forces on the nodes until the next reset (docs/theory.md).
+        ghost: stabilises cells that the body cuts slightly (T 2.3.4): None, "thesis" (a hundredth of lambda
+            and of gamma, T 4.4), "light" (a thousandth of that) or a `GhostPenalty`. With basis "gimpm" or
+            "mpm" and assembly "direct".
         controls: tolerances of Newton's method.
 
     Raises:
@@ -84,6 +89,7 @@ class QuasiStatic(Problem):
         assembly: str = "direct",
         reset: int | ResetPolicy | None = 1,
         balanced_reset: bool = False,
+        ghost: str | GhostPenalty | None = None,
         controls: Controls | None = None,
     ):
         self.grid = self.initial_grid = grid
@@ -98,6 +104,10 @@ class QuasiStatic(Problem):
         for form in self.forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
         self.balanced_reset = balanced_reset
+        self.ghost = make_penalty(ghost, points.materials, self.layout, basis, assembly)
+        self._sources: list[TermSource] = [Ghost(self.ghost, self.layout)] if self.ghost else []
+        self.term_works: dict[str, float] = {}
+        self._step_start: np.ndarray | None = None
         self._compiled = _Compiled()
         self._system: LoadedPoints | None = None
         # forces and couples at the points of the last attempt and of the last converged step
@@ -113,6 +123,15 @@ class QuasiStatic(Problem):
             return where, getattr(where, "__name__", "predicate")
         raise InputError(f"where = {where!r}: a plane or a predicate of node positions")
 
+    def _admit(self, where: Any, support: Support) -> None:
+        moving = list(self._moving)
+        if isinstance(where, PlaneSpec) and where.moving:
+            if self.progress.step:
+                raise InputError(f"{support.name}: moving = True: allowed before the first load step only")
+            moving.append(MovingPlane.of(where, support))
+        movinggrid.check(moving, [*self.supports, support], self.initial_grid)
+        self._moving = moving
+
     def load(self, selection: Selection, *, force: Any = None, couple: Any = None) -> None:
         """A dead force (N) and couple (N m) in total, shared equally by the selected points.
 
@@ -123,21 +142,14 @@ class QuasiStatic(Problem):
             raise InputError(
                 f"selection = {selection!r}: use points.where, points.farthest or points.nearest"
             )
-    def _admit(self, where: Any, support: Support) -> None:
-        moving = list(self._moving)
-        if isinstance(where, PlaneSpec) and where.moving:
-            if self.progress.step:
-                raise InputError(f"{support.name}: moving = True: allowed before the first load step only")
-            moving.append(MovingPlane.of(where, support))
-        movinggrid.check(moving, [*self.supports, support], self.initial_grid)
-        self._moving = moving
-
         share = 1.0 / max(1, len(selection))
         self._add_loads(f"load {len(self.loads) + 1}", selection, force, couple, False, share)
 
     def _set_loads(self, system: LoadedPoints, factor: float) -> None:
         self._attempted = self._loads_at(factor)
         system.set_loads(*self._attempted)
+        if self._sources:
+            self._step_start = system.x.copy()
 
     def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
         with together(self.comm):
@@ -154,6 +166,9 @@ class QuasiStatic(Problem):
 
     def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
         system.interpolation.update_points(increments)
+        if self._step_start is not None:
+            for name, work in system.term_work(self._step_start, system.x).items():
+                self.term_works[name] = self.term_works.get(name, 0.0) + work
         self._balanced = self._attempted
         p = self.progress
         p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
@@ -161,8 +176,7 @@ class QuasiStatic(Problem):
         if not p.reset_due and self.layout.rotations:
             largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
             if self.comm.allreduce(largest, op=MPI.MAX) > _ROTATION_LIMIT:
-                system.interpolation.rebase_rotations()
-                system.x[:, self.layout.dim :] = 0.0
+                system.rebase_rotations()
                 p.rotation_factor = factor
 
     def _prepare(self) -> LoadedPoints:
@@ -176,7 +190,7 @@ class QuasiStatic(Problem):
             check_inside(grid, self.points)
             self._put_grid(grid)
             with self.timer("reset"):
-                interpolation = Interpolation(self.grid, self.points, self.basis, self.forms)
+                interpolation = self._interpolate(None)
             self._system = self._build(interpolation)
             p.reset_due, p.since_reset = False, 0
             p.reset_factor = p.rotation_factor = p.factor
@@ -192,6 +206,17 @@ class QuasiStatic(Problem):
         self._stale = False
         return self._system
 
+    def _put_grid(self, grid: Grid) -> None:
+        """Make it the grid; the supports' planes follow."""
+        if grid is not self.grid:
+            self.grid = grid
+            for support in self.supports:
+                if isinstance(support.where, Plane):
+                    support.where.follow(grid)
+
+    def _interpolate(self, reference: Reference | None) -> Interpolation:
+        return Interpolation(self.grid, self.points, self.basis, self.forms, reference, self._sources)
+
     def _build(self, interpolation: Interpolation) -> LoadedPoints:
         prescribed, c = self._prescribed(interpolation.nodes), self._compiled
         kind: type[LoadedPoints] = PointSystem
@@ -206,17 +231,6 @@ class QuasiStatic(Problem):
                 c.kernels = [form.compile(self.comm) for form in self.forms]
             unsymmetric = self.layout.rotations == 3 and any(load.couple for load in self.loads)
             if unsymmetric and c.couple is None:
-    def _put_grid(self, grid: Grid) -> None:
-        """Make it the grid; the supports' planes follow."""
-        if grid is not self.grid:
-            self.grid = grid
-            for support in self.supports:
-                if isinstance(support.where, Plane):
-                    support.where.follow(grid)
-
-    def _interpolate(self, reference: Reference | None) -> Interpolation:
-        return Interpolation(self.grid, self.points, self.basis, self.forms, reference, self._sources)
-
                 c.couple = CoupleForm().compile(self.comm)
 
     # restart --------------------------------------------------------------------------------------
@@ -238,19 +252,24 @@ class QuasiStatic(Problem):
         if self._system is not None:
             self._system.destroy()
             self._system = None
+        factor = progress.factor if increments is None else progress.reset_factor
+        self._put_grid(movinggrid.grid_at(self._moving, self.initial_grid, factor))
         if increments is None:
             progress.reset_due = True
             return
         self._compile()
         reference, lattice, values = increments
-        interpolation = Interpolation(self.grid, self.points, self.basis, self.forms, reference)
+        interpolation = self._interpolate(reference)
         self._system, self._stale = self._build(interpolation), False
         here = look_up(self.comm, lattice, values, interpolation.nodes.lattice)
         self._system.x[:], self._system.carried[:] = np.hsplit(here, 2)
 
     @property
+    def ghost_work(self) -> float:
+        """Work (J) done against the ghost forces in all steps so far."""
+        return self.term_works.get("ghost", 0.0)
+
+    @property
     def system(self) -> LoadedPoints | None:
         """Active nodes, their increments and residual as of the last step; None before the first one."""
         return self._system
-        factor = progress.factor if increments is None else progress.reset_factor
-        self._put_grid(movinggrid.grid_at(self._moving, self.initial_grid, factor))

@@ -11,6 +11,7 @@ from . import native, sparsity
 from .conditions import Prescribed
 from .interpolation import Interpolation, PointBatch
 from .linear import DirectSolver
+from .nodalterms import NodalTerms
 from .nodes import ActiveNodes
 from .pointforms import Kernel
 from .system import NodalSystem
@@ -33,13 +34,16 @@ class LoadedPoints(NodalSystem):
         grid, layout = interpolation.grid, interpolation.layout
         super().__init__(interpolation.nodes, layout, prescribed, np.array(grid.cell), grid.comm, timer)
         self.interpolation, self.kernels, self.couple_kernel = interpolation, kernels, couple_kernel
+        self.terms = NodalTerms(self.nodes, interpolation.terms)
+        self._point_loads = self.external
         self._couples: list[tuple[np.ndarray, np.ndarray]] = [
             (np.full(len(b.rows), -1, dtype=np.int32), np.zeros((1, 3))) for b in interpolation.batches
         ]
 
     def set_loads(self, forces: np.ndarray, couples: np.ndarray) -> None:
         """Forces (np, d) and couples (np, r) at the points. Collective."""
-        self.external = self.interpolation.spread(np.concatenate([forces, couples], axis=1))
+        self._point_loads = self.interpolation.spread(np.concatenate([forces, couples], axis=1))
+        self.external = self._point_loads
         if self.couple_kernel is not None:
             for k, b in enumerate(self.interpolation.batches):
                 mine = couples[b.rows]
@@ -60,10 +64,39 @@ class LoadedPoints(NodalSystem):
     def _dead_forces(self) -> np.ndarray:
         """External forces (nodes, block) that the kernels' residual doesn't hold already, as it does dead
         couples in three dimensions."""
-        external = self.external.copy()
+        external = self._point_loads.copy()
         if self.couple_kernel is not None:
             external[:, self.layout.dim :] = 0.0
         return external
+
+    def term_work(self, start: np.ndarray, end: np.ndarray) -> dict[str, float]:
+        """Work (J) done against the forces of `terms` between two states of the nodal increments (nodes,
+        block), by the trapezoidal rule, by name ("ghost", ...). Collective."""
+        return self.terms.work(start, end)
+
+    def rebase_rotations(self) -> None:
+        """Count rotation increments from the points' current rotations on; the equilibrium stays.
+        Collective."""
+        before = self._term_forces()
+        self.interpolation.rebase_rotations()
+        self.x[:, self.layout.dim :] = 0.0
+        if len(self.terms):
+            lost = before - self._term_forces()
+            self.carried -= np.where(self.prescribed.fixed, 0.0, lost)
+
+    def _term_forces(self) -> np.ndarray:
+        """Residual forces (nodes, block) of `terms`, complete on owned rows; external ones are added to
+        `external`, too. Collective."""
+        forces = np.zeros_like(self.x)
+        if len(self.terms):
+            forces += self.terms.forces(self.x, external=False)
+            if self.terms.external:
+                loads = self.terms.forces(self.x, external=True)
+                forces += loads
+                self.nodes.add_to_owners(loads)
+                self.external = self._point_loads - loads
+            self.nodes.add_to_owners(forces)
+        return forces
 
 
 class PointSystem(LoadedPoints):
@@ -78,14 +111,15 @@ class PointSystem(LoadedPoints):
         timer: Timer,
     ):
         super().__init__(interpolation, kernels, couple_kernel, prescribed, timer)
-        symmetric = couple_kernel is None
-        batches = [b.batch for b in interpolation.batches]
+        symmetric = couple_kernel is None and self.terms.symmetric
+        batches = [b.batch for b in interpolation.batches] + self.terms.batches()
         with timer("pattern"):
             self.pattern = sparsity.build(
                 self.nodes, batches, self.layout.block, symmetric, interpolation.reach
             )
             self._fixed = np.ascontiguousarray(prescribed.fixed, dtype=np.uint8)
             native.fill(self.pattern.matrix, fixed=self._fixed)
+            self.terms.bind(self.pattern.matrix, prescribed.fixed)
             owned = prescribed.fixed[: self.nodes.owned].ravel()
             self._fixed_diagonal = self.pattern.diagonal[owned]
             self._rows = self.pattern.rows()
@@ -101,9 +135,12 @@ class PointSystem(LoadedPoints):
         for k, batch in enumerate(self.interpolation.batches):
             self._assemble(k, batch, matrix if tangent else None, internal)
         self.nodes.add_to_owners(internal)
+        internal += self._term_forces()
         if tangent:
+            self.terms.add_tangents(self.x, self.pattern.values)
             self.pattern.collect()
             if self._pending:
+                self._lift_forces += self.terms.products(self.x, self._lift)
                 self.nodes.add_to_owners(self._lift_forces)
         return internal - self._dead_forces()
 
