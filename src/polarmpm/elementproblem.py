@@ -66,6 +66,7 @@ class QuasiStaticFEM(Problem):
         self.surface_loads: list[SurfaceLoad] = []
         self.progress.reset_due = False
         self._system: ElementSystem | None = None
+        self._last_loads: np.ndarray | None = None  # forces of the last converged state's loads
         self._body: Any = None  # densities of body loads at the quadrature points
 
     # conditions -----------------------------------------------------------------------------------
@@ -134,6 +135,7 @@ class QuasiStaticFEM(Problem):
         if self._system is not None:
             self._system.destroy()
         self._system = ElementSystem(self.forms, dead, varying, prescribed, self.timer)
+        self._last_loads = None
         self._rebase(None)
         self._stale = False
         return self._system
@@ -181,6 +183,15 @@ class QuasiStaticFEM(Problem):
                 load.function.x.array.reshape(-1, load.amplitude.size)[load.rows] = values
         system.set_loads()
 
+    def _loads_before(self, system: ElementSystem) -> np.ndarray:
+        if self._last_loads is None:
+            self._set_loads(system, self.progress.factor)
+            return system.external
+        return self._last_loads
+
+    def _loads_now(self, system: ElementSystem) -> np.ndarray:
+        return system.external
+
     def _increments(self, system: ElementSystem) -> Increments:
         system.forms.x.x.array[:] = system.x.ravel()
         d, block = self.layout.dim, self.layout.block
@@ -217,6 +228,7 @@ class QuasiStaticFEM(Problem):
             turn = rotations.from_vector(rotations.in_space(system.x[:, d:]))
             e.q = rotations.normalise(rotations.multiply(turn, e.q))
         e.displacement = e.displacement + system.x[:, :d]
+        self._last_loads = None if system.varying else system.external  # others depend on the increments
         self._rebase(system)
         g = self.progress
         g.factor, g.step = factor, g.step + 1

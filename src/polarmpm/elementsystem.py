@@ -93,6 +93,11 @@ class ElementSystem(NodalSystem):
             self.matrix = FormMatrix(tangents, prescribed.fixed, not varying, e.nodes.owned)
         self._dead_forces: np.ndarray = np.zeros_like(self.x)
 
+    @property
+    def varying(self) -> bool:
+        """Some loads depend on the unknowns."""
+        return bool(self._varying)
+
     def set_loads(self) -> None:
         """Assemble the dead loads whose functions have been set. Collective."""
         self._put(self.x)

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from . import conditions, movinggrid
+from . import conditions, movinggrid, rotations
 from .conditions import Plane, PlaneSpec, Support
 from .errors import InputError
 from .ghost import Ghost, GhostPenalty, make_penalty
@@ -155,6 +155,30 @@ class QuasiStatic(Problem):
         with together(self.comm):
             return conditions.point_loads(self.loads, self.points, self.layout, factor)
 
+    def _loads_before(self, system: LoadedPoints) -> np.ndarray:
+        if system.terms.external:
+            self._set_loads(system, self.progress.factor)
+        return self._nodal_loads(system, self._balanced or self._loads_at(self.progress.factor))
+
+    def _loads_now(self, system: LoadedPoints) -> np.ndarray:
+        if system.couple_kernel is None and not system.terms.external:
+            return system.external
+        assert self._attempted is not None
+        return self._nodal_loads(system, self._attempted)
+
+    def _nodal_loads(self, system: LoadedPoints, loads: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        """Forces on the nodes that do work on the increments: in space a couple m does it as J_r(Dw) m."""
+        forces, couples = loads
+        if system.couple_kernel is not None:
+            w = system.interpolation.gather(system.x).value[:, self.layout.dim :]
+            couples = np.einsum("nij,nj->ni", rotations.right_tangent(w), couples)
+        out = system.interpolation.spread(np.concatenate([forces, couples], axis=1))
+        if system.terms.external:
+            of_terms = system.terms.forces(system.x, external=True)
+            system.nodes.add_to_owners(of_terms)
+            out -= of_terms
+        return out
+
     # solving --------------------------------------------------------------------------------------
     def _increments(self, system: LoadedPoints) -> Increments:
         return system.interpolation.gather(system.x)
@@ -171,6 +195,7 @@ class QuasiStatic(Problem):
                 self.term_works[name] = self.term_works.get(name, 0.0) + work
         self._balanced = self._attempted
         p = self.progress
+        p.ghost_work = self.ghost_work
         p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
         p.reset_due = self.policy.due(p.since_reset, increments.gradient, self.comm)
         if not p.reset_due and self.layout.rotations:
@@ -249,6 +274,7 @@ class QuasiStatic(Problem):
     ) -> None:
         """Continue from a state whose points have been put in already; see `io.restart`."""
         self.progress, self._equilibrium, self._balanced = progress, None, None
+        self.term_works = {"ghost": progress.ghost_work}
         if self._system is not None:
             self._system.destroy()
             self._system = None

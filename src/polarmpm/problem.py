@@ -11,6 +11,7 @@ from mpi4py import MPI
 import numpy as np
 
 from . import conditions, newton, rotations
+from .balance import StepStart, step_work
 from .conditions import Load, Prescribed, Support
 from .errors import InputError
 from .interpolation import Increments
@@ -34,6 +35,7 @@ class Progress:
         since_reset: converged steps since the last reset.
         reset_factor, rotation_factor: load factor at the last reset and rotation base.
         reset_due: the grid is to be reset before the next step.
+        external_work, carried_work, ghost_work: work (J) so far, see `Problem.energies`.
     """
 
     factor: float = 0.0
@@ -42,6 +44,9 @@ class Progress:
     reset_factor: float = 0.0
     rotation_factor: float = 0.0
     reset_due: bool = True
+    external_work: float = 0.0
+    carried_work: float = 0.0
+    ghost_work: float = 0.0
 
 
 @dataclass
@@ -95,6 +100,15 @@ class Problem:
 
     def _set_loads(self, system: Any, factor: float) -> None:
         """Put the loads of a load factor into the system."""
+        raise NotImplementedError
+
+    def _loads_before(self, system: Any) -> np.ndarray:
+        """Forces of the last converged state's loads, (nodes, block), that do work on the increments. Called
+        before the new loads are set."""
+        raise NotImplementedError
+
+    def _loads_now(self, system: Any) -> np.ndarray:
+        """The same of the loads that are set."""
         raise NotImplementedError
 
     def _increments(self, system: Any) -> Increments:
@@ -175,24 +189,36 @@ class Problem:
     def attempt(self, factor: float) -> Outcome:
         """Try to find equilibrium at a load factor; on failure everything stays as it was."""
         system, p = self._prepare(), self.progress
-        start = system.x.copy()
         with self.timer("conditions"):
-            self._set_loads(system, factor)
+            start = self._begin(system, factor)
             with together(self.comm):
                 increments = system.prescribed.increments(factor, p.reset_factor, p.rotation_factor)
             system.set_prescribed(increments)
         outcome = newton.solve(system, self.controls)
+        self._finish(system, start, outcome, factor)
+        return outcome
+
+    def _begin(self, system: NodalSystem, factor: float) -> StepStart:
+        """Set the loads of a step; in the first one they grow from nothing."""
+        before = self._loads_before(system) if self.progress.step else np.zeros_like(system.x)
+        self._set_loads(system, factor)
+        return StepStart(system.x.copy(), before, self._loads_now(system))
+
+    def _finish(self, system: NodalSystem, start: StepStart, outcome: Outcome, factor: float) -> None:
+        """Make an acceptable solution the body's state, or put back what was there."""
         with self.timer("update"):
             if outcome.converged:
                 at_points = self._increments(system)
                 outcome.reason = self._fault(at_points)
                 outcome.converged = not outcome.reason
             if outcome.converged:
+                external, carried = step_work(system, start, self._loads_now(system))
+                self.progress.external_work += external
+                self.progress.carried_work += carried
                 self._equilibrium = system.nodes, system.residual, system.x[:, self.layout.dim :].copy()
                 self._commit(system, at_points, factor)
             else:
-                system.x = start
-        return outcome
+                system.x = start.x
 
     def _prescribed(self, nodes: Nodes) -> Prescribed:
         with self.timer("conditions"), together(self.comm):
@@ -215,6 +241,32 @@ class Problem:
     def energy(self) -> float:
         """Strain energy of the body (J)."""
         return self.comm.allreduce(float(self.fields().energy @ self.points.volume0))
+
+    def energies(self) -> dict[str, float]:
+        """Energy balance of the run so far, in J (J per unit thickness in plane strain).
+
+        - external: work of the loads, and of the supports' reactions on prescribed displacements;
+        - carried: work of the forces that balanced resets carry along;
+        - stored: strain energy, with what hardening stores;
+        - dissipated: by plastic flow;
+        - ghost: work against the ghost penalty's forces;
+        - residue: external + carried - stored - dissipated - ghost: the error of the trapezoidal rule, which
+          falls with the square of the step, and what relaxes at resets that aren't balanced and where
+          couples in space meet a new base of the rotations.
+        """
+        p, loss = self.progress, getattr(self.points, "dissipation", None)
+        dissipated = 0.0
+        if loss is not None:
+            dissipated = self.comm.allreduce(float(loss @ self.points.volume0))
+        out = {
+            "external": p.external_work,
+            "carried": p.carried_work,
+            "stored": self.energy(),
+            "dissipated": dissipated,
+            "ghost": p.ghost_work,
+        }
+        gained = p.external_work + p.carried_work
+        return out | {"residue": gained - out["stored"] - dissipated - p.ghost_work}
 
     def reaction(self, support: Support) -> tuple[np.ndarray, np.ndarray]:
         """Force (N), shape (d,), and couple (N m), shape (r,), with which a support holds the body, by the

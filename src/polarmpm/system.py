@@ -38,6 +38,7 @@ class NodalSystem:
         x: nodal increments since the reset (nodes, block), ghosts included.
         external: forces on the nodes, complete on owned rows.
         residual: internal minus external and carried forces of the last evaluation; complete on owned rows.
+        first: the residual as it was when the step began.
         carried: forces on the nodes that stand for what the basis could not balance at the last reset.
         length: size of a cell (m) in each direction, which tells what a displacement means as a strain.
     """
@@ -56,6 +57,8 @@ class NodalSystem:
         shape = (len(nodes), layout.block)
         self.x, self._last = np.zeros(shape), np.zeros(shape)
         self.residual: np.ndarray = np.zeros(shape)
+        self.first: np.ndarray = self.residual
+        self._begun = False
         self.external: np.ndarray = np.zeros(shape)
         self.carried: np.ndarray = np.zeros(shape)
         self._lift: np.ndarray = np.zeros(shape)
@@ -89,7 +92,7 @@ class NodalSystem:
     def set_prescribed(self, increments: np.ndarray) -> None:
         """Target of the prescribed unknowns, as increments since the reset (nodes, block); begins a step.
         Collective."""
-        self._rounding = 0.0
+        self._rounding, self._begun = 0.0, True
         self._lift = np.where(self.prescribed.fixed, increments - self.x, 0.0)
         self._pending = bool(self.comm.allreduce(bool(np.any(self._lift)), op=MPI.LOR))
 
@@ -99,6 +102,8 @@ class NodalSystem:
     def evaluate(self, tangent: bool) -> None:
         with self.timer("assembly"):
             self.residual = self.assemble(tangent) - self.carried
+            if self._begun:
+                self.first, self._begun = self.residual, False
             if tangent and self._rounding == 0.0:  # at the start: iterates that run away must not set it
                 self._rounding = self._rounding_level()
 

@@ -27,7 +27,7 @@ from ..points import FIELDS
 from ..problem import Problem, Progress
 from . import meshstate
 
-_FORMAT = 2
+_FORMAT = 3
 
 
 def save(problem: Problem, path: str | os.PathLike[str]) -> None:

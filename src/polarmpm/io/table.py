@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TextIO
 
 from mpi4py import MPI
@@ -29,11 +29,14 @@ class Table:
             for step in problem.march(10):
                 table.record(step)
 
+    `energies=problem.energies` adds the energy balance, `wall=lambda: problem.reaction(wall)[0]` a reaction.
+
     Args:
         path: of the file; missing folders are made, an old file is overwritten on entering.
         comm: of the ranks that record; rank 0 writes.
-        **columns: functions without arguments, called on all ranks, that return a number or a vector; a
-            vector `tip` becomes the columns tip_x, tip_y and tip_z (tip_0, tip_1, ... beyond three).
+        **columns: functions without arguments, called on all ranks, that return a number, a vector or a
+            dictionary of them; a vector `tip` becomes the columns tip_x, tip_y and tip_z (tip_0, tip_1, ...
+            beyond three), a dictionary `energies` the columns energies_stored and so on.
 
     Raises:
         InputError: a column's name is taken, or the file can't be written; on every rank alike.
@@ -105,6 +108,9 @@ class Table:
 
 
 def _expand(name: str, value: Any) -> dict[str, float]:
+    if isinstance(value, Mapping):
+        parts = [_expand(f"{name}_{key}", part) for key, part in value.items()]
+        return {key: number for part in parts for key, number in part.items()}
     try:
         numbers = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
