@@ -1,4 +1,4 @@
-/* Points' moments for the projection on a quadrature space (projection.py); the last part of _native.c. */
+/* Points' moments for the projection on a quadrature space (projection.py); a part of _native.c. */
 
 /* Work of gradients in a point's frame T -> work of gradients with respect to x~: r_ik = sum_j r_ij T_kj. */
 INLINE void pull_back(const Batch *b, const double *frame, double *r, int step)
@@ -34,7 +34,7 @@ FAST int polarmpm_moments(const Batch *b, const Law *law, const double *x, int32
         for (int l = 0; l < lanes; ++l) {
             const int64_t p = start + l;
             const double *frame = b->state + p * b->nstate;
-            point_terms(b, &w, p, l, coupled, tangent != NULL, residual + p * nz);
+            point_terms(b, law, &w, p, l, coupled, tangent != NULL, residual + p * nz);
             pull_back(b, frame, residual + p * nz, 1);
             if (!tangent) continue;
             for (int i = 0; i < nz; ++i) pull_back(b, frame, w.A + i * nz, 1);

@@ -13,7 +13,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 2,             /* raised with every change of a structure or signature, here and in native.py */
+    INTERFACE = 3,             /* raised with every change of a structure or signature, here and in native.py */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4                  /* nodes in a vector */
 };
@@ -59,6 +59,8 @@ typedef struct {
     kernel_t couple;           /* (w, m) -> residual, tangent; NULL without couples */
     const int32_t *couple_of;  /* [point] row of `couples`, -1: none */
     const double *couples;     /* [row][3] */
+    const int32_t *block_of;   /* [point] row of `blocks`, -1: evaluate the kernel; NULL: kernel for all points */
+    const double *blocks;      /* [row][nz (+ nz nz with tangent)] per volume, from the return mapping */
 } Law;
 
 INLINE int block_of(const Batch *b) { return b->dim + b->rot; }
@@ -138,8 +140,9 @@ INLINE void gather_point(int dim, int rot, int n, int stride, const double *s, c
 
 int polarmpm_interface(void) { return INTERFACE; }
 
-/* Increments at the points: z in the grid's frame [point][nz] and interpolated values [point][block]. */
-void polarmpm_gather(const Batch *b, const double *x, double *z, double *value)
+/* Increments at the points: z [point][nz], in the grid's frame or that of the state, and, unless NULL,
+ * interpolated values [point][block]. */
+void polarmpm_gather(const Batch *b, const double *x, int32_t framed, double *z, double *value)
 {
     const int nb = block_of(b), nz = unknowns_of(b->dim, b->rot);
     const int stride = largest_group(b);
@@ -148,9 +151,9 @@ void polarmpm_gather(const Batch *b, const double *x, double *z, double *value)
         const int n = nodes_of(b, g);
         const int32_t *nodes = b->nodes + b->node_first[g];
         for (int64_t p = b->first[g]; p < b->first[g + 1]; ++p) {
-            shape(b, p, b->count + g * b->dim, NULL, stride, s);
+            shape(b, p, b->count + g * b->dim, framed ? b->state + p * b->nstate : NULL, stride, s);
             gather_point(b->dim, b->rot, n, stride, s, nodes, x, z + p * nz, 1);
-            for (int i = 0; i < nb; ++i) {
+            for (int i = 0; value && i < nb; ++i) {
                 double sum = 0.0;
                 for (int a = 0; a < n; ++a) sum += s[a] * x[(int64_t)nodes[a] * nb + i];
                 value[p * nb + i] = sum;
@@ -259,11 +262,11 @@ INLINE void add_tangent_any(int dim, int rot, int nv, int symmetric, int first, 
     if (dim == 3 && rot == 3) {
         if (symmetric) { CASE_NV(3, 3, 1) } else { CASE_NV(3, 3, 0) }
     } else if (dim == 3) {
-        CASE_NV(3, 0, 1)
+        if (symmetric) { CASE_NV(3, 0, 1) } else { CASE_NV(3, 0, 0) }
     } else if (rot == 1) {
-        CASE_NV(2, 1, 1)
+        if (symmetric) { CASE_NV(2, 1, 1) } else { CASE_NV(2, 1, 0) }
     } else {
-        CASE_NV(2, 0, 1)
+        if (symmetric) { CASE_NV(2, 0, 1) } else { CASE_NV(2, 0, 0) }
     }
 }
 
@@ -385,9 +388,10 @@ INLINE int evaluate(const Batch *b, const Law *law, const double *x, int64_t sta
                     int64_t *group_of, const Work *w)
 {
     const int nz = unknowns_of(b->dim, b->rot), ns = b->nstate, np = b->nparam;
-    int lanes = (int)(b->npoints - start < LANES ? b->npoints - start : LANES), coupled = 0;
+    int lanes = (int)(b->npoints - start < LANES ? b->npoints - start : LANES), coupled = 0, open = 0;
     for (int l = 0; l < LANES; ++l) {
         const int64_t p = start + (l < lanes ? l : lanes - 1);
+        open |= !law->block_of || law->block_of[p] < 0;
         if (l < lanes) {
             while (p >= b->first[*group + 1]) ++*group;
             group_of[l] = *group;
@@ -406,24 +410,30 @@ INLINE int evaluate(const Batch *b, const Law *law, const double *x, int64_t sta
             }
         }
     }
-    law->kernel(w->in, w->out);
+    if (open) law->kernel(w->in, w->out);
     if (coupled) law->couple(w->cin, w->cout);
     return coupled ? -lanes : lanes;
 }
 
 /* What a point's virtual work multiplies, times its volume: r [nz] and, if wanted, w->A [nz][nz]; gradients in
  * the point's frame. */
-INLINE void point_terms(const Batch *b, const Work *w, int64_t p, int l, int coupled, int tangent, double *r)
+INLINE void point_terms(const Batch *b, const Law *law, const Work *w, int64_t p, int l, int coupled, int tangent,
+                        double *r)
 {
     const int nz = unknowns_of(b->dim, b->rot);
-    for (int k = 0; k < nz; ++k) r[k] = b->volume[p] * w->out[k * LANES + l];
+    const int64_t row = law->block_of ? law->block_of[p] : -1;
+    const double *block = row < 0 ? NULL : law->blocks + row * (nz + (tangent ? nz * nz : 0));
+    for (int k = 0; k < nz; ++k) r[k] = b->volume[p] * (block ? block[k] : w->out[k * LANES + l]);
     if (coupled)
         for (int k = 0; k < 3; ++k) r[9 + k] += w->cout[k * LANES + l];
     if (!tangent) return;
     const double *upper = w->out + nz * LANES + l;
-    for (int i = 0, k = 0; i < nz; ++i)
-        for (int j = i; j < nz; ++j, ++k)
-            w->A[i * nz + j] = w->A[j * nz + i] = b->volume[p] * upper[k * LANES];
+    if (block)
+        for (int k = 0; k < nz * nz; ++k) w->A[k] = b->volume[p] * block[nz + k];
+    else
+        for (int i = 0, k = 0; i < nz; ++i)
+            for (int j = i; j < nz; ++j, ++k)
+                w->A[i * nz + j] = w->A[j * nz + i] = b->volume[p] * upper[k * LANES];
     if (coupled)
         for (int i = 0; i < 3; ++i)
             for (int j = 0; j < 3; ++j) w->A[(9 + i) * nz + 9 + j] += w->cout[(3 + 3 * i + j) * LANES + l];
@@ -475,7 +485,7 @@ FAST int polarmpm_assemble(const Batch *b, const Law *law, const Matrix *M, cons
             }
             const double *sp = w.shapes + l * 4 * stride;
             double r[21];
-            point_terms(b, &w, p, l, coupled, M != NULL, r);
+            point_terms(b, law, &w, p, l, coupled, M != NULL, r);
             add_residual(dim, rot, n, stride, sp, r, w.f);
             if (M) {
                 for (int c = 0; c <= dim; ++c)
@@ -495,3 +505,4 @@ FAST int polarmpm_assemble(const Batch *b, const Law *law, const Matrix *M, cons
 }
 
 #include "_moments.h"
+#include "_return.h"

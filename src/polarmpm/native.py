@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 2  # the same number as in _native.c
+INTERFACE = 3  # the same number as in _native.c
 
 _I32, _I64, _PTR = ctypes.c_int32, ctypes.c_int64, ctypes.c_void_p
 
@@ -54,7 +54,31 @@ class Matrix(ctypes.Structure):
 class Law(ctypes.Structure):
     """Compiled kernels of a batch; mirrors the C structure."""
 
-    _fields_ = [("kernel", _PTR), ("couple", _PTR), ("couple_of", _PTR), ("couples", _PTR)]
+    _fields_ = [
+        ("kernel", _PTR),
+        ("couple", _PTR),
+        ("couple_of", _PTR),
+        ("couples", _PTR),
+        ("block_of", _PTR),
+        ("blocks", _PTR),
+    ]
+
+
+class Return(ctypes.Structure):
+    """Kernels and controls of a return mapping; mirrors the C structure."""
+
+    _fields_ = [
+        ("local", _PTR),
+        ("stress", _PTR),
+        ("moduli", _PTR),
+        ("row_scale", _PTR),
+        ("tolerance", ctypes.c_double),
+        ("loose", ctypes.c_double),
+        ("nin", _I32),
+        ("nx", _I32),
+        ("nz", _I32),
+        ("most", _I32),
+    ]
 
 
 def fill(structure: Any, **arrays: Any) -> None:
@@ -82,13 +106,15 @@ def library() -> ctypes.CDLL:
             f"polarmpm._native has interface {built}, the package needs {INTERFACE}; "
             "install it again (pip install -e .)"
         )
-    lib.polarmpm_gather.argtypes = [_PTR] * 4
+    lib.polarmpm_gather.argtypes = [_PTR, _PTR, _I32, _PTR, _PTR]
     lib.polarmpm_spread.argtypes = [_PTR, _PTR, _I32, _PTR]
     lib.polarmpm_couple_nodes.argtypes = [_PTR, _I32, _PTR]
     lib.polarmpm_assemble.argtypes = [_PTR] * 6
     lib.polarmpm_moments.argtypes = [_PTR, _PTR, _PTR, _I32, _PTR, _PTR]
     lib.polarmpm_project.argtypes = [_I64, _I32, _I32, _PTR, _PTR, _PTR, _PTR]
-    for name in ("assemble", "moments"):
+    lib.polarmpm_return.argtypes = [_PTR, _I64, _PTR, _I32, _PTR, _PTR, _PTR, _PTR]
+    lib.polarmpm_evaluate.argtypes = [_PTR, _I64, _I32, _I32, _PTR, _PTR]
+    for name in ("assemble", "moments", "return", "evaluate"):
         getattr(lib, f"polarmpm_{name}").restype = ctypes.c_int
     for name in ("gather", "spread", "couple_nodes", "project"):
         getattr(lib, f"polarmpm_{name}").restype = None

@@ -54,7 +54,7 @@ class Layout:
 
 
 @cache
-def _generator_version() -> str:
+def generator_version() -> str:
     return jit.digest(*(Path(str(module.__file__)).read_text() for module in (codegen, scalargraph)))
 
 
@@ -102,7 +102,7 @@ class _Space:
         return ufl.Coefficient(self.function_space(size))
 
 
-def _matrix(c: Any, rows: int, columns: int, start: int = 0) -> Any:
+def matrix(c: Any, rows: int, columns: int, start: int = 0) -> Any:
     return ufl.as_tensor([[c[start + columns * i + j] for j in range(columns)] for i in range(rows)])
 
 
@@ -115,20 +115,20 @@ def strains(material: Material, layout: Layout, z: Any, state: Any, *, rotated: 
             material; of a plane problem without the entries that are known.
     """
     d, r = layout.dim, layout.rotations
-    g, frame = _matrix(z, d, d), _matrix(state, d, d)
+    g, frame = matrix(z, d, d), matrix(state, d, d)
     f = kin.plane_tensor(frame) + kin.plane_gradient(g) if d == 2 else frame + g
     if r == 0:
         return material.measures(f)
     if d == 2:
         return _plane_strains(f, z, state, rotated)
     w = ufl.as_vector([z[9 + i] for i in range(3)])
-    gw = _matrix(z, 3, 3, 12)
+    gw = matrix(z, 3, 3, 12)
     dq, increment = kin.exp_map(w), ufl.dot(kin.right_tangent(w), gw)
     if rotated:
-        return ufl.dot(ufl.transpose(dq), f) - ufl.Identity(3), _matrix(state, 3, 3, 9) + increment
+        return ufl.dot(ufl.transpose(dq), f) - ufl.Identity(3), matrix(state, 3, 3, 9) + increment
     q0t = ufl.transpose(kin.quaternion_tensor([state[9 + i] for i in range(4)]))
     strain = ufl.dot(q0t, ufl.dot(ufl.transpose(dq), f)) - ufl.Identity(3)
-    return strain, _matrix(state, 3, 3, 13) + ufl.dot(q0t, increment)
+    return strain, matrix(state, 3, 3, 13) + ufl.dot(q0t, increment)
 
 
 def _plane_strains(f: Any, z: Any, state: Any, rotated: bool) -> tuple[Any, Any]:
@@ -237,7 +237,7 @@ class PointForm:
     def compile(self, comm: MPI.Comm) -> tuple[Kernel, Kernel]:
         """(residual, residual and upper triangle of the tangent) as kernels. Collective."""
         n = self.layout.unknowns
-        key = jit.digest(_generator_version(), "blocks", self._signature(codegen.integrand(self.tangent)))
+        key = jit.digest(generator_version(), "blocks", self._signature(codegen.integrand(self.tangent)))
         lib = jit.library(key, self._source, comm)
         size = n + n * (n + 1) // 2
         return Kernel(lib, "residual", self.inputs, n), Kernel(lib, "blocks", self.inputs, size)
@@ -264,7 +264,7 @@ def compile_expressions(
         return codegen.write_c(scalarise.graph, {"evaluate": nodes})
 
     layout = ",".join(f"{slot}" for slot in terminals.values())
-    lib = jit.library(jit.digest(_generator_version(), "expr", layout, *signatures), source, comm)
+    lib = jit.library(jit.digest(generator_version(), "expr", layout, *signatures), source, comm)
     return Kernel(lib, "evaluate", inputs, size)
 
 
@@ -296,7 +296,7 @@ class CoupleForm:
         """Kernel (w, m) -> residual (3) and tangent (3 x 3). Collective."""
         terminals = {self.w: 0, self.m: 1, self.space.domain: 0}
         signature = _compat.expression_signature(codegen.integrand(self.tangent), terminals)
-        lib = jit.library(jit.digest(_generator_version(), "couple", signature), self._source, comm)
+        lib = jit.library(jit.digest(generator_version(), "couple", signature), self._source, comm)
         return Kernel(lib, "couple", 6, 12)
 
 
@@ -313,7 +313,7 @@ class FieldForm:
     def expressions(self) -> list[Any]:
         """[W, sigma, mu]; sigma = Q B F^T / J, mu = Q S F^T / J (T 3.4)."""
         p = named_parameters(self.material, self.parameters)
-        f, gamma = _matrix(self.f, 3, 3), ufl.variable(_matrix(self.wryness, 3, 3))
+        f, gamma = matrix(self.f, 3, 3), ufl.variable(matrix(self.wryness, 3, 3))
         j = ufl.det(f)
         if not self.material.micropolar:
             fv = ufl.variable(f)

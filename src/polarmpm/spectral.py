@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import exp
+from math import exp, factorial
 from typing import Any
 
 import ufl
@@ -60,3 +60,20 @@ def squared_log_strain(first: Any, square: Any, third: Any) -> Any:
         below = third + s * (second + s * (first + s))
         total += weight * above / below
     return 0.25 * total
+
+
+_TERMS = 20  # of the exponential: machine precision up to a norm of the deviator of 2
+
+
+def exp_symmetric(a: Any) -> Any:
+    """exp(a) of a symmetric 3 x 3 tensor.
+
+    Its series is summed up modulo the characteristic polynomial of the deviator d, d^3 = J2 d + J3 I, so that
+    three scalars are all that is summed.
+    """
+    d = ufl.dev(a)
+    second, third = 0.5 * ufl.inner(d, d), ufl.det(d)
+    c0, c1, c2 = ufl.as_ufl(1.0 / factorial(_TERMS)), ufl.as_ufl(0.0), ufl.as_ufl(0.0)
+    for k in range(_TERMS - 1, -1, -1):
+        c0, c1, c2 = 1.0 / factorial(k) + third * c2, c0 + second * c2, c1
+    return ufl.exp(ufl.tr(a) / 3) * (c0 * ufl.Identity(3) + c1 * d + c2 * ufl.dot(d, d))

@@ -1,0 +1,183 @@
+"""Return mapping: which points yield, their stresses and consistent tangents, and their plastic history.
+
+Elastic points cost one evaluation of the yield function. Those that yield are gathered and solved in batches
+by compiled code; kernels are compiled when the first point needs them. Where the smooth part of the yield
+surface has no admissible solution, the apex is tried, and the other way round.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+
+from . import native
+from .errors import LocalFailure
+from .pointforms import Kernel
+from .plasticforms import PlasticForm, Return, entries
+
+_YIELD = 1e-12  # yield function over elastic modulus that counts as positive
+_TOLERANCE = 1e-13  # of the local residual, as a strain
+_LOOSE = 1e-9  # accepted where rounding ends the iteration; T 4.3.3 uses it throughout
+_MOST = 60  # local iterations, halved steps included
+
+
+@dataclass
+class Yielding:
+    """Points that yield in the present state.
+
+    Attributes:
+        rows: which of the points (n,).
+        inputs, X: kernel inputs and local unknowns, row by row.
+        apex: on which part of the yield surface (n,) bool.
+        blocks: s and, if asked, the consistent tangent per reference volume, (n, nz (1 + nz)).
+        iterations: local iterations (n,).
+    """
+
+    rows: np.ndarray
+    inputs: np.ndarray
+    X: np.ndarray
+    apex: np.ndarray
+    blocks: np.ndarray
+    iterations: np.ndarray
+
+
+class ReturnMapping:
+    """Return mapping for the points of one elastoplastic material. Collective.
+
+    Args:
+        form: its form.
+        ids: permanent ids of the points (n,), for messages.
+    """
+
+    def __init__(self, form: PlasticForm, comm: MPI.Comm, ids: np.ndarray):
+        self.form, self.comm, self.ids = form, comm, ids
+        self._trial: Kernel = form.compile_trial(comm)
+        self._returns: dict[bool, Return] = {}
+        self.yielding: Yielding | None = None
+
+    # evaluation -----------------------------------------------------------------------------------
+    def evaluate(self, inputs: np.ndarray, tangent: bool) -> Yielding:
+        """Solve the local problems of the points that yield, for inputs (n, form.inputs) of all points.
+
+        Raises:
+            LocalFailure: at some points there is no solution; the message has their ids. On every rank.
+        """
+        form, n = self.form, self.form.local_size
+        trial = evaluate(self._trial, inputs)
+        f = trial[:, n]
+        finite = np.all(np.isfinite(trial[:, : n + 1]), axis=1)
+        rows = np.flatnonzero((f > _YIELD * form.material.modulus) & finite)
+        lost = self.ids[~finite]
+        nz = form.layout.unknowns
+        y = Yielding(
+            rows,
+            np.ascontiguousarray(inputs[rows]),
+            np.ascontiguousarray(trial[rows, :n]),
+            (trial[rows, n + 1] > 0) if form.material.has_apex else np.zeros(len(rows), dtype=bool),
+            np.zeros((len(rows), nz * (1 + nz) if tangent else nz)),
+            np.zeros(len(rows), dtype=np.int32),
+        )
+        open_ = np.ones(len(rows), dtype=bool)
+        first = y.apex.copy()
+        for attempt in range(2 if form.material.has_apex else 1):
+            kind = first if attempt == 0 else ~first
+            for apex in (False, True):
+                which = np.flatnonzero(open_ & (kind == apex))
+                if self.comm.allreduce(len(which)):
+                    open_[which] = ~self._solve(y, which, apex, tangent)
+        failed = np.concatenate([lost, self.ids[rows[open_]]])
+        everywhere = np.sort(np.concatenate(self.comm.allgather(failed)))
+        if len(everywhere):
+            names = ", ".join(map(str, everywhere[:10])) + (" ..." if len(everywhere) > 10 else "")
+            raise LocalFailure(f"return mapping failed at {len(everywhere)} point(s): {names}")
+        self.yielding = y
+        return y
+
+    def _kernels(self, apex: bool) -> Return:
+        if apex not in self._returns:
+            self._returns[apex] = self.form.compile_return(apex, self.comm)
+        return self._returns[apex]
+
+    def _solve(self, y: Yielding, which: np.ndarray, apex: bool, tangent: bool) -> np.ndarray:
+        """Solve for some of the yielding points on one part of the surface; which of them succeeded."""
+        kernels, n = self._kernels(apex), len(which)
+        form = self.form
+        X, blocks = y.X[which], np.zeros((n, y.blocks.shape[1]))
+        inputs = np.ascontiguousarray(y.inputs[which])
+        status, iterations = np.zeros(n, dtype=np.int8), np.zeros(n, dtype=np.int32)
+        controls = native.Return()
+        native.fill(
+            controls,
+            local=kernels.local.address,
+            stress=kernels.stress.address,
+            moduli=kernels.moduli.address,
+            row_scale=kernels.row_scale,
+            tolerance=_TOLERANCE,
+            loose=_LOOSE,
+            nin=form.inputs,
+            nx=form.local_size,
+            nz=form.layout.unknowns,
+            most=_MOST,
+        )
+        failed = native.library().polarmpm_return(
+            ctypes.byref(controls),
+            n,
+            inputs.ctypes.data,
+            int(tangent),
+            X.ctypes.data,
+            blocks.ctypes.data,
+            status.ctypes.data,
+            iterations.ctypes.data,
+        )
+        if failed:
+            raise MemoryError("no memory for the return mapping")
+        good = status == 0
+        good[good] = evaluate(kernels.flow, np.hstack([inputs[good], X[good]]))[:, 1] >= 0.0
+        solved = which[good]
+        y.X[solved], y.blocks[solved], y.apex[solved] = X[good], blocks[good], apex
+        y.iterations[which] += iterations
+        return good
+
+    # history --------------------------------------------------------------------------------------
+    def dissipation(self) -> np.ndarray:
+        """Plastic dissipation (Pa) of the points that yield, since the last converged step."""
+        y = self.yielding
+        assert y is not None
+        out = np.zeros(len(y.rows))
+        for apex in (False, True):
+            which = np.flatnonzero(y.apex == apex)
+            if len(which):
+                flow = self._returns[apex].flow
+                out[which] = evaluate(flow, np.hstack([y.inputs[which], y.X[which]]))[:, 0]
+        return out
+
+    def elastic_state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Ue (Fe of a classical material), Ge (n, 3, 3) and chi (n,) of the points that yield, in the frame of
+        the state."""
+        y = self.yielding
+        assert y is not None
+        deformation, wryness = entries(self.form.layout)
+        first: np.ndarray = np.zeros((len(y.rows), 3, 3))
+        second = np.zeros_like(first)
+        for k, (i, j) in enumerate(deformation):
+            first[:, i, j] = y.X[:, k]
+        for k, (i, j) in enumerate(wryness):
+            second[:, i, j] = y.X[:, len(deformation) + k]
+        return first, second, y.X[:, self.form.local_size - 2]
+
+
+def evaluate(kernel: Kernel, inputs: np.ndarray) -> np.ndarray:
+    """Outputs (n, kernel.outputs) of a kernel for rows of inputs (n, kernel.inputs)."""
+    if inputs.shape[1] != kernel.inputs:
+        raise ValueError(f"kernel has {kernel.inputs} inputs, {inputs.shape[1]} are given")
+    inputs = np.ascontiguousarray(inputs)
+    out = np.empty((len(inputs), kernel.outputs))
+    if native.library().polarmpm_evaluate(
+        kernel.address, len(inputs), kernel.inputs, kernel.outputs, inputs.ctypes.data, out.ctypes.data
+    ):
+        raise MemoryError("no memory to evaluate a kernel")
+    return out
