@@ -16,6 +16,7 @@ from .points import Points, Selection
 from .resetting import EverySteps, Never, WhenDistorted
 from .seeding import seed, seed_mesh
 from .stepping import Step
+from .surfaces import Surface
 
 __version__ = "0.1.0"
 
@@ -42,6 +43,7 @@ __all__ = [
     "Recorder",
     "Selection",
     "Step",
+    "Surface",
     "Table",
     "UserEnergy",
     "WhenDistorted",

@@ -204,6 +204,9 @@ class GhostFaces:
     def matrices(self, x: np.ndarray) -> np.ndarray:
         return self.matrix
 
+    def commit(self, x: np.ndarray) -> None:
+        """Nothing to remember: the forces start anew at each reset."""
+
 
 class Ghost:
     """Makes the ghost penalty's terms at each reset; implements `nodalterms.TermSource`."""
@@ -211,6 +214,9 @@ class Ghost:
     def __init__(self, penalty: GhostPenalty, layout: Layout):
         self.penalty = penalty
         self.scale = np.repeat([penalty.displacement, penalty.rotation], [layout.dim, layout.rotations])
+
+    def begin(self) -> None:
+        """Nothing to prepare."""
 
     def terms(self, grid: Grid, reached: np.ndarray) -> list[Term]:
         out: list[Term] = []

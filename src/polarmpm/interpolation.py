@@ -89,7 +89,8 @@ class Interpolation:
         with together(grid.comm):
             w = weights(basis, grid, r.x, domain_half_length(r.F, points.half_length0), cells)
         order, groups = _group(points.material, w)
-        reached = _reached_cells(grid, groups) if sources else np.zeros(0, dtype=np.int64)
+        degree = 2 if basis == "bspline" else 1
+        reached = _reached_cells(grid, groups, degree) if sources else np.zeros(0, dtype=np.int64)
         self.terms = [term for source in sources for term in source.terms(grid, reached)]
         touched, node_sets = _node_sets(grid, groups, [t.boxes.numbers(grid).ravel() for t in self.terms])
         self.nodes = ActiveNodes.build(grid, touched, partial(node_positions, basis, grid))
@@ -226,10 +227,10 @@ def _group(material: np.ndarray, w: Weights) -> tuple[np.ndarray, _Groups]:
     return order, _Groups(heads[:, 0], heads[:, 1 : 1 + dim], heads[:, 1 + dim :], first)
 
 
-def _reached_cells(grid: Grid, groups: _Groups) -> np.ndarray:
-    """Lattice numbers, ascending, of the cells between the groups' nodes."""
+def _reached_cells(grid: Grid, groups: _Groups, degree: int) -> np.ndarray:
+    """Lattice numbers, ascending, of the cells on which the groups' functions, of a degree, are weights."""
     first, cells = grid.node_number(groups.node.reshape(-1, grid.dim)), []
-    sizes, kind = np.unique(groups.count - 1, axis=0, return_inverse=True)
+    sizes, kind = np.unique(groups.count - degree, axis=0, return_inverse=True)
     for k, size in enumerate(sizes):
         index = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1).reshape(-1, grid.dim)
         cells.append((first[kind.ravel() == k][:, None] + index @ grid.strides).ravel())

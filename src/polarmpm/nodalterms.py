@@ -70,9 +70,15 @@ class Term(Protocol):
     def matrices(self, x: np.ndarray) -> np.ndarray:
         """Derivatives of the forces' components i by increments' components j, (m or 1, n, n, k)."""
 
+    def commit(self, x: np.ndarray) -> None:
+        """Take note of the increments (m, n, b) of a converged step. Collective."""
+
 
 class TermSource(Protocol):
     """What makes terms at a reset."""
+
+    def begin(self) -> None:
+        """A reset: increments count from the present state."""
 
     def terms(self, grid: Grid, reached: np.ndarray) -> list[Term]:
         """Terms from now on; `reached` holds the lattice numbers of the cells that this rank's points reach,
@@ -162,14 +168,21 @@ class NodalTerms:
         return any(t.external for t in self.terms)
 
     def work(self, start: np.ndarray, end: np.ndarray) -> dict[str, float]:
-        """Work (J) against the forces from one state of increments (nodes, b) to another, by the trapezoidal
-        rule, by name. Collective."""
+        """Work (J) against the forces that don't count as external from one state of increments (nodes, b) to
+        another, by the trapezoidal rule, by name. Collective."""
         out: dict[str, float] = {}
         for term, rows in zip(self.terms, self.rows, strict=True):
+            if term.external:
+                continue
             mean = 0.5 * (term.forces(start[rows]) + term.forces(end[rows]))
             work = float(np.sum(mean * (end - start)[rows]))
             out[term.name] = out.get(term.name, 0.0) + self.nodes.grid.comm.allreduce(work)
         return out
+
+    def commit(self, x: np.ndarray) -> None:
+        """Tell all terms the increments (nodes, b) of a converged step. Collective."""
+        for term, rows in zip(self.terms, self.rows, strict=True):
+            term.commit(x[rows])
 
     # tangent ----------------------------------------------------------------------------------------
     def bind(self, matrix: native.Matrix, fixed: np.ndarray) -> None:

@@ -11,21 +11,21 @@ from mpi4py import MPI
 import numpy as np
 
 from . import conditions, movinggrid, rotations
-from .conditions import Plane, PlaneSpec, Support
+from .conditions import Amplitude, Plane, PlaneSpec, Support
 from .errors import InputError
 from .ghost import Ghost, GhostPenalty, make_penalty
 from .grid import Grid
 from .interpolation import Increments, Interpolation, Reference
 from .movinggrid import MovingPlane
 from .newton import Controls
-from .nodalterms import TermSource
 from .parallel import look_up, together
 from .pointforms import CoupleForm, Kernel, PointForm
 from .points import Points, Selection
 from .pointsystem import LoadedPoints, PointSystem
-from .problem import Problem, Progress
+from .problem import Progress
 from .resetting import ResetPolicy, make_policy
 from .seeding import check_inside
+from .surfaceproblem import SurfaceProblem
 from .weighting import check_basis
 
 ASSEMBLIES = ("direct", "projection")
@@ -52,7 +52,7 @@ def _check_assembly(assembly: str, basis: str) -> str:
     return assembly
 
 
-class QuasiStatic(Problem):
+class QuasiStatic(SurfaceProblem):
     """Equilibrium of material points on a grid under slowly changing loads. All methods are collective.
 
     Attributes:
@@ -105,7 +105,8 @@ class QuasiStatic(Problem):
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
         self.balanced_reset = balanced_reset
         self.ghost = make_penalty(ghost, points.materials, self.layout, basis, assembly)
-        self._sources: list[TermSource] = [Ghost(self.ghost, self.layout)] if self.ghost else []
+        if self.ghost:
+            self._sources.append(Ghost(self.ghost, self.layout))
         self.term_works: dict[str, float] = {}
         self._step_start: np.ndarray | None = None
         self._compiled = _Compiled()
@@ -148,6 +149,7 @@ class QuasiStatic(Problem):
     def _set_loads(self, system: LoadedPoints, factor: float) -> None:
         self._attempted = self._loads_at(factor)
         system.set_loads(*self._attempted)
+        self._set_surfaces(factor)
         if self._sources:
             self._step_start = system.x.copy()
 
@@ -165,6 +167,16 @@ class QuasiStatic(Problem):
             return system.external
         assert self._attempted is not None
         return self._nodal_loads(system, self._attempted)
+
+    def _load_places(self) -> list[tuple[Amplitude, np.ndarray]]:
+        if self._system is not None and self._system.terms.external:
+            raise InputError(
+                "march_arc_length: conditions on surfaces of material points aren't possible here"
+            )
+        return super()._load_places()
+
+    def _nodal_volumes(self, system: LoadedPoints) -> np.ndarray:
+        return system.interpolation.spread(self.points.volume0[:, None])[:, 0]
 
     def _nodal_loads(self, system: LoadedPoints, loads: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         """Forces on the nodes that do work on the increments: in space a couple m does it as J_r(Dw) m."""
@@ -193,6 +205,7 @@ class QuasiStatic(Problem):
         if self._step_start is not None:
             for name, work in system.term_work(self._step_start, system.x).items():
                 self.term_works[name] = self.term_works.get(name, 0.0) + work
+            system.terms.commit(system.x)
         self._balanced = self._attempted
         p = self.progress
         p.ghost_work = self.ghost_work
@@ -202,6 +215,8 @@ class QuasiStatic(Problem):
             largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
             if self.comm.allreduce(largest, op=MPI.MAX) > _ROTATION_LIMIT:
                 system.rebase_rotations()
+                for condition in self.surfaces:
+                    condition.rebase_rotations()
                 p.rotation_factor = factor
 
     def _prepare(self) -> LoadedPoints:
@@ -222,6 +237,7 @@ class QuasiStatic(Problem):
             if self.balanced_reset and p.step:
                 # not the loads of now: what was added since the last step is to be felt
                 self._system.set_loads(*(self._balanced or self._loads_at(p.factor)))
+                self._set_surfaces(p.factor, carrying=True)
                 self._system.carry_imbalance()
         else:
             self._system = self._build(old.interpolation)
@@ -240,6 +256,8 @@ class QuasiStatic(Problem):
                     support.where.follow(grid)
 
     def _interpolate(self, reference: Reference | None) -> Interpolation:
+        for source in self._sources if reference is None else []:
+            source.begin()
         return Interpolation(self.grid, self.points, self.basis, self.forms, reference, self._sources)
 
     def _build(self, interpolation: Interpolation) -> LoadedPoints:
@@ -275,6 +293,7 @@ class QuasiStatic(Problem):
         """Continue from a state whose points have been put in already; see `io.restart`."""
         self.progress, self._equilibrium, self._balanced = progress, None, None
         self.term_works = {"ghost": progress.ghost_work}
+        self._last_x = None
         if self._system is not None:
             self._system.destroy()
             self._system = None

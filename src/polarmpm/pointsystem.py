@@ -52,6 +52,9 @@ class LoadedPoints(NodalSystem):
                 table = np.concatenate([mine[loaded], np.zeros((1, 3))])  # never empty
                 self._couples[k] = (row, np.ascontiguousarray(table))
 
+    def put_external(self, forces: np.ndarray) -> None:
+        self._point_loads = self.external = forces
+
     def _law(self, k: int, tangent: bool) -> native.Law:
         """Compiled kernels of batch k."""
         law = native.Law()
@@ -70,18 +73,19 @@ class LoadedPoints(NodalSystem):
         return external
 
     def term_work(self, start: np.ndarray, end: np.ndarray) -> dict[str, float]:
-        """Work (J) done against the forces of `terms` between two states of the nodal increments (nodes,
-        block), by the trapezoidal rule, by name ("ghost", ...). Collective."""
+        """Work (J) done against the forces of `terms` that aren't loads or supports between two states of the
+        nodal increments (nodes, block), by the trapezoidal rule, by name ("ghost"). Collective."""
         return self.terms.work(start, end)
 
     def rebase_rotations(self) -> None:
         """Count rotation increments from the points' current rotations on; the equilibrium stays.
         Collective."""
-        before = self._term_forces()
+        before = self.x.copy()
         self.interpolation.rebase_rotations()
         self.x[:, self.layout.dim :] = 0.0
-        if len(self.terms):
-            lost = before - self._term_forces()
+        if len(self.terms):  # forces of the increments that are forgotten
+            lost = self.terms.forces(before, external=False) - self.terms.forces(self.x, external=False)
+            self.nodes.add_to_owners(lost)
             self.carried -= np.where(self.prescribed.fixed, 0.0, lost)
 
     def _term_forces(self) -> np.ndarray:
