@@ -323,12 +323,14 @@ def test_clamp_inside_cells_tends_to_the_conforming_one():
     assert differences[2] < 0.7 * differences[1]
 
 
-@pytest.mark.parametrize("basis", ["gimpm", "mpm", "bspline"])
+@pytest.mark.parametrize(("basis", "reset"), [("gimpm", 1), ("mpm", 1), ("bspline", 1), ("mpm", None)])
 @pytest.mark.parametrize("dim", [2, 3])
-def test_clamped_line_turns_the_body(dim, basis):
-    """A clamp that turns by 1.5 rad takes an unloaded body along as a rigid one, without forces."""
+def test_clamped_line_turns_the_body(dim, basis, reset):
+    """A clamp that turns by 1.5 rad takes an unloaded body along as a rigid one, without forces; without a reset
+    rotations get a new base on the way."""
     low, high = BOXES[dim]
-    problem = block(low, high, MICROPOLAR, basis=basis, controls=pm.Controls(force_tolerance=1e-12))
+    controls = pm.Controls(force_tolerance=1e-12)
+    problem = block(low, high, MICROPOLAR, basis=basis, reset=reset, controls=controls)
     centre, angle = np.full(dim, 1.0), 1.5
     axis = np.array([0.0, 0.0, 1.0]) if dim == 2 else np.array([2.0, -1.0, 2.0]) / 3
 

@@ -91,15 +91,13 @@ class LoadedPoints(NodalSystem):
     def _term_forces(self) -> np.ndarray:
         """Residual forces (nodes, block) of `terms`, complete on owned rows; external ones are added to
         `external`, too. Collective."""
-        forces = np.zeros_like(self.x)
-        if len(self.terms):
-            forces += self.terms.forces(self.x, external=False)
-            if self.terms.external:
-                loads = self.terms.forces(self.x, external=True)
-                forces += loads
-                self.nodes.add_to_owners(loads)
-                self.external = self._point_loads - loads
-            self.nodes.add_to_owners(forces)
+        forces = self.terms.forces(self.x, external=False)
+        if self.terms.external:
+            loads = self.terms.forces(self.x, external=True)
+            forces += loads
+            self.nodes.add_to_owners(loads)
+            self.external = self._point_loads - loads
+        self.nodes.add_to_owners(forces)
         return forces
 
 
@@ -139,7 +137,8 @@ class PointSystem(LoadedPoints):
         for k, batch in enumerate(self.interpolation.batches):
             self._assemble(k, batch, matrix if tangent else None, internal)
         self.nodes.add_to_owners(internal)
-        internal += self._term_forces()
+        if len(self.terms):
+            internal += self._term_forces()
         if tangent:
             self.terms.add_tangents(self.x, self.pattern.values)
             self.pattern.collect()
