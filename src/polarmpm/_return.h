@@ -51,12 +51,13 @@ static void back_substitute(int n, const double *A, const int *pivot, int m, dou
                 B[k * m + j] = B[p * m + j];
                 B[p * m + j] = t;
             }
+    }
+    for (int k = 0; k < n; ++k)
         for (int i = k + 1; i < n; ++i) {
             const double l = A[i * n + k];
             if (l != 0.0)
                 for (int j = 0; j < m; ++j) B[i * m + j] -= l * B[k * m + j];
         }
-    }
     for (int k = n - 1; k >= 0; --k) {
         const double inverse = 1.0 / A[k * n + k];
         for (int j = 0; j < m; ++j) B[k * m + j] *= inverse;
@@ -95,7 +96,9 @@ static void iterate(const Return *R, Local *p, const double *out, double *in, in
     const double norm = read_lane(R, out, l, r, C);
     const int first = p->iterations == 0;
     double *x = in + (int64_t)R->nin * LANES + l;
-    if (first || norm < (1.0 - 1e-4 * p->length) * p->norm) {
+    /* a long step must gain much: near the apex of a cone one that turns the flow round may gain a little */
+    const double gain = p->length > 0.05 ? 0.5 : 1e-4;
+    if (first || norm < (1.0 - gain * p->length) * p->norm) {
         for (int i = 0; i < n; ++i) p->X[i] = x[i * LANES];
         p->norm = norm;
         if (norm <= R->tolerance) {

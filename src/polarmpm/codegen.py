@@ -27,6 +27,7 @@ LANES = 8  # points in one kernel call; one AVX-512 register, two of AVX2
 Key = tuple[int, int]  # component of the test and of the trial function, -1 where there is none
 Linear = dict[Key, int]  # a scalar, linear in test and trial function: graph node of every coefficient
 FREE: Key = (-1, -1)
+_BUNDLES = 1 << 20  # numbers from here on stand for bundles of components
 
 
 @dataclass
@@ -42,13 +43,39 @@ class Scalariser:
     """Evaluates expanded UFL into graph nodes.
 
     `slots` gives for each UFL terminal (coefficient, constant) the first input slot of its components.
+
+    A derivative in many directions is carried through a long expression of few scalars (a power series, say) as
+    a combination of the derivatives of these scalars: with a positive `waist`, a derivative of more terms than
+    that becomes one term, a bundle, before it is multiplied. `flat` undoes it.
     """
 
     slots: dict[Any, int]
     graph: Graph = field(default_factory=Graph)
+    waist: int = 0
 
     def __post_init__(self) -> None:
         self._memo: dict[int, tuple[Any, _Array]] = {}
+        self._bundles: list[dict[int, int]] = []  # graph nodes of the trial function's components
+        self._known_bundles: dict[frozenset, int] = {}
+
+    # bundles of derivatives -----------------------------------------------------------------------
+    def _bundled(self, a: Linear) -> Linear:
+        """A derivative as one term where it has more than `waist` of them."""
+        if not self.waist or len(a) <= self.waist or any(i >= 0 or j < 0 for i, j in a):
+            return a
+        key = frozenset(a.items())
+        if key not in self._known_bundles:
+            self._known_bundles[key] = _BUNDLES + len(self._bundles)
+            self._bundles.append({j: node for (_, j), node in self.flat(a).items()})
+        return {(-1, self._known_bundles[key]): self.graph.one}
+
+    def flat(self, a: Linear) -> Linear:
+        """Coefficients of the components of test and trial functions themselves."""
+        out: Linear = {}
+        for (i, j), node in a.items():
+            parts = self._bundles[j - _BUNDLES] if j >= _BUNDLES else {j: self.graph.one}
+            out = self._ladd(out, {(i, k): self.graph.mul(node, part) for k, part in parts.items()})
+        return out
 
     # scalars, linear in test and trial function -------------------------------------------------
     def lin(self, node: int) -> Linear:
@@ -68,6 +95,7 @@ class Scalariser:
 
     def _lmul(self, a: Linear, b: Linear) -> Linear:
         out: Linear = {}
+        a, b = self._bundled(a), self._bundled(b)
         for (i, j), x in a.items():
             for (k, l), y in b.items():
                 if (i >= 0 and k >= 0) or (j >= 0 and l >= 0):
@@ -236,7 +264,7 @@ class Scalariser:
         g = self.graph
 
         def divide(a: Linear, b: Linear) -> Linear:
-            return {key: g.div(node, self.plain(b)) for key, node in a.items()}
+            return {key: g.div(node, self.plain(b)) for key, node in self._bundled(a).items()}
 
         return self._pointwise(e.ufl_operands, divide)
 

@@ -81,14 +81,7 @@ class ReturnMapping:
             np.zeros((len(rows), nz * (1 + nz) if tangent else nz)),
             np.zeros(len(rows), dtype=np.int32),
         )
-        open_ = np.ones(len(rows), dtype=bool)
-        first = y.apex.copy()
-        for attempt in range(2 if form.material.has_apex else 1):
-            kind = first if attempt == 0 else ~first
-            for apex in (False, True):
-                which = np.flatnonzero(open_ & (kind == apex))
-                if self.comm.allreduce(len(which)):
-                    open_[which] = ~self._solve(y, which, apex, tangent)
+        open_ = self._solve_all(y, tangent)
         failed = np.concatenate([lost, self.ids[rows[open_]]])
         everywhere = np.sort(np.concatenate(self.comm.allgather(failed)))
         if len(everywhere):
@@ -96,6 +89,48 @@ class ReturnMapping:
             raise LocalFailure(f"return mapping failed at {len(everywhere)} point(s): {names}")
         self.yielding = y
         return y
+
+    def _solve_all(self, y: Yielding, tangent: bool) -> np.ndarray:
+        """Solve for all yielding points; which of them are left without a solution (n,)."""
+        open_, start = np.ones(len(y.rows), dtype=bool), y.X.copy()
+
+        def attempt(which: np.ndarray, apex: bool, afresh: bool = True) -> None:
+            if self.comm.allreduce(int(which.sum())):
+                at = np.flatnonzero(which)
+                if afresh:
+                    y.X[at] = start[at]
+                open_[at] = ~self._solve(y, at, apex, tangent)
+
+        first = y.apex.copy()
+        attempt(~first, False)
+        if self.form.material.has_apex:
+            attempt(first, True)
+            attempt(first & open_, False)
+            attempt(open_.copy(), True)
+            self._start_from_apex(y, open_, start)
+            attempt(open_.copy(), False, afresh=False)
+        return open_
+
+    def _start_from_apex(self, y: Yielding, open_: np.ndarray, trial: np.ndarray) -> None:
+        """Where the apex asks for too much deviatoric flow, the solution on the cone is close: the same flow,
+        with as much of its deviator as the cone allows."""
+        at = np.flatnonzero(open_)
+        if not len(at):
+            return
+        flow = evaluate(self._kernels(True).flow, np.hstack([y.inputs[at], y.X[at]]))
+        now, before = (self._tensors(X[at])[0] for X in (y.X, trial))
+        value, vector = np.linalg.eigh(_symmetric(before @ np.linalg.inv(now)))
+        log = np.log(np.maximum(value, 1e-300))
+        mean = log.mean(axis=1, keepdims=True)
+        volume = 3.0 * mean[:, 0]
+        share = np.abs(volume) / np.sqrt(np.maximum(volume**2 - flow[:, 1], 1e-300))
+        back = np.exp(-(mean + share[:, None] * (log - mean)))
+        turned = (vector * back[:, None, :]) @ np.swapaxes(vector, 1, 2) @ before
+        wryness = slice(len(entries(self.form.layout)[0]), self.form.local_size - 2)
+        new = y.X[at]
+        new[:, : wryness.start] = _columns(turned, entries(self.form.layout)[0])
+        new[:, wryness] = trial[at, wryness] + share[:, None] * (new[:, wryness] - trial[at, wryness])
+        y.X[at] = np.where(np.all(np.isfinite(new), axis=1, keepdims=True), new, trial[at])
 
     def _kernels(self, apex: bool) -> Return:
         if apex not in self._returns:
@@ -138,7 +173,8 @@ class ReturnMapping:
         good = status == 0
         good[good] = evaluate(kernels.flow, np.hstack([inputs[good], X[good]]))[:, 1] >= 0.0
         solved = which[good]
-        y.X[solved], y.blocks[solved], y.apex[solved] = X[good], blocks[good], apex
+        y.X[which] = X
+        y.blocks[solved], y.apex[solved] = blocks[good], apex
         y.iterations[which] += iterations
         return good
 
@@ -160,14 +196,26 @@ class ReturnMapping:
         the state."""
         y = self.yielding
         assert y is not None
+        return (*self._tensors(y.X), y.X[:, self.form.local_size - 2])
+
+    def _tensors(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Ue and Ge (n, 3, 3) of local unknowns."""
         deformation, wryness = entries(self.form.layout)
-        first: np.ndarray = np.zeros((len(y.rows), 3, 3))
+        first: np.ndarray = np.zeros((len(X), 3, 3))
         second = np.zeros_like(first)
         for k, (i, j) in enumerate(deformation):
-            first[:, i, j] = y.X[:, k]
+            first[:, i, j] = X[:, k]
         for k, (i, j) in enumerate(wryness):
-            second[:, i, j] = y.X[:, len(deformation) + k]
-        return first, second, y.X[:, self.form.local_size - 2]
+            second[:, i, j] = X[:, len(deformation) + k]
+        return first, second
+
+
+def _symmetric(a: np.ndarray) -> np.ndarray:
+    return 0.5 * (a + np.swapaxes(a, 1, 2))
+
+
+def _columns(tensors: np.ndarray, places: tuple[tuple[int, int], ...]) -> np.ndarray:
+    return np.column_stack([tensors[:, i, j] for i, j in places])
 
 
 def evaluate(kernel: Kernel, inputs: np.ndarray) -> np.ndarray:
