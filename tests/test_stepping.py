@@ -98,6 +98,16 @@ def test_adaptive_does_not_grow_after_hard_steps():
     assert len(stub.attempts) == len(steps) + 2
 
 
+def test_adaptive_grows_to_the_largest():
+    """Beyond the first step where it is allowed; smaller than the first where that is too much."""
+    factors = [s.factor for s in run(Stub(10.0), 20, adaptive=True, largest=0.1)]
+    np.testing.assert_allclose(np.diff(factors)[:4], [0.075, 0.1, 0.1, 0.1])
+    assert factors[0] == 0.05
+    np.testing.assert_allclose(
+        np.diff([s.factor for s in run(Stub(10.0), 2, adaptive=True, largest=0.2)]), 0.2
+    )
+
+
 def test_adaptive_unloads():
     """A smaller final factor works the same way."""
     stub = Stub(0.3)
@@ -127,6 +137,8 @@ def test_adaptive_gives_up():
         (2, {"too": 1.0}, "unknown option 'too'"),
         (2, {"to": np.nan}, "to = nan"),
         (2, {"adaptive": True, "smallest": 0.0}, r"smallest = 0\.0"),
+        (2, {"adaptive": True, "largest": 0.0}, r"largest = 0\.0"),
+        (2, {"largest": 0.1}, r"largest = 0\.1.*adaptive"),
     ],
 )
 def test_bad_schedules(steps, options, message):

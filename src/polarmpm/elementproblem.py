@@ -189,6 +189,25 @@ class QuasiStaticFEM(Problem):
             return system.external
         return self._last_loads
 
+    def _load_places(self) -> list[tuple[Amplitude, np.ndarray]]:
+        for load in self.surface_loads:
+            if load.follows or (load.kind == "couple" and self.layout.rotations == 3):
+                raise InputError(
+                    f"{load.amplitude.name} turns with the body; the arc-length method takes dead forces only"
+                )
+        return super()._load_places() + [(load.amplitude, load.position) for load in self.surface_loads]
+
+    def _nodal_volumes(self, system: ElementSystem) -> np.ndarray:
+        """An equal share of its volume for each node of an element: positive for all degrees."""
+        e = self.elements
+        nodes = e.cell_nodes[: len(e.body.owned_cells)]
+        of_cells = self.points.volume0.reshape(len(nodes), -1).sum(axis=1)
+        share = np.repeat(of_cells / nodes.shape[1], nodes.shape[1])
+        total = np.bincount(nodes.ravel(), share, minlength=len(e.nodes))
+        out = np.tile(total[:, None], (1, self.layout.block))  # what the mesh's vectors hold
+        e.nodes.add_to_owners(out)
+        return out[:, 0]
+
     def _loads_now(self, system: ElementSystem) -> np.ndarray:
         return system.external
 
@@ -244,7 +263,7 @@ class QuasiStaticFEM(Problem):
 
     def restore(self, progress: Progress) -> None:
         """Continue from a state that has been put into the elements already; see `io.restart`."""
-        self.progress, self._equilibrium = progress, None
+        self.progress, self._equilibrium, self._last_x = progress, None, None
         if self._system is not None:
             self._system.destroy()
             self._system = None

@@ -104,6 +104,9 @@ class ElementSystem(NodalSystem):
         self._dead_forces = self._sum(self._dead)
         self.external = self._dead_forces + self._sum([v.residual for v in self._varying])
 
+    def put_external(self, forces: np.ndarray) -> None:
+        self._dead_forces = self.external = forces
+
     def _put(self, x: np.ndarray) -> None:
         self.forms.x.x.array[:] = x.ravel()
 

@@ -119,6 +119,11 @@ def _iterate(system: System, controls: Controls, outcome: Outcome) -> None:
         tangent = not chord and _SAFETY * ratio**2 * following > controls.force_tolerance
 
 
+def expected_to_end(outcome: Outcome, controls: Controls) -> bool:
+    """Whether the next residual is small enough if residuals go on to fall quadratically."""
+    return _SAFETY * _ratio(outcome) ** 2 * outcome.history[-1][0] < controls.force_tolerance
+
+
 _SAFETY = 10.0  # the change of the tangent is about twice the ratio
 
 

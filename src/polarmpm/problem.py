@@ -10,9 +10,10 @@ from mpi4py import MPI
 
 import numpy as np
 
-from . import conditions, newton, rotations
+from . import arclength, conditions, newton, rotations
+from .arclength import ArcSchedule, Path
 from .balance import StepStart, step_work
-from .conditions import Load, Prescribed, Support
+from .conditions import Amplitude, Load, Prescribed, Support
 from .errors import InputError
 from .interpolation import Increments
 from .materials.base import parameter_values
@@ -35,6 +36,7 @@ class Progress:
         since_reset: converged steps since the last reset.
         reset_factor, rotation_factor: load factor at the last reset and rotation base.
         reset_due: the grid is to be reset before the next step.
+        factor_change: of the last step.
         external_work, carried_work, ghost_work: work (J) so far, see `Problem.energies`.
     """
 
@@ -44,6 +46,7 @@ class Progress:
     reset_factor: float = 0.0
     rotation_factor: float = 0.0
     reset_due: bool = True
+    factor_change: float = 0.0
     external_work: float = 0.0
     carried_work: float = 0.0
     ghost_work: float = 0.0
@@ -88,6 +91,7 @@ class Problem:
         self._field_kernels: list[Callable[..., np.ndarray]] = []
         # nodes, out-of-balance forces and rotational increments of the last converged step
         self._equilibrium: tuple[Nodes, np.ndarray, np.ndarray] | None = None
+        self._last_x: np.ndarray | None = None  # where the points were before the last step
 
     # what the methods differ in -------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
@@ -109,6 +113,23 @@ class Problem:
 
     def _loads_now(self, system: Any) -> np.ndarray:
         """The same of the loads that are set."""
+        raise NotImplementedError
+
+    def _load_places(self) -> list[tuple[Amplitude, np.ndarray]]:
+        """All loads, and the positions (n, d) of this rank where they act.
+
+        Raises:
+            InputError: the arc-length method can't deal with a load; the message names it.
+        """
+        spatial = [load.name for load in self.loads if load.couple and self.layout.rotations == 3]
+        if spatial:
+            raise InputError(
+                f"{spatial[0]}: couples in space turn with the spin; the arc-length method takes forces only"
+            )
+        return [(load.amplitude, self.points.X[self.points.rows(load.selection)]) for load in self.loads]
+
+    def _nodal_volumes(self, system: Any) -> np.ndarray:
+        """Shares of the body's volume, (nodes,), complete on owned rows."""
         raise NotImplementedError
 
     def _increments(self, system: Any) -> Increments:
@@ -198,6 +219,87 @@ class Problem:
         self._finish(system, start, outcome, factor)
         return outcome
 
+    def march_arc_length(
+        self,
+        first: float,
+        *,
+        until: Callable[[Step], bool] | None = None,
+        largest: float | None = None,
+        smallest: float = 1e-3,
+        to: float | None = None,
+        steps: int | None = None,
+        progress: bool | None = None,
+    ) -> Iterator[Step]:
+        """Follow the path of equilibrium past limit points of the load; yields every converged step.
+
+        The load factor is found; a step has a length, the root of the mean square displacement increment of
+        the body (docs/theory.md). The path goes on in the direction of the last step; from the unloaded
+        state the load factor grows. Loads are linear in the load factor, supports don't depend on it.
+
+        Args:
+            first: length of the first step (m).
+            until: called with each converged step on all ranks; the march ends when rank 0 gets True.
+            largest: to which steps may grow (m); default: `first`.
+            smallest: smallest step to try, relative to the first one.
+            to: load factor at which the march ends, exactly.
+            steps: number of steps after which it ends.
+            progress: show a progress line (default: on a terminal).
+
+        Raises:
+            InputError: none of `until`, `to` and `steps` is given; an argument is out of range; couples in
+                space, followers, or conditions on surfaces of material points; loads or supports that depend
+                on the load factor in another way than said.
+            NotConverged: with what was tried; the last converged state is intact.
+            PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
+        """
+        schedule = ArcSchedule(first, until, largest, smallest, to, steps, progress)
+        system = self._prepare()
+        with together(self.comm):
+            places = self._load_places()
+        arclength.check_loads(self.comm, places)
+        arclength.check_supports(self.comm, system.prescribed)
+        return arclength.march(self, schedule)
+
+    def attempt_along(self, length: float, to: float | None = None) -> tuple[Outcome, float]:
+        """Try a step of a length (m) along the path, which ends at the load factor `to` if it meets it; on
+        failure everything stays as it was. Returns the load factor found, too."""
+        system, p = self._prepare(), self.progress
+        with self.timer("conditions"):
+            ends = []
+            for factor in (0.0, 1.0):
+                self._set_loads(system, factor)
+                ends.append(system.external.copy())
+            start = self._begin(system, p.factor)
+            system.set_prescribed(system.prescribed.increments(p.factor, p.reset_factor, p.rotation_factor))
+            volumes = self._nodal_volumes(system)
+        loads = ends[0], ends[1] - ends[0]
+        path = Path(system, loads, volumes, length, p.factor, lambda x: self._sense(system, x))
+        outcome = arclength.solve(path, self.controls, to)
+        if outcome.converged:
+            self._set_loads(system, path.factor)
+        moved = self._moved(system, path.start, system.x) if path.settled else None
+        self._finish(system, start, outcome, path.factor)
+        if outcome.converged and moved is not None:  # what relaxed before tells nothing about the path
+            self._last_x = self.points.x - moved
+        return outcome, path.factor
+
+    def _moved(self, system: NodalSystem, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """Displacements (np, d) of the local points between two states of the increments (nodes, block)."""
+        x, values = system.x, []
+        for system.x in (start, end):
+            values.append(self._increments(system).value[:, : self.layout.dim])
+        system.x = x
+        return values[1] - values[0]
+
+    def _sense(self, system: NodalSystem, direction: np.ndarray) -> float:
+        """Positive where nodal increments (nodes, block) lead on in the direction of the last step."""
+        along, p = 0.0, self.points
+        if self._last_x is not None:
+            moved = self._moved(system, system.x, system.x + direction)
+            along = float(np.einsum("n,ni,ni->", p.volume0, p.x - self._last_x, moved))
+        along = self.comm.allreduce(along)
+        return along or self.progress.factor_change or 1.0
+
     def _begin(self, system: NodalSystem, factor: float) -> StepStart:
         """Set the loads of a step; in the first one they grow from nothing."""
         before = self._loads_before(system) if self.progress.step else np.zeros_like(system.x)
@@ -216,6 +318,7 @@ class Problem:
                 self.progress.external_work += external
                 self.progress.carried_work += carried
                 self._equilibrium = system.nodes, system.residual, system.x[:, self.layout.dim :].copy()
+                self._last_x, self.progress.factor_change = self.points.x, factor - self.progress.factor
                 self._commit(system, at_points, factor)
             else:
                 system.x = start.x

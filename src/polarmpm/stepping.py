@@ -56,6 +56,7 @@ class Schedule:
         to: final load factor.
         adaptive: cut and retry a failed step, grow after easy ones.
         smallest: smallest adaptive step, relative to the first one.
+        largest: load factor increment to which adaptive steps may grow; None: the first one.
         easy: a step of at most so many iterations lets the next one grow.
         progress: progress bar; None shows it on a terminal only.
     """
@@ -64,6 +65,7 @@ class Schedule:
     to: float = 1.0
     adaptive: bool = False
     smallest: float = 1e-3
+    largest: float | None = None
     easy: int = 6
     progress: bool | None = None
 
@@ -74,7 +76,7 @@ class Schedule:
         Raises:
             InputError: an unknown option or one that is out of range.
         """
-        unknown = set(options) - {"to", "adaptive", "smallest", "easy", "progress"}
+        unknown = set(options) - {"to", "adaptive", "smallest", "largest", "easy", "progress"}
         if unknown:
             raise InputError(f"march: unknown option {sorted(unknown)[0]!r}")
         if steps is None and not options.get("adaptive"):
@@ -87,6 +89,9 @@ class Schedule:
             raise InputError(f"to = {schedule.to!r}: a finite load factor")
         if not 0 < schedule.smallest <= 1:
             raise InputError(f"smallest = {schedule.smallest!r}: between 0 and 1")
+        largest = schedule.largest
+        if largest is not None and not (schedule.adaptive and math.isfinite(largest) and largest > 0):
+            raise InputError(f"largest = {largest!r}: a positive load factor increment, with adaptive=True")
         return schedule
 
 
@@ -132,8 +137,9 @@ def _equal(problem: Marching, schedule: Schedule) -> Iterator[Step]:
 
 
 def _adaptive(problem: Marching, schedule: Schedule) -> Iterator[Step]:
-    largest = (schedule.to - problem.progress.factor) / schedule.steps
-    size = largest
+    first = (schedule.to - problem.progress.factor) / schedule.steps
+    largest = first if schedule.largest is None else math.copysign(schedule.largest, first)
+    size = min(first, largest, key=abs)
     while problem.progress.factor != schedule.to:
         tried: list[str] = []
         while True:
@@ -145,7 +151,7 @@ def _adaptive(problem: Marching, schedule: Schedule) -> Iterator[Step]:
             if isinstance(step, Step):
                 break
             size = 0.5 * min(size, left, key=abs)
-            if abs(size) < schedule.smallest * abs(largest):
+            if abs(size) < schedule.smallest * abs(first):
                 raise NotConverged(factor, step.history, tried)
         if step.iterations <= schedule.easy:
             size = min(1.5 * size, largest, key=abs)

@@ -55,7 +55,8 @@ class NodalSystem:
         self.nodes, self.layout, self.prescribed = nodes, layout, prescribed
         self.length, self.comm, self.timer = length, comm, timer
         shape = (len(nodes), layout.block)
-        self.x, self._last = np.zeros(shape), np.zeros(shape)
+        self.x: np.ndarray = np.zeros(shape)
+        self._last: np.ndarray = np.zeros(shape)
         self.residual: np.ndarray = np.zeros(shape)
         self.first: np.ndarray = self.residual
         self._begun = False
@@ -69,6 +70,10 @@ class NodalSystem:
     def assemble(self, tangent: bool) -> np.ndarray:
         """Internal minus external forces (nodes, block), complete on owned rows; with `tangent` also the
         matrix and, where prescribed values are pending, their forces `_lift_forces`. Collective."""
+        raise NotImplementedError
+
+    def put_external(self, forces: np.ndarray) -> None:
+        """Take dead forces on the nodes (nodes, block), complete on owned rows, for all loads."""
         raise NotImplementedError
 
     def diagonal(self) -> np.ndarray:
@@ -144,14 +149,26 @@ class NodalSystem:
         return float(_ROUNDING * np.sqrt(square))
 
     def advance(self, fresh: bool) -> None:
-        fixed, own = self.prescribed.fixed, self.nodes.owned
-        right = -(self.residual + self._lift_forces)[:own]
-        right[fixed[:own]] = 0.0
-        step = np.zeros_like(self.x)
-        step[:own] = self.solve(right, fresh)
-        self.nodes.update_ghosts(step)
-        step[fixed] = self._lift[fixed] if self._pending else 0.0
-        self.x += step
-        self._last, self._pending = step, False
+        fixed = self.prescribed.fixed
+        step = self.solve_free(-(self.residual + self._lift_forces), fresh)
+        if self._pending:
+            step[fixed] = self._lift[fixed]
+        self.add(step)
+        self._pending = False
         self._lift[:] = 0.0
         self._lift_forces[:] = 0.0
+
+    def solve_free(self, forces: np.ndarray, fresh: bool) -> np.ndarray:
+        """What forces (nodes, block), complete on owned rows, move with the last tangent; prescribed
+        unknowns stay. Collective."""
+        fixed, own = self.prescribed.fixed, self.nodes.owned
+        step = np.zeros_like(self.x)
+        step[:own] = self.solve(np.where(fixed[:own], 0.0, forces[:own]), fresh)
+        self.nodes.update_ghosts(step)
+        step[fixed] = 0.0
+        return step
+
+    def add(self, step: np.ndarray) -> None:
+        """Add a correction (nodes, block) to the unknowns."""
+        self.x += step
+        self._last = step
