@@ -59,6 +59,19 @@ def turned_on() -> Any:
     return problem
 
 
+def on_surface(kind: str, **options: Any) -> Any:
+    """Across cells, in no particular direction."""
+    problem = beam(2, basis="mpm", **{"reset": None, **options})
+    surface = pm.Surface.line((2.2, 0.5), (2.9, 1.1), 5)
+    if kind == "pressure":
+        problem.pressure(surface, 60.0)
+    elif kind == "traction":
+        problem.traction(surface, force=lambda t: (10.0 * t, -60.0 * t**2), couple=8.0)
+    else:
+        problem.fix_surface(surface, u=(0.2, -0.5), stiffness=5e4)
+    return problem
+
+
 def elements(dim: int, kind: str) -> Any:
     problem = cantilever({2: "quadrilateral", 3: "hexahedron"}[dim], cells=(4, 1, 1)[:dim], degree=4 - dim)
     end = problem.elements.farthest((1.0, 0.0, 0.0)[:dim])
@@ -104,6 +117,7 @@ CASES: dict[str, Make] = {
     "pulled-3d": lambda: pulled(3),
     "pulled-and-loaded": pulled_while_loaded,
     "new-bases": turned_on,
+    **{k: lambda k=k: on_surface(k) for k in ("pressure", "traction", "springs")},
     "ghost": lambda: end_force(2, ghost="thesis"),
     "projection": lambda: end_force(2, assembly="projection"),
     **{
