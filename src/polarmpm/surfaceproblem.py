@@ -12,8 +12,9 @@ from .grid import Grid
 from .materials.base import Material, require_finite
 from .nodalterms import TermSource
 from .problem import Problem
+from .surfaceconditions import Pressure, SurfaceSupport, Traction
 from .surfaces import Surface
-from .surfaceterms import Pressure, SurfaceCondition, SurfaceSupport, Traction
+from .surfaceterms import SurfaceCondition
 
 _PENALTY = 1e3  # default springs: a layer of a thousandth of a cell, of the body's stiffness
 
@@ -83,7 +84,7 @@ class SurfaceProblem(Problem):
                 method).
             normal: displacement along the undeformed normals (m): rollers. Not together with other
                 displacements.
-            **components: as in `fix`.
+            **components: as in `fix`; functions of positions get the undeformed ones of the surface.
 
         Returns:
             The support, for `surface_reaction`; `support.gap` (n,) tells by how much (m) the prescribed
