@@ -17,6 +17,7 @@ from .surfaces import Surface
 from .surfaceterms import SurfaceCondition
 
 
+class Traction(SurfaceCondition):
     """A dead traction (N/m^2) and couple traction (N/m) per undeformed area."""
 
     def __init__(self, name: str, surface: Surface, layout: Layout, basis: str, comm: MPI.Comm, **given: Any):
