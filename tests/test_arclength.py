@@ -14,6 +14,7 @@ from bodies import box
 from conftest import COMM, MICROPOLAR, NEO_HOOKEAN, beam, by_id
 
 import polarmpm as pm
+from polarmpm.errors import LocalFailure
 
 RISE, DEPTH = 0.08, 0.04
 DOWN = (0.0, -1.0)
@@ -286,6 +287,28 @@ def test_a_failed_step_leaves_everything(body):
     for a in (arch, undisturbed):
         list(a.problem.march_arc_length(0.01, steps=1, progress=False))
     assert arch.problem.progress.factor == pytest.approx(undisturbed.problem.progress.factor, rel=1e-9)
+
+
+@BODIES
+def test_a_failure_at_the_points_shortens_the_step(body, monkeypatch):
+    """As one of the return mapping does: here large increments fail."""
+    arch = body()
+    follow(arch, 2)
+    system = type(arch.problem.system)
+    assemble = system.assemble
+
+    def fails(self: Any, tangent: bool) -> np.ndarray:
+        if self.comm.allreduce(float(np.abs(self.x).max(initial=0.0)), op=MPI.MAX) > limit:
+            raise LocalFailure("too far for the points")
+        return assemble(self, tangent)
+
+    limit = abs(arch.problem.system.x).max() + 0.015
+    limit = COMM.allreduce(limit, op=MPI.MAX)
+    monkeypatch.setattr(system, "assemble", fails)
+    outcome, _ = arch.problem.attempt_along(0.03)
+    assert (outcome.converged, outcome.reason) == (False, "too far for the points")
+    (step,) = arch.problem.march_arc_length(0.03, steps=1, progress=False)
+    assert step.cuts > 0
 
 
 def test_long_steps_are_cut_and_grow_again():
