@@ -12,10 +12,10 @@ from conftest import COMM
 import polarmpm as pm
 from polarmpm import _compat, codegen, jit
 from polarmpm.codegen import FREE, Graph, Scalariser
-from polarmpm.pointforms import Kernel, _Space, compile_expressions
+from polarmpm.pointforms import Kernel, PointSpace, compile_expressions
 
 ROWS = 11
-SPACE = _Space(_compat.point_domain())
+SPACE = PointSpace(_compat.point_domain())
 C = SPACE.coefficient(18)
 SLOTS = {C: 0}
 VALUES = np.random.default_rng(0).uniform(0.2, 0.9, (ROWS, 18))

@@ -8,12 +8,12 @@ import ufl
 from conftest import COMM, rotation
 
 from polarmpm import _compat, kinematics, rotations
-from polarmpm.pointforms import _Space, compile_expressions
+from polarmpm.pointforms import PointSpace, compile_expressions
 
 
 def evaluate(expression, *values: np.ndarray) -> np.ndarray:
     """A function of UFL vectors, compiled like any kernel, at rows of values."""
-    space = _Space(_compat.point_domain())
+    space = PointSpace(_compat.point_domain())
     sizes = [v.shape[1] for v in values]
     coefficients = [space.coefficient(n) for n in sizes]
     slots = dict(zip(coefficients, np.cumsum([0, *sizes[:-1]]).tolist(), strict=True))

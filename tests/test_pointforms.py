@@ -242,7 +242,7 @@ def test_same_numbers_as_ffcx(dim, material, monkeypatch):
 
     kernel = PointForm(material, dim).compile(COMM)[1]
     carrier = _Carrier(mesh.create_unit_interval(MPI.COMM_SELF, POINTS))
-    monkeypatch.setattr(pointforms, "_Space", carrier)
+    monkeypatch.setattr(pointforms, "PointSpace", carrier)
     form = PointForm(material, dim)
     z, state, parameters = inputs(form, draw(dim, seed=2))
     vector, matrix = assembled(form, z, state, parameters)

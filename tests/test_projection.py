@@ -15,7 +15,8 @@ from polarmpm import _compat, rotations
 from polarmpm.conditions import Prescribed, make_support
 from polarmpm.interpolation import Interpolation
 from polarmpm.io import restart
-from polarmpm.pointforms import CoupleForm, FieldForm, PointForm
+from polarmpm.fieldforms import FieldForm
+from polarmpm.pointforms import CoupleForm, PointForm
 from polarmpm.points import Points
 from polarmpm.pointsystem import LoadedPoints, PointSystem
 from polarmpm.projection import DEGREE, CellProjection, ProjectedSystem, lagrange

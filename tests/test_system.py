@@ -25,7 +25,8 @@ import polarmpm as pm
 from polarmpm import rotations
 from polarmpm.conditions import Prescribed, make_support
 from polarmpm.interpolation import Interpolation
-from polarmpm.pointforms import CoupleForm, FieldForm, PointForm
+from polarmpm.fieldforms import FieldForm
+from polarmpm.pointforms import CoupleForm, PointForm
 from polarmpm.points import Points
 from polarmpm.pointsystem import PointSystem
 from polarmpm.timing import Timer

@@ -1,5 +1,7 @@
 """Large deformations of micropolar (Cosserat) solids with material points, on FEniCSx."""
 
+from typing import TYPE_CHECKING, Any
+
 from .conditions import plane
 from .elementproblem import QuasiStaticFEM
 from .elements import Elements, Facets
@@ -18,10 +20,26 @@ from .seeding import seed, seed_mesh
 from .stepping import Step
 from .surfaces import Surface
 
+if TYPE_CHECKING:
+    from .materials.plastic import DruckerPrager, Plastic, UserPlasticity, VonMises
+
+_PLASTIC = ("DruckerPrager", "Plastic", "UserPlasticity", "VonMises")
+
+
+def __getattr__(name: str) -> Any:
+    """Plastic materials, imported when a scene asks for one."""
+    if name in _PLASTIC:
+        from .materials import plastic
+
+        return getattr(plastic, name)
+    raise AttributeError(f"module 'polarmpm' has no attribute {name!r}")
+
+
 __version__ = "0.1.0"
 
 __all__ = [
     "Controls",
+    "DruckerPrager",
     "Elements",
     "EverySteps",
     "Facets",
@@ -36,6 +54,7 @@ __all__ = [
     "Never",
     "NotConverged",
     "Points",
+    "Plastic",
     "PointsOutsideGrid",
     "PolarMPMError",
     "QuasiStatic",
@@ -46,6 +65,8 @@ __all__ = [
     "Surface",
     "Table",
     "UserEnergy",
+    "UserPlasticity",
+    "VonMises",
     "WhenDistorted",
     "load_restart",
     "plane",

@@ -23,7 +23,7 @@ from .materials.base import parameter_values
 from .nodalterms import TermSource
 from .nodes import ActiveNodes
 from .parallel import together
-from .pointforms import Layout, PointForm, pack_state
+from .pointforms import Layout, PointForm
 from .points import Points, domain_half_length
 from .weighting import Weights, node_positions, weights
 
@@ -142,22 +142,25 @@ class Interpolation:
     # state --------------------------------------------------------------------------------------
     def pack(self) -> None:
         """Write the reference state into the kernels' input, see `pointforms`."""
-        r = self.reference
+        r, p = self.reference, self.points
         for b in self.batches:
-            f, q, wryness = r.F[b.rows], r.q[b.rows], r.wryness[b.rows]
-            iso, micropolar = b.form.material.isotropic, b.form.material.micropolar
-            frame = f
-            if micropolar and iso:
-                turn = rotations.to_tensor(q)
-                back = np.swapaxes(turn, 1, 2)
-                frame, wryness = f @ back, turn @ wryness @ back
-            state = pack_state(self.layout, frame, wryness, None if iso else q)
+            state = b.form.pack(r.F[b.rows], r.q[b.rows], r.wryness[b.rows], p.history(b.rows))
             native.fill(b.batch, state=np.ascontiguousarray(state))
 
     def rebase_rotations(self) -> None:
         """Count rotation increments from the points' current rotations on; weights and F stay."""
         self.reference.q, self.reference.wryness = self.points.q.copy(), self.points.wryness.copy()
         self.pack()
+
+    def kernel_inputs(self, batch: PointBatch, x: np.ndarray) -> np.ndarray:
+        """Inputs (n, form.inputs) of the kernels of a batch's points at nodal increments x (nodes, block)."""
+        form, b = batch.form, batch.batch
+        nz, ns = self.layout.unknowns, form.state_size
+        out = np.empty((len(batch.rows), form.inputs))
+        z = np.empty((len(batch.rows), nz))
+        native.library().polarmpm_gather(ctypes.byref(b), x.ctypes.data, 1, z.ctypes.data, None)
+        out[:, :nz], out[:, nz : nz + ns], out[:, nz + ns :] = z, b.kept["state"], b.kept["param"]
+        return out
 
     # between nodes and points ---------------------------------------------------------------------
     def gather(self, x: np.ndarray) -> Increments:

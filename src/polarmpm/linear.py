@@ -17,6 +17,7 @@ _DIAGONAL = 1e-12
 # iteration unless a mode is as weak as the lift.
 _TOLERANCE = 1e-8
 _KRYLOV_LIMIT = 60  # iterations after which the factor is given up
+_METHODS = ["definite", "symmetric", "general"]  # the last one for unsymmetric tangents only
 
 
 class SingularTangent(PolarMPMError, ArithmeticError):
@@ -33,15 +34,17 @@ class DirectSolver:
       preconditions the tangent itself; where couples are too large for that, LU.
     """
 
-    def __init__(self, matrix: PETSc.Mat, symmetric: bool):
+    def __init__(self, matrix: PETSc.Mat, symmetric: bool, far_from_symmetric: bool = False):
         """`matrix` (whole, or its upper triangle when symmetric) belongs to the solver from now on; its
-        entries may change before each `factor`."""
+        entries may change before each `factor`. Of one that is far from symmetric (plastic flow) the symmetric
+        part is no help."""
         self.matrix, self.symmetric, self.comm = matrix, symmetric, matrix.comm.tompi4py()
         self._blocked = matrix.getType() in ("seqbaij", "mpibaij")
         self._lifted: Any = None  # made when the matrix has its entries
         self.solution, self.rhs = self.matrix.createVecs()
         self._solver: PETSc.KSP | None = None
-        self._method = "definite"  # then "symmetric", then "general" for an unsymmetric tangent
+        self._methods = ["general"] if far_from_symmetric else _METHODS[: 2 if symmetric else 3]
+        self._method = self._methods[0]
 
     # factors --------------------------------------------------------------------------------------
     def _create(self) -> PETSc.KSP:
@@ -95,12 +98,11 @@ class DirectSolver:
             self._fall_back("the tangent is singular")
 
     def _fall_back(self, message: str) -> None:
-        methods = ["definite", "symmetric", "general"][: 2 if self.symmetric else 3]
-        following = methods.index(self._method) + 1
-        if following == len(methods):
-            self._method = methods[0]
+        following = self._methods.index(self._method) + 1
+        if following == len(self._methods):
+            self._method = self._methods[0]
             raise SingularTangent(message)
-        self._method = methods[following]
+        self._method = self._methods[following]
 
     def _try(self) -> bool:
         try:

@@ -12,6 +12,7 @@ consistent tangent is ds/dz - ds/dX (dr/dX)^-1 dr/dz; every derivative in it is 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,7 +22,7 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
-from . import _compat, codegen, jit
+from . import _compat, codegen, jit, rotations
 from . import kinematics as kin
 from .codegen import Scalariser
 from .materials.base import Material, evaluate_energy, named_parameters, parameter_values
@@ -97,6 +98,7 @@ class PlasticForm(PointForm):
     def __init__(self, material: Material, dim: int):
         super().__init__(material, dim)
         self.local = self.space.coefficient(self.local_size)
+        self._compiled: dict[str, Any] = {}
 
     # sizes ----------------------------------------------------------------------------------------
     @property
@@ -116,6 +118,18 @@ class PlasticForm(PointForm):
     @property
     def local_terminals(self) -> dict[Any, int]:
         return {**self.terminals, self.local: self.inputs}
+
+    def pack(
+        self, F: np.ndarray, q: np.ndarray, wryness: np.ndarray, history: Sequence[np.ndarray]
+    ) -> np.ndarray:
+        plastic_F, plastic_wryness, chi = history
+        P = np.linalg.inv(plastic_F)
+        if self.material.isotropic and self.material.micropolar:
+            turn = rotations.to_tensor(q)
+            back = np.swapaxes(turn, 1, 2)
+            P, plastic_wryness = turn @ P @ back, turn @ plastic_wryness @ back
+        elastic = super().pack(F, q, wryness, history)
+        return np.hstack([elastic, pack_history(self.layout, P, plastic_wryness, chi)])
 
     # trial state ----------------------------------------------------------------------------------
     @cached_property
@@ -324,8 +338,21 @@ class PlasticForm(PointForm):
         return [work - self._hardening_work(), admissible]
 
     # compiled -------------------------------------------------------------------------------------
-    def compile_trial(self, comm: MPI.Comm) -> Kernel:
-        """Kernel inputs -> X of the trial state, f, and whether it is likely to be beyond the apex (> 0)."""
+    def trial_kernel(self, comm: MPI.Comm) -> Kernel:
+        """Kernel inputs -> X of the trial state, f, and whether it is likely to be beyond the apex (> 0).
+        Compiled when it is asked for first; collective."""
+        if "trial" not in self._compiled:
+            self._compiled["trial"] = self._compile_trial(comm)
+        return self._compiled["trial"]
+
+    def return_kernels(self, apex: bool, comm: MPI.Comm) -> Return:
+        """Kernels of one part of the yield surface. Compiled when they are asked for first; collective."""
+        name = "apex" if apex else "surface"
+        if name not in self._compiled:
+            self._compiled[name] = self._compile_return(apex, comm)
+        return self._compiled[name]
+
+    def _compile_trial(self, comm: MPI.Comm) -> Kernel:
         ue, ge = self._trial
         chi = self._history[2]
         tau, nu = self.kirchhoff(ue, ge)
@@ -337,8 +364,7 @@ class PlasticForm(PointForm):
         ]
         return self._compile("trial", {"trial": rows}, self.terminals, comm)["trial"]
 
-    def compile_return(self, apex: bool, comm: MPI.Comm) -> Return:
-        """Kernels of one part of the yield surface. Collective."""
+    def _compile_return(self, apex: bool, comm: MPI.Comm) -> Return:
         name = "apex" if apex else "surface"
         residual = self._apex_residual() if apex else self._surface_residual()
         flow = self._apex_flow() if apex else self._surface_flow()

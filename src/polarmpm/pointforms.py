@@ -14,7 +14,7 @@ G = du/dx~ T and Gw = dw/dx~ T with the frame T = V~ or F~, the first entries of
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -25,7 +25,7 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
-from . import _compat, codegen, jit, scalargraph
+from . import _compat, codegen, jit, rotations, scalargraph
 from . import kinematics as kin
 from .codegen import LANES, Scalariser
 from .materials.base import Material, evaluate_energy, named_parameters, parameter_values
@@ -90,7 +90,7 @@ def _aligned(rows: int) -> np.ndarray:
 
 
 @dataclass
-class _Space:
+class PointSpace:
     """Vector-valued functions on the points' quadrature space."""
 
     domain: Any
@@ -171,7 +171,7 @@ class PointForm:
 
     def __init__(self, material: Material, dim: int):
         self.material, self.layout = material, Layout.of(material, dim)
-        self.space = _Space(_compat.point_domain())
+        self.space = PointSpace(_compat.point_domain())
         self.parameters = self.space.coefficient(len(parameter_values(material)))
         self.z = self.space.coefficient(self.layout.unknowns)
         self.state = self.space.coefficient(self.state_size)
@@ -197,6 +197,16 @@ class PointForm:
         state.
         """
         return strains(self.material, self.layout, self.z, self.state, rotated=self.material.isotropic)
+
+    def pack(
+        self, F: np.ndarray, q: np.ndarray, wryness: np.ndarray, history: Sequence[np.ndarray]
+    ) -> np.ndarray:
+        """States (n, state_size) of reference values at points; `history` is what `Points.history` gives."""
+        if not self.material.isotropic or not self.material.micropolar:
+            return pack_state(self.layout, F, wryness, q)
+        turn = rotations.to_tensor(q)
+        back = np.swapaxes(turn, 1, 2)
+        return pack_state(self.layout, F @ back, turn @ wryness @ back, None)
 
     # forms --------------------------------------------------------------------------------------
     @cached_property
@@ -268,6 +278,15 @@ def compile_expressions(
     return Kernel(lib, "evaluate", inputs, size)
 
 
+def make_form(material: Material, dim: int) -> PointForm:
+    """The form of an elastic or a plastic material."""
+    if not material.plastic:
+        return PointForm(material, dim)
+    from .plasticforms import PlasticForm  # elastic scenes don't know of it
+
+    return PlasticForm(material, dim)
+
+
 class CoupleForm:
     """Virtual work of dead couples in three dimensions, -m . J_l(w) dw, and its derivative.
 
@@ -276,7 +295,7 @@ class CoupleForm:
     """
 
     def __init__(self) -> None:
-        self.space = _Space(_compat.point_domain())
+        self.space = PointSpace(_compat.point_domain())
         self.w, self.m = self.space.coefficient(3), self.space.coefficient(3)
         space = self.space.function_space(3)
         test, trial = ufl.TestFunction(space), ufl.TrialFunction(space)
@@ -298,38 +317,3 @@ class CoupleForm:
         signature = _compat.expression_signature(codegen.integrand(self.tangent), terminals)
         lib = jit.library(jit.digest(generator_version(), "couple", signature), self._source, comm)
         return Kernel(lib, "couple", 6, 12)
-
-
-class FieldForm:
-    """Stress, couple stress and energy of the current state (F, Q, Gamma), for output."""
-
-    def __init__(self, material: Material):
-        self.material = material
-        self.space = _Space(_compat.point_domain())
-        c = self.space.coefficient
-        self.f, self.q, self.wryness = c(9), c(4), c(9)
-        self.parameters = c(len(parameter_values(material)))
-
-    def expressions(self) -> list[Any]:
-        """[W, sigma, mu]; sigma = Q B F^T / J, mu = Q S F^T / J (T 3.4)."""
-        p = named_parameters(self.material, self.parameters)
-        f, gamma = matrix(self.f, 3, 3), ufl.variable(matrix(self.wryness, 3, 3))
-        j = ufl.det(f)
-        if not self.material.micropolar:
-            fv = ufl.variable(f)
-            w = self.material.energy(*self.material.measures(fv), p)
-            return [w, ufl.dot(ufl.diff(w, fv), ufl.transpose(f)) / j, 0 * f]
-        q = kin.quaternion_tensor([self.q[i] for i in range(4)])
-        strain = ufl.variable(ufl.dot(ufl.transpose(q), f) - ufl.Identity(3))
-        w = self.material.energy(strain, gamma, p)
-
-        def push(s: Any) -> Any:
-            return ufl.dot(q, ufl.dot(s, ufl.transpose(f))) / j
-
-        return [w, push(ufl.diff(w, strain)), push(ufl.diff(w, gamma))]
-
-    def compile(self, comm: MPI.Comm) -> Callable[..., np.ndarray]:
-        """Kernel (F, q, Gamma, parameters) -> (W, sigma, mu), 19 numbers a row. Collective."""
-        terminals = {self.f: 0, self.q: 9, self.wryness: 13, self.parameters: 22}
-        inputs = 22 + len(parameter_values(self.material))
-        return compile_expressions(self.expressions(), terminals, inputs, self.space.domain, comm)

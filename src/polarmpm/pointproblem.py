@@ -19,7 +19,7 @@ from .interpolation import Increments, Interpolation, Reference
 from .movinggrid import MovingPlane
 from .newton import Controls
 from .parallel import look_up, together
-from .pointforms import CoupleForm, Kernel, PointForm
+from .pointforms import CoupleForm, Kernel, make_form
 from .points import Points, Selection
 from .pointsystem import LoadedPoints, PointSystem
 from .problem import Progress
@@ -100,7 +100,7 @@ class QuasiStatic(SurfaceProblem):
             raise InputError(f"points have {points.dim} dimensions, the grid has {grid.dim}")
         check_inside(grid, points)
         super().__init__(grid.comm, points, grid.dim, controls)
-        self.forms = [PointForm(m, grid.dim) for m in points.materials]
+        self.forms = [make_form(m, grid.dim) for m in points.materials]
         for form in self.forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
         self.balanced_reset = balanced_reset
@@ -202,6 +202,8 @@ class QuasiStatic(SurfaceProblem):
 
     def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
         system.interpolation.update_points(increments)
+        if self.points.plastic:
+            self._flow(system)
         if self._step_start is not None:
             for name, work in system.term_work(self._step_start, system.x).items():
                 self.term_works[name] = self.term_works.get(name, 0.0) + work
@@ -218,6 +220,15 @@ class QuasiStatic(SurfaceProblem):
                 for condition in self.surfaces:
                     condition.rebase_rotations()
                 p.rotation_factor = factor
+
+    def _flow(self, system: LoadedPoints) -> None:
+        """Put the plastic flow of a converged step into the points' history."""
+        i = system.interpolation
+        for batch, mapping in zip(i.batches, system.mappings, strict=True):
+            if mapping is not None and mapping.yielding is not None:
+                rows = batch.rows[mapping.yielding.rows]
+                mapping.update_history(self.points, rows, i.reference.q[rows])
+        i.pack()
 
     def _prepare(self) -> LoadedPoints:
         """The system of the present grid; reset if that is due, renewed if conditions have changed."""

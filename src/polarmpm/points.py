@@ -32,6 +32,14 @@ FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
     "half_length0": (("d",), float),
 }
 
+# what bodies with plastic materials have beside it
+PLASTIC_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
+    "plastic_F": ((3, 3), float),
+    "plastic_wryness": ((3, 3), float),
+    "hardening": ((), float),
+    "dissipation": ((), float),
+}
+
 
 @dataclass(frozen=True)
 class Selection:
@@ -56,6 +64,10 @@ class Points:
         volume0: reference volume (m^3; m^2 per unit thickness in plane strain).
         half_length0: initial half-lengths of the domains (m), vector.
         materials: the materials that `material` counts.
+        plastic_F, plastic_wryness: Fp of F = Fe Fp and Gp (1/m) of Gamma = Ge + Gp (T 4.1), tensors; like the
+            following two only in bodies with plastic materials.
+        hardening: accumulated plastic strain chi, scalar.
+        dissipation: plastic dissipation per reference volume so far (Pa), scalar.
     """
 
     id: np.ndarray
@@ -67,6 +79,10 @@ class Points:
     wryness: np.ndarray
     volume0: np.ndarray
     half_length0: np.ndarray
+    plastic_F: np.ndarray
+    plastic_wryness: np.ndarray
+    hardening: np.ndarray
+    dissipation: np.ndarray
 
     def __init__(
         self,
@@ -88,6 +104,7 @@ class Points:
         self.q = rotations.identity(n)
         self.wryness = np.zeros((n, 3, 3))
         self.volume0, self.half_length0 = volume.copy(), half_length.copy()
+        self._add_history()
 
     def __len__(self) -> int:
         """Number of points of this rank."""
@@ -124,13 +141,37 @@ class Points:
         """Current half-lengths of the domains l_i = U_ii l_i0 (m), T (2.56)-(2.58), vector."""
         return domain_half_length(self.F, self.half_length0)
 
+    @property
+    def plastic(self) -> bool:
+        """Whether one of the materials can yield."""
+        return any(m.plastic for m in self.materials)
+
+    @property
+    def fields(self) -> dict[str, tuple[tuple[int | str, ...], type]]:
+        """Names of the state's arrays, with their shapes after the point axis and types."""
+        return {**FIELDS, **PLASTIC_FIELDS} if self.plastic else FIELDS
+
+    def history(self, rows: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Fp, Gp and chi of some points; nothing in an elastic body."""
+        if not self.plastic:
+            return ()
+        return self.plastic_F[rows], self.plastic_wryness[rows], self.hardening[rows]
+
+    def _add_history(self) -> None:
+        """Arrays of plastic materials, where they are needed and missing."""
+        if self.plastic and not hasattr(self, "plastic_F"):
+            n = len(self)
+            self.plastic_F = np.tile(np.eye(3), (n, 1, 1))
+            self.plastic_wryness = np.zeros((n, 3, 3))
+            self.hardening, self.dissipation = np.zeros(n), np.zeros(n)
+
     def arrays(self) -> dict[str, np.ndarray]:
         """All state by name, for output and restart; the arrays themselves, not copies."""
-        return {name: getattr(self, name) for name in FIELDS}
+        return {name: getattr(self, name) for name in self.fields}
 
     def replace(self, arrays: dict[str, np.ndarray]) -> None:
-        """Put in a whole state (restart, migration): every field of FIELDS, one row a point."""
-        for name, (shape, kind) in FIELDS.items():
+        """Put in a whole state (restart, migration): every one of `fields`, one row a point."""
+        for name, (shape, kind) in self.fields.items():
             full = (len(arrays["id"]), *(self.dim if s == "d" else s for s in shape))
             setattr(self, name, np.ascontiguousarray(arrays[name], dtype=kind).reshape(full))
 
@@ -154,11 +195,34 @@ class Points:
         if other.dim != self.dim:
             raise InputError(f"other has {other.dim} dimensions, these points have {self.dim}")
         first = self.comm.allreduce(int(self.id.max(initial=-1)), op=MPI.MAX) + 1
-        mine, theirs = self.arrays(), dict(other.arrays())
+        number, mine = len(self.materials), self.materials
+        self.materials = other.materials = mine + other.materials  # both sets know all fields
+        self._add_history()
+        other._add_history()
+        theirs = dict(other.arrays())
+        other.materials = other.materials[number:]
         theirs["id"] = theirs["id"] + first
-        theirs["material"] = theirs["material"] + len(self.materials)
-        self.materials = self.materials + other.materials
-        self.replace({name: np.concatenate([mine[name], theirs[name]]) for name in FIELDS})
+        theirs["material"] = theirs["material"] + number
+        self.replace({name: np.concatenate([a, theirs[name]]) for name, a in self.arrays().items()})
+
+    def assign(self, selection: Selection, material: Material) -> None:
+        """Give points another material, such as a weaker one to a row. Before the first load step; collective.
+
+        Raises:
+            InputError: no material, one with another number of unknowns, or an empty selection.
+        """
+        check_material(material)
+        if not isinstance(selection, Selection):
+            raise InputError(f"selection = {selection!r}: use points.where, farthest or nearest")
+        if len(selection) == 0:
+            raise InputError("selection: contains no point")
+        if material.micropolar != self.materials[0].micropolar:
+            raise InputError("material: micropolar and classical materials can't be mixed in one body")
+        if material not in self.materials:
+            self.materials = (*self.materials, material)
+        self._add_history()
+        self.material = self.material.copy()
+        self.material[self.rows(selection)] = self.materials.index(material)
 
     # selections ---------------------------------------------------------------------------------
     def _select(self, mask: np.ndarray) -> Selection:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from .nodes import ActiveNodes
 from .pointforms import Kernel
 from .system import NodalSystem
 from .timing import Timer
+
+if TYPE_CHECKING:
+    from .returnmapping import ReturnMapping
 
 
 class LoadedPoints(NodalSystem):
@@ -35,10 +39,24 @@ class LoadedPoints(NodalSystem):
         super().__init__(interpolation.nodes, layout, prescribed, np.array(grid.cell), grid.comm, timer)
         self.interpolation, self.kernels, self.couple_kernel = interpolation, kernels, couple_kernel
         self.terms = NodalTerms(self.nodes, interpolation.terms)
+        self.mappings = [self._mapping(b) for b in interpolation.batches]
         self._point_loads = self.external
         self._couples: list[tuple[np.ndarray, np.ndarray]] = [
             (np.full(len(b.rows), -1, dtype=np.int32), np.zeros((1, 3))) for b in interpolation.batches
         ]
+
+    def _mapping(self, batch: PointBatch) -> ReturnMapping | None:
+        if not batch.form.material.plastic:
+            return None
+        from .returnmapping import ReturnMapping  # elastic scenes don't know of it
+
+        return ReturnMapping(batch.form, self.comm, self.interpolation.points.id[batch.rows])
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the tangent is symmetric."""
+        elastic = not any(b.form.material.plastic for b in self.interpolation.batches)
+        return elastic and self.couple_kernel is None and self.terms.symmetric
 
     def set_loads(self, forces: np.ndarray, couples: np.ndarray) -> None:
         """Forces (np, d) and couples (np, r) at the points. Collective."""
@@ -62,7 +80,23 @@ class LoadedPoints(NodalSystem):
         if self.couple_kernel is not None:
             rows, couples = self._couples[k]
             native.fill(law, couple=self.couple_kernel.address, couple_of=rows, couples=couples)
+        mapping = self.mappings[k]
+        if mapping is not None:
+            self._put_yielding(mapping, k, tangent, law)
         return law
+
+    def _put_yielding(self, mapping: ReturnMapping, k: int, tangent: bool, law: native.Law) -> None:
+        """Return the stresses of the points that yield, and let their blocks stand for the kernels. Collective.
+
+        Raises:
+            LocalFailure: at some points there is no solution.
+        """
+        batch = self.interpolation.batches[k]
+        with self.timer("return mapping"):
+            y = mapping.evaluate(self.interpolation.kernel_inputs(batch, self.x), tangent)
+        block_of = np.full(len(batch.rows), -1, dtype=np.int32)
+        block_of[y.rows] = np.arange(len(y.rows))
+        native.fill(law, block_of=block_of, blocks=y.blocks)
 
     def _dead_forces(self) -> np.ndarray:
         """External forces (nodes, block) that the kernels' residual doesn't hold already, as it does dead
@@ -113,7 +147,7 @@ class PointSystem(LoadedPoints):
         timer: Timer,
     ):
         super().__init__(interpolation, kernels, couple_kernel, prescribed, timer)
-        symmetric = couple_kernel is None and self.terms.symmetric
+        symmetric = self.symmetric
         batches = [b.batch for b in interpolation.batches] + self.terms.batches()
         with timer("pattern"):
             self.pattern = sparsity.build(
@@ -125,7 +159,8 @@ class PointSystem(LoadedPoints):
             owned = prescribed.fixed[: self.nodes.owned].ravel()
             self._fixed_diagonal = self.pattern.diagonal[owned]
             self._rows = self.pattern.rows()
-            self.solver = DirectSolver(self.pattern.petsc_matrix(), symmetric)
+            plastic = any(m is not None for m in self.mappings)
+            self.solver = DirectSolver(self.pattern.petsc_matrix(), symmetric, far_from_symmetric=plastic)
 
     # assembly ---------------------------------------------------------------------------------------
     def assemble(self, tangent: bool) -> np.ndarray:

@@ -138,7 +138,6 @@ class ProjectedSystem(LoadedPoints):
         timer: Timer,
     ):
         super().__init__(interpolation, kernels, couple_kernel, prescribed, timer)
-        self.symmetric = couple_kernel is None
         rows = [b.rows for b in interpolation.batches]
         self._ends = np.cumsum([len(r) for r in rows])[:-1]
         with timer("pattern"):
@@ -149,7 +148,10 @@ class ProjectedSystem(LoadedPoints):
         with timer("compile"):
             self.forms = BlockForms(self.cells.space, self.layout, DEGREE, self.symmetric)
         with timer("pattern"):
-            self.matrix = FormMatrix([self.forms.tangent], fixed, self.symmetric, self.cells.nodes.owned)
+            plastic = any(m is not None for m in self.mappings)
+            self.matrix = FormMatrix(
+                [self.forms.tangent], fixed, self.symmetric, self.cells.nodes.owned, plastic
+            )
 
     # assembly ---------------------------------------------------------------------------------------
     def assemble(self, tangent: bool) -> np.ndarray:

@@ -14,10 +14,11 @@ from mpi4py import MPI
 
 import numpy as np
 
-from . import native
+from . import native, rotations
 from .errors import LocalFailure
 from .pointforms import Kernel
 from .plasticforms import PlasticForm, Return, entries
+from .points import Points
 
 _YIELD = 1e-12  # yield function over elastic modulus that counts as positive
 _TOLERANCE = 1e-13  # of the local residual, as a strain
@@ -55,8 +56,7 @@ class ReturnMapping:
 
     def __init__(self, form: PlasticForm, comm: MPI.Comm, ids: np.ndarray):
         self.form, self.comm, self.ids = form, comm, ids
-        self._trial: Kernel = form.compile_trial(comm)
-        self._returns: dict[bool, Return] = {}
+        self._trial: Kernel = form.trial_kernel(comm)
         self.yielding: Yielding | None = None
 
     # evaluation -----------------------------------------------------------------------------------
@@ -133,9 +133,7 @@ class ReturnMapping:
         y.X[at] = np.where(np.all(np.isfinite(new), axis=1, keepdims=True), new, trial[at])
 
     def _kernels(self, apex: bool) -> Return:
-        if apex not in self._returns:
-            self._returns[apex] = self.form.compile_return(apex, self.comm)
-        return self._returns[apex]
+        return self.form.return_kernels(apex, self.comm)
 
     def _solve(self, y: Yielding, which: np.ndarray, apex: bool, tangent: bool) -> np.ndarray:
         """Solve for some of the yielding points on one part of the surface; which of them succeeded."""
@@ -179,24 +177,39 @@ class ReturnMapping:
         return good
 
     # history --------------------------------------------------------------------------------------
+    def update_history(self, points: Points, rows: np.ndarray, base: np.ndarray) -> None:
+        """Put the flow of a converged step into the history of the points that yield.
+
+        Args:
+            points: with their deformation updated already.
+            rows: of the points that yield, in `points`.
+            base: microrotations (n, 4) of the state's frame at them.
+        """
+        y, form = self.yielding, self.form
+        assert y is not None
+        stretch, wryness = self._tensors(y.X)
+        if form.material.micropolar:
+            if form.material.isotropic:
+                turn = rotations.to_tensor(base)
+                back = np.swapaxes(turn, 1, 2)
+                stretch, wryness = back @ stretch @ turn, back @ wryness @ turn
+            stretch = rotations.to_tensor(points.q[rows]) @ stretch
+            points.plastic_wryness[rows] = points.wryness[rows] - wryness
+        points.plastic_F[rows] = np.linalg.solve(stretch, points.F[rows])
+        points.hardening[rows] = y.X[:, form.local_size - 2]
+        points.dissipation[rows] += self.dissipation()
+
     def dissipation(self) -> np.ndarray:
-        """Plastic dissipation (Pa) of the points that yield, since the last converged step."""
+        """Plastic dissipation (Pa) of the points that yield, since the last converged step, T (4.23)."""
         y = self.yielding
         assert y is not None
         out = np.zeros(len(y.rows))
         for apex in (False, True):
             which = np.flatnonzero(y.apex == apex)
             if len(which):
-                flow = self._returns[apex].flow
+                flow = self._kernels(apex).flow
                 out[which] = evaluate(flow, np.hstack([y.inputs[which], y.X[which]]))[:, 0]
         return out
-
-    def elastic_state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Ue (Fe of a classical material), Ge (n, 3, 3) and chi (n,) of the points that yield, in the frame of
-        the state."""
-        y = self.yielding
-        assert y is not None
-        return (*self._tensors(y.X), y.X[:, self.form.local_size - 2])
 
     def _tensors(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Ue and Ge (n, 3, 3) of local unknowns."""

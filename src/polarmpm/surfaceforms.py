@@ -33,7 +33,7 @@ class SurfaceForm:
 
     def __init__(self, layout: Layout, *data: int):
         self.layout, self.data = layout, data
-        self.space = pointforms._Space(_compat.point_domain())
+        self.space = pointforms.PointSpace(_compat.point_domain())
         self.size = layout.block + layout.dim**2
         self.y = self.space.coefficient(self.size)
         self.coefficients = [self.space.coefficient(n) for n in data]

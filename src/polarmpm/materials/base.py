@@ -23,10 +23,12 @@ class Material:
     Attributes:
         micropolar: whether points carry a microrotation; without it the scene has no rotation unknowns.
         isotropic: W(R E R^T, R Gamma R^T) = W(E, Gamma) for every rotation R. Allows a cheaper frame.
+        plastic: the energy is that of the elastic part, and there is a yield function; see `plastic.Plastic`.
     """
 
     micropolar: bool = True
     isotropic: bool = False
+    plastic: bool = False
 
     def parameters(self) -> dict[str, float]:
         """Numbers of the energy by name. They enter the compiled code as inputs."""

@@ -30,6 +30,7 @@ class Plastic(Material):
 
     elastic: Material
     length: float = 1.0
+    plastic = True
     has_apex: bool = False
 
     @property
