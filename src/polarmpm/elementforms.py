@@ -40,7 +40,10 @@ class ElementForms:
         x: nodal increments.
         state: history in a quadrature space, in the order of `pointforms.strains`.
         total: displacement of the last converged state in the space of the unknowns, for surfaces.
+        symmetric: the tangent is symmetric.
     """
+
+    symmetric = True
 
     def __init__(self, elements: Elements):
         from dolfinx import fem
@@ -65,6 +68,12 @@ class ElementForms:
     def put_at_points(self, function: Any, values: np.ndarray) -> None:
         """Set a quadrature function from values (np, c) at the points."""
         function.x.array.reshape(-1, values.shape[1])[self._rows] = values
+
+    def flow(self, base: np.ndarray) -> None:
+        """Put plastic flow into the points' history; there is none here."""
+
+    def update(self, tangent: bool) -> None:
+        """Make ready for the assembly at the present unknowns; forms that hold the law need nothing."""
 
     # forms ----------------------------------------------------------------------------------------
     def _measures(self) -> list[Any]:

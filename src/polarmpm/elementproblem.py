@@ -21,6 +21,14 @@ from .parallel import together
 from .problem import Problem, Progress
 
 
+def _make_forms(elements: Elements) -> ElementForms:
+    if not elements.points.plastic:
+        return ElementForms(elements)
+    from .plasticelements import PlasticElementForms  # elastic scenes don't know of it
+
+    return PlasticElementForms(elements)
+
+
 @dataclass
 class SurfaceLoad:
     """A traction, couple traction or pressure on facets.
@@ -61,7 +69,7 @@ class QuasiStaticFEM(Problem):
     def __init__(self, elements: Elements, *, controls: Controls | None = None):
         super().__init__(elements.comm, elements.points, elements.dim, controls)
         self.elements = elements
-        self.forms = ElementForms(elements)
+        self.forms = _make_forms(elements)
         _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
         self.surface_loads: list[SurfaceLoad] = []
         self.progress.reset_due = False
@@ -231,6 +239,7 @@ class QuasiStaticFEM(Problem):
 
     def _commit(self, system: ElementSystem, increments: Increments, factor: float) -> None:
         e, p, d = self.elements, self.points, self.layout.dim
+        base = p.q
         p.x = p.x + increments.value[:, :d]
         p.F = p.F.copy()
         p.F[:, :d, :d] += increments.gradient
@@ -246,6 +255,7 @@ class QuasiStaticFEM(Problem):
             p.q = rotations.normalise(rotations.multiply(rotations.from_vector(w), p.q))
             turn = rotations.from_vector(rotations.in_space(system.x[:, d:]))
             e.q = rotations.normalise(rotations.multiply(turn, e.q))
+        self.forms.flow(base)
         e.displacement = e.displacement + system.x[:, :d]
         self._last_loads = None if system.varying else system.external  # others depend on the increments
         self._rebase(system)

@@ -173,7 +173,7 @@ class Elements:
         half = np.tile(0.5 * volume[:, None] ** (1 / self.dim), (1, self.dim))
         x = values[:, :, : self.dim].reshape(-1, self.dim)
         points = Points(x, volume, half, materials[0], self.comm)
-        points.materials, points.material = materials, np.repeat(of_cell, len(xi))
+        points.put_materials(materials, np.repeat(of_cell, len(xi)))
         points.id = (self.body.original_cells[:, None] * len(xi) + np.arange(len(xi))).ravel()
         return points
 

@@ -24,14 +24,22 @@ class FormMatrix:
         forms: compiled bilinear forms whose sum is the matrix; the first has the whole pattern.
         fixed: prescribed unknowns (nodes, block) of this rank, bool.
         symmetric: the matrix is symmetric.
+        far_from_symmetric: see `DirectSolver`.
     """
 
-    def __init__(self, forms: Sequence[Any], fixed: np.ndarray, symmetric: bool, owned: int):
+    def __init__(
+        self,
+        forms: Sequence[Any],
+        fixed: np.ndarray,
+        symmetric: bool,
+        owned: int,
+        far_from_symmetric: bool = False,
+    ):
         self.forms, self.owned, self.block = forms, owned, fixed.shape[1]
         self.matrix = _compat.create_matrix(forms[0])
         rows = np.flatnonzero(fixed[:owned].ravel())
         self._fixed = (rows + self.matrix.getOwnershipRange()[0]).astype(np.int32)
-        self.solver = DirectSolver(self.matrix, symmetric)
+        self.solver = DirectSolver(self.matrix, symmetric, far_from_symmetric)
         self._vector = self.matrix.createVecRight()
 
     def assemble(self, lift: np.ndarray | None) -> np.ndarray | None:
@@ -90,7 +98,10 @@ class ElementSystem(NodalSystem):
             self._residual = forms.residual
             tangents = [forms.tangent, *(v.tangent for v in varying)]
         with timer("pattern"):
-            self.matrix = FormMatrix(tangents, prescribed.fixed, not varying, e.nodes.owned)
+            symmetric = forms.symmetric and not varying
+            self.matrix = FormMatrix(
+                tangents, prescribed.fixed, symmetric, e.nodes.owned, not forms.symmetric
+            )
         self._dead_forces: np.ndarray = np.zeros_like(self.x)
 
     @property
@@ -121,6 +132,7 @@ class ElementSystem(NodalSystem):
 
     def assemble(self, tangent: bool) -> np.ndarray:
         self._put(self.x)
+        self.forms.update(tangent)
         internal = self._sum([self._residual])
         if self._varying:
             self.external = self._dead_forces + self._sum([v.residual for v in self._varying])

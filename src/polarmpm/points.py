@@ -157,6 +157,11 @@ class Points:
             return ()
         return self.plastic_F[rows], self.plastic_wryness[rows], self.hardening[rows]
 
+    def put_materials(self, materials: tuple[Material, ...], rows: np.ndarray) -> None:
+        """Give the local points the materials of these rows (np,)."""
+        self.materials, self.material = materials, rows.astype(np.int32)
+        self._add_history()
+
     def _add_history(self) -> None:
         """Arrays of plastic materials, where they are needed and missing."""
         if self.plastic and not hasattr(self, "plastic_F"):

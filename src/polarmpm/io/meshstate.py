@@ -13,6 +13,7 @@ import numpy as np
 from ..elementproblem import QuasiStaticFEM
 from ..errors import InputError
 from ..parallel import collectively, look_up
+from ..points import PLASTIC_FIELDS, Points
 
 _OF_POINTS = ("X", "x", "F", "q", "wryness", "material")
 _OF_CELLS = ("X", "displacement", "q")
@@ -35,7 +36,7 @@ def arrays(problem: QuasiStaticFEM) -> dict[str, np.ndarray]:
     """This rank's rows by name."""
     e = problem.elements
     nodes = e.cell_nodes[: len(e.body.owned_cells)]
-    out = {f"points/{name}": getattr(e.points, name) for name in ("id", *_OF_POINTS)}
+    out = {f"points/{name}": getattr(e.points, name) for name in ("id", *_names(e.points))}
     out["cells/id"] = e.body.original_cells
     nodal = {"X": e.nodes.position, "displacement": e.displacement, "q": e.q}
     return out | {f"cells/{name}": nodal[name][nodes] for name in _OF_CELLS}
@@ -48,7 +49,7 @@ def put(problem: QuasiStaticFEM, rows: dict[str, np.ndarray], path: Any) -> None
         InputError: the rows belong to another mesh, or to other regions; the state stays as it was.
     """
     e, p = problem.elements, problem.points
-    of_points, has_points = _find(problem, rows, "points", _OF_POINTS, p.id)
+    of_points, has_points = _find(problem, rows, "points", _names(p), p.id)
     numbers = np.asarray(e.mesh.topology.original_cell_index, dtype=np.int64)  # ghosts too
     of_cells, has_cells = _find(problem, rows, "cells", _OF_CELLS, numbers)
     near, error = _NEAR * e.cell_size, None
@@ -62,12 +63,16 @@ def put(problem: QuasiStaticFEM, rows: dict[str, np.ndarray], path: Any) -> None
     elif np.any(of_points["material"] != p.material):
         error = InputError(f"restart file {path}: other regions; its cells have other materials")
     collectively(problem.comm, error)
-    for name in ("x", "F", "q", "wryness"):
+    for name in set(of_points) - {"X", "material"}:
         setattr(p, name, of_points[name])
     e.displacement, e.q = np.zeros_like(e.displacement), np.zeros_like(e.q)
     # backwards, so that a node gets what this rank's own cells say, which come first
     back = e.cell_nodes[::-1]
     e.displacement[back], e.q[back] = of_cells["displacement"][::-1], of_cells["q"][::-1]
+
+
+def _names(points: Points) -> tuple[str, ...]:
+    return (*_OF_POINTS, *(PLASTIC_FIELDS if points.plastic else ()))
 
 
 def _find(

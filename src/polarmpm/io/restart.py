@@ -23,7 +23,6 @@ from ..errors import InputError
 from ..interpolation import Reference
 from ..parallel import collectively
 from ..pointproblem import QuasiStatic
-from ..points import FIELDS
 from ..problem import Problem, Progress
 from . import meshstate
 
@@ -125,7 +124,7 @@ def _put(problem: QuasiStatic, rows: dict[str, np.ndarray], progress: Progress) 
     if "nodes/lattice" in rows:
         reference = Reference(*(rows[f"reference/{f.name}"] for f in fields(Reference)))
         between = reference, rows["nodes/lattice"], rows["nodes/increments"]
-    problem.points.replace({name: rows[f"points/{name}"] for name in FIELDS})
+    problem.points.replace({name: rows[f"points/{name}"] for name in problem.points.fields})
     problem.restore(progress, between)
 
 
