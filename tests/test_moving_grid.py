@@ -191,6 +191,33 @@ def test_a_failed_step_leaves_the_grid():
     np.testing.assert_allclose(problem.grid.cell[1], 0.5 * 0.8, rtol=1e-14)
 
 
+def test_adaptive_steps():
+    """Platens that move too far at once are brought there in shorter steps."""
+    few = pm.Controls(force_tolerance=1e-12, energy_tolerance=1e-26, max_iterations=4)
+    problem = block(by=-1.05, confined=False, controls=few)
+    steps = list(problem.march(1, adaptive=True, progress=False))
+    assert sum(step.cuts for step in steps) > 0
+    assert steps[-1].factor == 1.0
+    s = side_stretch(NEO_HOOKEAN, 0.3, False)
+    np.testing.assert_allclose(problem.points.x, problem.points.X * [s, 0.3], rtol=1e-9)
+    np.testing.assert_allclose(problem.fields().stress[:, 1, 1], axial_stress(NEO_HOOKEAN, 0.3, s), rtol=1e-8)
+
+
+def test_the_recorded_grid_is_the_stretched_one(folder: Path):
+    meshio = pytest.importorskip("meshio")
+    problem = block()
+    with pm.Recorder(folder / "run.pvd", problem, grid=True, initial=False) as record:
+        for step in problem.march(4, progress=False):
+            record(step)
+    files = sorted((folder / "run").glob("*grid*4*.vtu"))
+    nodes = [meshio.read(file) for file in files]
+    x = np.concatenate([n.points for n in nodes])
+    moved = np.concatenate([n.point_data["displacement_increment"] for n in nodes])
+    # the last reset was at 3/4 of the way
+    np.testing.assert_allclose(x[:, 1].max(), 1.5 * (1 - 0.375), rtol=1e-12)
+    np.testing.assert_allclose(moved[:, 1], -0.125 / (1 - 0.375) * x[:, 1], atol=1e-9)
+
+
 def test_a_support_given_later_stands_on_the_stretched_grid():
     """Planes are named as in the initial grid."""
     problem = block()
