@@ -15,11 +15,12 @@ from .arclength import ArcSchedule, Path
 from .balance import StepStart, step_work
 from .conditions import Amplitude, Load, Prescribed, Support
 from .errors import InputError
+from .fieldforms import FieldForm
 from .interpolation import Increments
 from .materials.base import parameter_values
 from .newton import Controls, Outcome
 from .parallel import together
-from .pointforms import FieldForm, Layout
+from .pointforms import Layout
 from .points import Points, Selection
 from .stepping import Schedule, Step, march
 from .system import NodalSystem, Nodes
@@ -198,7 +199,8 @@ class Problem:
         Args:
             steps: number of equal steps from the present factor to `to`.
             to: final load factor (default 1).
-            adaptive: cut a step that fails and retry from the last converged state, then grow again.
+            adaptive: cut a step that fails and retry from the last converged state, then grow again, up to
+                the first step's size or, with `largest`, beyond.
             progress: show a progress bar (default: on a terminal).
 
         Raises:
@@ -262,7 +264,8 @@ class Problem:
 
     def attempt_along(self, length: float, to: float | None = None) -> tuple[Outcome, float]:
         """Try a step of a length (m) along the path, which ends at the load factor `to` if it meets it; on
-        failure everything stays as it was. Returns the load factor found, too."""
+        failure everything stays as it was. Returns the load factor found, too. That loads and supports are
+        such as they have to be is checked by `march_arc_length`."""
         system, p = self._prepare(), self.progress
         with self.timer("conditions"):
             ends = []
@@ -285,11 +288,13 @@ class Problem:
 
     def _moved(self, system: NodalSystem, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """Displacements (np, d) of the local points between two states of the increments (nodes, block)."""
-        x, values = system.x, []
-        for system.x in (start, end):
-            values.append(self._increments(system).value[:, : self.layout.dim])
+        x, d = system.x, self.layout.dim
+        system.x = start
+        before = self._increments(system).value[:, :d]
+        system.x = end
+        moved = self._increments(system).value[:, :d] - before
         system.x = x
-        return values[1] - values[0]
+        return moved
 
     def _sense(self, system: NodalSystem, direction: np.ndarray) -> float:
         """Positive where nodal increments (nodes, block) lead on in the direction of the last step."""
@@ -338,7 +343,7 @@ class Problem:
             rows = np.flatnonzero(p.material == m)
             if len(rows):
                 numbers = np.tile(parameter_values(material), (len(rows), 1))
-                out[rows] = kernel(p.F[rows], p.q[rows], p.wryness[rows], numbers)
+                out[rows] = kernel(p.F[rows], p.q[rows], p.wryness[rows], *p.history(rows), numbers)
         return Fields(out[:, 0], out[:, 1:10].reshape(-1, 3, 3), out[:, 10:].reshape(-1, 3, 3))
 
     def energy(self) -> float:
