@@ -9,8 +9,8 @@ from conftest import COMM, HENCKY, MICROPOLAR, NEO_HOOKEAN, rotation
 
 import polarmpm as pm
 from polarmpm import rotations
-from polarmpm.materials.base import check_material
 from polarmpm.fieldforms import FieldForm
+from polarmpm.materials.base import check_material
 
 N = 9
 BOUNDED = pm.MicropolarElastic.bounded_stiffness(lam=3e3, mu=2e3, kappa=7e2, l_b=0.3)

@@ -13,9 +13,9 @@ from conftest import ANISOTROPIC, COMM, GENERAL, HENCKY, MICROPOLAR, NEO_HOOKEAN
 import polarmpm as pm
 from polarmpm import _compat, rotations
 from polarmpm.conditions import Prescribed, make_support
+from polarmpm.fieldforms import FieldForm
 from polarmpm.interpolation import Interpolation
 from polarmpm.io import restart
-from polarmpm.fieldforms import FieldForm
 from polarmpm.pointforms import CoupleForm, PointForm
 from polarmpm.points import Points
 from polarmpm.pointsystem import LoadedPoints, PointSystem

@@ -24,8 +24,8 @@ from conftest import (
 import polarmpm as pm
 from polarmpm import rotations
 from polarmpm.conditions import Prescribed, make_support
-from polarmpm.interpolation import Interpolation
 from polarmpm.fieldforms import FieldForm
+from polarmpm.interpolation import Interpolation
 from polarmpm.pointforms import CoupleForm, PointForm
 from polarmpm.points import Points
 from polarmpm.pointsystem import PointSystem

@@ -44,9 +44,9 @@ class Scalariser:
 
     `slots` gives for each UFL terminal (coefficient, constant) the first input slot of its components.
 
-    A derivative in many directions is carried through a long expression of few scalars (a power series, say) as
-    a combination of the derivatives of these scalars: with a positive `waist`, a derivative of more terms than
-    that becomes one term, a bundle, before it is multiplied. `flat` undoes it.
+    A derivative in many directions is carried through a long expression of few scalars (a power series, say)
+    as a combination of the derivatives of these scalars: with a positive `waist`, a derivative of more terms
+    than that becomes one term, a bundle, before it is multiplied. `flat` undoes it.
     """
 
     slots: dict[Any, int]

@@ -36,8 +36,8 @@ class DirectSolver:
 
     def __init__(self, matrix: PETSc.Mat, symmetric: bool, far_from_symmetric: bool = False):
         """`matrix` (whole, or its upper triangle when symmetric) belongs to the solver from now on; its
-        entries may change before each `factor`. Of one that is far from symmetric (plastic flow) the symmetric
-        part is no help."""
+        entries may change before each `factor`. Of one that is far from symmetric (plastic flow) the
+        symmetric part is no help."""
         self.matrix, self.symmetric, self.comm = matrix, symmetric, matrix.comm.tompi4py()
         self._blocked = matrix.getType() in ("seqbaij", "mpibaij")
         self._lifted: Any = None  # made when the matrix has its entries

@@ -50,15 +50,15 @@ class PlasticElementForms(ElementForms):
             self._kernels.append(form.compile(self._comm))
             plastic = form.material.plastic
             ids = e.points.id[rows]
-            self._mappings.append(ReturnMapping(form, self._comm, ids) if plastic else None)  # type: ignore
+            self._mappings.append(ReturnMapping(form, self._comm, ids) if plastic else None)
         return BlockForms(e.space, self.layout, e.quadrature_degree, symmetric=False)
 
     @property
-    def residual(self) -> Any:  # type: ignore[override]
+    def residual(self) -> Any:
         return self._blocks.residual
 
     @property
-    def tangent(self) -> Any:  # type: ignore[override]
+    def tangent(self) -> Any:
         return self._blocks.tangent
 
     # history --------------------------------------------------------------------------------------

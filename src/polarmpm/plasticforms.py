@@ -5,8 +5,8 @@ converged step: P = Fp^-1, Gp and chi (plane strain: the entries that aren't zer
 X = (Ue, Ge, chi, Dgamma), T (4.61), for classical materials (Fe, chi, Dgamma). In the rotated frame all of it
 is turned by Q~, which changes neither tau nor nu.
 
-Two sets of local residuals r(X, z) = 0 exist: on the smooth part of the yield surface, T (4.57)-(4.60), and at
-the apex of a cone. With the stresses s(X, z), that multiply the variations of z in the virtual work, the
+Two sets of local residuals r(X, z) = 0 exist: on the smooth part of the yield surface, T (4.57)-(4.60), and
+at the apex of a cone. With the stresses s(X, z), that multiply the variations of z in the virtual work, the
 consistent tangent is ds/dz - ds/dX (dr/dX)^-1 dr/dz; every derivative in it is UFL's.
 """
 
@@ -25,7 +25,7 @@ import ufl
 from . import _compat, codegen, jit, rotations
 from . import kinematics as kin
 from .codegen import Scalariser
-from .materials.base import Material, evaluate_energy, named_parameters, parameter_values
+from .materials.base import Material, evaluate_energy, named_parameters
 from .materials.plastic import Plastic
 from .pointforms import Kernel, Layout, PointForm, generator_version, matrix, state_size
 from .spectral import exp_symmetric, squared_log_strain, strain_invariants
@@ -321,7 +321,7 @@ class PlasticForm(PointForm):
 
     def _apex_flow(self) -> list[Any]:
         """As `_surface_flow`; admissible is a flow within the cone of normals at the apex (Koiter)."""
-        ue, ge, _, multiplier = self._unknown
+        ue, ge = self._unknown[:2]
         tau, nu = self.kirchhoff(ue, ge)
         f, q, _ = self._motion
         ratio = ufl.dot(self._fe_trial, ufl.inv(self._fe()))
@@ -374,10 +374,10 @@ class PlasticForm(PointForm):
         by_local, by_z = ufl.TrialFunction(space(nx)), ufl.TrialFunction(space(nz))
         row = ufl.TestFunction(space(nx))
         form = ufl.dot(vector, row)
-        local = {
+        local: dict[str, list[Any]] = {
             "local": [_Vector(form, nx), _Matrix(ufl.derivative(form, self.local, by_local), nx, nx)],
         }
-        work = {
+        work: dict[str, list[Any]] = {
             "stress": [_Vector(s, nz)],
             "moduli": [
                 _Vector(s, nz),
@@ -405,7 +405,7 @@ class PlasticForm(PointForm):
 
         def source() -> str:
             scalarise = Scalariser(terminals, waist=_WAIST)
-            written = {
+            written: dict[str, Sequence[int]] = {
                 function: [node for part in parts for node in _nodes(scalarise, part)]
                 for function, parts in functions.items()
             }

@@ -211,7 +211,8 @@ class Points:
         self.replace({name: np.concatenate([a, theirs[name]]) for name, a in self.arrays().items()})
 
     def assign(self, selection: Selection, material: Material) -> None:
-        """Give points another material, such as a weaker one to a row. Before the first load step; collective.
+        """Give points another material, such as a weaker one to a row. Before a problem is made of them;
+        collective.
 
         Raises:
             InputError: no material, one with another number of unknowns, or an empty selection.

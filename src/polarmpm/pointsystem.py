@@ -86,7 +86,7 @@ class LoadedPoints(NodalSystem):
         return law
 
     def _put_yielding(self, mapping: ReturnMapping, k: int, tangent: bool, law: native.Law) -> None:
-        """Return the stresses of the points that yield, and let their blocks stand for the kernels. Collective.
+        """Return the stresses of the points that yield; their blocks stand for the kernels. Collective.
 
         Raises:
             LocalFailure: at some points there is no solution.

@@ -16,13 +16,16 @@ import numpy as np
 
 from . import native, rotations
 from .errors import LocalFailure
-from .pointforms import Kernel
 from .plasticforms import PlasticForm, Return, entries
+from .pointforms import Kernel, PointForm
 from .points import Points
 
-_YIELD = 1e-12  # yield function over elastic modulus that counts as positive
+# Yield function over elastic modulus from which on a point counts as yielding. A point that yielded in the last
+# step sits on the surface: its tangent at the start of a step is the elastoplastic one.
+_YIELD = -1e-10
 _TOLERANCE = 1e-13  # of the local residual, as a strain
 _LOOSE = 1e-9  # accepted where rounding ends the iteration; T 4.3.3 uses it throughout
+_BACKWARDS = -1e-8  # flow that is no more than rounding
 _MOST = 60  # local iterations, halved steps included
 
 
@@ -54,7 +57,8 @@ class ReturnMapping:
         ids: permanent ids of the points (n,), for messages.
     """
 
-    def __init__(self, form: PlasticForm, comm: MPI.Comm, ids: np.ndarray):
+    def __init__(self, form: PointForm, comm: MPI.Comm, ids: np.ndarray):
+        assert isinstance(form, PlasticForm)
         self.form, self.comm, self.ids = form, comm, ids
         self._trial: Kernel = form.trial_kernel(comm)
         self.yielding: Yielding | None = None
@@ -169,7 +173,7 @@ class ReturnMapping:
         if failed:
             raise MemoryError("no memory for the return mapping")
         good = status == 0
-        good[good] = evaluate(kernels.flow, np.hstack([inputs[good], X[good]]))[:, 1] >= 0.0
+        good[good] = evaluate(kernels.flow, np.hstack([inputs[good], X[good]]))[:, 1] >= _BACKWARDS
         solved = which[good]
         y.X[which] = X
         y.blocks[solved], y.apex[solved] = blocks[good], apex

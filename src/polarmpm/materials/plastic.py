@@ -19,9 +19,9 @@ _SPRING = 1e-9  # of the couple-stress moduli, see `DruckerPrager.apex`
 class Plastic(Material):
     """An elastic material that yields: f(tau, nu, chi) <= 0 with flow along the derivatives of g.
 
-    Derive from it, or hand both functions to `UserPlasticity`. F = Fe Fp, Gamma = Ge + Gp (T 4.1); the elastic
-    law holds for Fe and Ge. Tension is positive. What it takes to return a stress to the yield surface, and
-    the consistent tangent, is derived by UFL (`plasticforms`).
+    Derive from it, or hand both functions to `UserPlasticity`. F = Fe Fp, Gamma = Ge + Gp (T 4.1); the
+    elastic law holds for Fe and Ge. Tension is positive. What it takes to return a stress to the yield
+    surface, and the consistent tangent, is derived by UFL (`plasticforms`).
 
     Attributes:
         elastic: the elastic part. A classical one has no couple stress: nu is zero.
