@@ -78,7 +78,7 @@ class Return:
         local: (inputs, X) -> residual (nx) and its derivative by X (nx, nx).
         stress: (inputs, X) -> s (nz).
         moduli: (inputs, X) -> s, ds/dz (nz, nz), ds/dX (nz, nx), dr/dz (nx, nz).
-        flow: (inputs, X) -> dissipation per reference volume (Pa), and a number that is negative where the
+        flow: (inputs, X) -> dissipation per reference volume (Pa), and a strain that is negative where the
             solution is not admissible.
         row_scale: factors (nx,) that make residuals strains.
     """
@@ -332,10 +332,8 @@ class PlasticForm(PointForm):
             wryness = ufl.dot(q, ufl.dot(self._trial[1] - ge, ufl.inv(f)))
             square += self._numbers.l_p**2 * ufl.inner(wryness, wryness)
             work += ufl.inner(nu, wryness)
-        dilatancy = self._numbers.dilatancy
-        room = volume**2 * (1.0 + 1e-6) - dilatancy**2 * square / 1.5
-        admissible = ufl.conditional(ufl.lt(volume, 0.0), -1.0, room)
-        return [work - self._hardening_work(), admissible]
+        least = self._numbers.dilatancy * ufl.sqrt(ufl.max_value(square, 0.0) / 1.5)
+        return [work - self._hardening_work(), volume * (1.0 + 1e-6) - least]
 
     # compiled -------------------------------------------------------------------------------------
     def trial_kernel(self, comm: MPI.Comm) -> Kernel:

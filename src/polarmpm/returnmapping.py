@@ -25,7 +25,7 @@ from .points import Points
 _YIELD = -1e-10
 _TOLERANCE = 1e-13  # of the local residual, as a strain
 _LOOSE = 1e-9  # accepted where rounding ends the iteration; T 4.3.3 uses it throughout
-_BACKWARDS = -1e-8  # flow that is no more than rounding
+_BACKWARDS = -1e-8  # a strain: flow that is no more than rounding
 _MOST = 60  # local iterations, halved steps included
 
 
@@ -127,7 +127,7 @@ class ReturnMapping:
         log = np.log(np.maximum(value, 1e-300))
         mean = log.mean(axis=1, keepdims=True)
         volume = 3.0 * mean[:, 0]
-        share = np.abs(volume) / np.sqrt(np.maximum(volume**2 - flow[:, 1], 1e-300))
+        share = np.abs(volume) / np.maximum(np.abs(volume) - flow[:, 1], 1e-300)
         back = np.exp(-(mean + share[:, None] * (log - mean)))
         turned = (vector * back[:, None, :]) @ np.swapaxes(vector, 1, 2) @ before
         wryness = slice(len(entries(self.form.layout)[0]), self.form.local_size - 2)
