@@ -25,21 +25,23 @@ def arguments(
     description: str,
     *,
     output: str,
-    cell: float,
+    cell: float | None,
     points_per_cell: int,
     steps: int,
     basis: str,
+    bases: Sequence[str] = ("gimpm", "mpm"),
     argv: Sequence[str] | None = None,
     more: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> argparse.Namespace:
     """Command line of a demo with its defaults; `more` adds options of its own (flag -> argparse
-    keywords).
+    keywords). Without a `cell` there is no option for it; `bases` are those to choose from.
     """
     parser = _parser(description)
-    parser.add_argument("--cell", type=float, default=cell, help="cell size (unit of the scene)")
+    if cell is not None:
+        parser.add_argument("--cell", type=float, default=cell, help="cell size (unit of the scene)")
     parser.add_argument("--points-per-cell", type=int, default=points_per_cell, help="in each direction")
     parser.add_argument("--steps", type=int, default=steps, help="number of load steps")
-    parser.add_argument("--basis", choices=("gimpm", "mpm"), default=basis, help="weighting functions")
+    parser.add_argument("--basis", choices=bases, default=basis, help="weighting functions")
     return _parse(parser, output, more, argv)
 
 
@@ -98,7 +100,7 @@ def report(
         elements = {"elements": comm.allreduce(len(problem.elements.body.owned_cells))}
     summary = {
         "case": case,
-        "parameters": {**{k: getattr(args, k) for k in known}, "ranks": comm.size, **parameters},
+        "parameters": {**{k: getattr(args, k) for k in known if k in args}, "ranks": comm.size, **parameters},
         "result": {name: _plain(value) for name, value in result.items()},
         "iterations": [step.iterations for step in problem.steps],
         **elements,
