@@ -32,6 +32,7 @@ _OF_POINTS: dict[str, Callable[[Points], np.ndarray]] = {
     "material": lambda p: p.material,
 }
 _OF_MATERIALS = ("stress", "couple_stress", "energy")
+_OF_PLASTIC = ("hardening", "dissipation")
 
 
 class Recorder:
@@ -53,7 +54,8 @@ class Recorder:
         problem: whose states are written.
         fields: any of displacement (m), rotation (rotation vector, rad), F, stretch (U), wryness (1/m),
             stress (Cauchy, Pa), couple_stress (N/m), energy (per reference volume, Pa), volume (m^3; m^2
-            in plane strain), id, material. Tensors have 9 components, row by row.
+            in plane strain), id, material; with plastic materials hardening (chi) and dissipation (per
+            reference volume, Pa). Tensors have 9 components, row by row.
         grid: also write the occupied cells of the background grid to `arch_grid.pvd`, at their position
             at the last reset, with displacement_increment (m) and rotation_increment (rad) since then.
         domains: show a point as the box of its current GIMPM domain, with the fields on cells; False as
@@ -77,7 +79,7 @@ class Recorder:
         initial: bool = True,
     ):
         self.problem, self.domains, self.initial = problem, domains, initial
-        self.fields = _check_fields(fields)
+        self.fields = _check_fields(fields, problem.points)
         self._meshed = isinstance(problem, QuasiStaticFEM)
         if grid and self._meshed:
             raise InputError("grid = True: finite elements have no background grid")
@@ -157,10 +159,12 @@ class Recorder:
         collection.add(number, time, grid.node_position(numbers), table.reshape(cells.shape), data)
 
 
-def _check_fields(fields: Sequence[str]) -> tuple[str, ...]:
+def _check_fields(fields: Sequence[str], points: Points) -> tuple[str, ...]:
     names = (fields,) if isinstance(fields, str) else tuple(fields)
-    allowed = (*_OF_POINTS, *_OF_MATERIALS)
+    allowed = (*_OF_POINTS, *_OF_MATERIALS, *(_OF_PLASTIC if points.plastic else ()))
     for name in names:
+        if name in _OF_PLASTIC and name not in allowed:
+            raise InputError(f"fields: {name!r}, but none of the materials is plastic")
         if name not in allowed:
             raise InputError(f"fields: {name!r} is unknown; allowed are {', '.join(allowed)}")
     return names
@@ -169,7 +173,12 @@ def _check_fields(fields: Sequence[str]) -> tuple[str, ...]:
 def field_arrays(problem: Any, names: Sequence[str]) -> dict[str, np.ndarray]:
     """The local points' values by name, vectors with three components; nothing else is computed."""
     stresses = problem.fields() if any(name in _OF_MATERIALS for name in names) else None
-    return {
-        name: getattr(stresses, name) if name in _OF_MATERIALS else _OF_POINTS[name](problem.points)
-        for name in names
-    }
+
+    def values(name: str) -> np.ndarray:
+        if name in _OF_MATERIALS:
+            return np.asarray(getattr(stresses, name))
+        if name in _OF_PLASTIC:
+            return np.asarray(getattr(problem.points, name))
+        return _OF_POINTS[name](problem.points)
+
+    return {name: values(name) for name in names}
