@@ -38,7 +38,7 @@ class PlasticElementForms(ElementForms):
         self._base = points.q
 
     @property
-    def residual_form(self) -> None:  # type: ignore[override]
+    def residual_form(self) -> None:
         """The stresses are numbers here."""
         return None
 

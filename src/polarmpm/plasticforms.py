@@ -25,6 +25,7 @@ import ufl
 from . import _compat, codegen, jit, rotations
 from . import kinematics as kin
 from .codegen import Scalariser
+from .errors import InputError
 from .materials.base import Material, evaluate_energy, named_parameters
 from .materials.plastic import Plastic
 from .pointforms import Kernel, Layout, PointForm, generator_version, matrix, state_size
@@ -68,6 +69,24 @@ def _chain(outer: Any, inner: Any) -> Any:
         return outer * inner
     i, j, k, l = ufl.indices(4)
     return ufl.as_tensor(outer[i, j] * inner[i, j, k, l], (k, l))
+
+
+def _scalar(material: Plastic, function: str, *arguments: Any) -> Any:
+    """A function of a plastic material as a UFL scalar.
+
+    Raises:
+        InputError: it raises an error itself, or is not a scalar.
+    """
+    what = f"material: {function} of {type(material).__name__}"
+    try:
+        value = ufl.as_ufl(getattr(material, function)(*arguments))
+    except InputError:
+        raise
+    except Exception as e:  # a user's function and UFL may raise anything
+        raise InputError(f"{what} can't be evaluated: {e}") from e
+    if value.ufl_shape or value.ufl_free_indices:
+        raise InputError(f"{what} has the shape {value.ufl_shape}; a scalar is needed")
+    return value
 
 
 @dataclass
@@ -179,6 +198,15 @@ class PlasticForm(PointForm):
             return self.material.measures(deformation)
         return deformation - ufl.Identity(3), wryness
 
+    @cached_property
+    def energy(self) -> Any:
+        """Strain energy of the trial state; evaluates all functions, so that a mistake in one shows."""
+        tau, nu = self.kirchhoff(*self._trial)
+        for name in ("yield_function", "potential"):
+            _scalar(self.material, name, tau, nu, self._history[2], self._numbers)
+        _scalar(self.material, "hardening_energy", self._history[2], self._numbers)
+        return super().energy
+
     # stresses -------------------------------------------------------------------------------------
     @property
     def _numbers(self) -> Any:
@@ -233,7 +261,7 @@ class PlasticForm(PointForm):
         tau, nu = self.kirchhoff(ue, ge)
         tau = ufl.variable(tau)
         nu = None if nu is None else ufl.variable(nu)
-        g = self.material.potential(tau, nu, chi, self._numbers)
+        g = _scalar(self.material, "potential", tau, nu, chi, self._numbers)
         return ufl.diff(g, tau), None if nu is None else ufl.diff(g, nu)
 
     def _surface_residual(self) -> list[Any]:
@@ -248,7 +276,7 @@ class PlasticForm(PointForm):
             rows += self._flat(ge + step - self._trial[1], True)
         tau, nu = self.kirchhoff(ue, ge)
         rows.append(chi - self._history[2] - multiplier)
-        rows.append(self.material.yield_function(tau, nu, chi, self._numbers))
+        rows.append(_scalar(self.material, "yield_function", tau, nu, chi, self._numbers))
         return rows
 
     def _apex_residual(self) -> list[Any]:
@@ -306,7 +334,7 @@ class PlasticForm(PointForm):
     # what the flow did ----------------------------------------------------------------------------
     def _hardening_work(self) -> Any:
         chi, before = ufl.variable(self._unknown[2]), self._history[2]
-        energy = self.material.hardening_energy(chi, self._numbers)
+        energy = _scalar(self.material, "hardening_energy", chi, self._numbers)
         return ufl.diff(energy, chi) * (self._unknown[2] - before)
 
     def _surface_flow(self) -> list[Any]:
@@ -356,10 +384,7 @@ class PlasticForm(PointForm):
         tau, nu = self.kirchhoff(ue, ge)
         p = self._numbers
         rows = self._flat(ue) + ([] if ge is None else self._flat(ge, True)) + [chi, ufl.as_ufl(0.0)]
-        rows += [
-            self.material.yield_function(tau, nu, chi, p),
-            self.material.beyond_apex(tau, nu, chi, p),
-        ]
+        rows += [_scalar(self.material, name, tau, nu, chi, p) for name in ("yield_function", "beyond_apex")]
         return self._compile("trial", {"trial": rows}, self.terminals, comm)["trial"]
 
     def _compile_return(self, apex: bool, comm: MPI.Comm) -> Return:

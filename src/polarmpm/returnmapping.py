@@ -20,8 +20,8 @@ from .plasticforms import PlasticForm, Return, entries
 from .pointforms import Kernel, PointForm
 from .points import Points
 
-# Yield function over elastic modulus from which on a point counts as yielding. A point that yielded in the last
-# step sits on the surface: its tangent at the start of a step is the elastoplastic one.
+# Yield function over elastic modulus from which on a point counts as yielding. A point that yielded in the
+# last step sits on the surface: its tangent at the start of a step is the elastoplastic one.
 _YIELD = -1e-10
 _TOLERANCE = 1e-13  # of the local residual, as a strain
 _LOOSE = 1e-9  # accepted where rounding ends the iteration; T 4.3.3 uses it throughout

@@ -74,7 +74,7 @@ class Plastic(Material):
         return ufl.as_ufl(0.0)
 
     def beyond_apex(self, tau: Any, nu: Any, chi: Any, p: Any) -> Any:
-        """Positive where the smooth part of the yield surface is likely to have no place for a trial state."""
+        """Positive where a trial state is likely to return to the apex."""
         return ufl.as_ufl(-1.0)
 
 
@@ -82,6 +82,36 @@ def _check_elastic(elastic: Any) -> None:
     check_material(elastic)
     if isinstance(elastic, Plastic):
         raise InputError(f"elastic = {elastic!r}: an elastic material is needed")
+
+
+def _check_flow(elastic: Any, name: str, strength: Any, H: Any, l_p: Any) -> None:
+    """Checks of what the cone and the cylinder share; `name` is the argument that gives the strength."""
+    _check_elastic(elastic)
+    require_finite("H", H)
+    require_finite(name, strength)
+    require(strength > 0, name, strength, f"{name} > 0")
+    if elastic.micropolar:
+        if l_p is None:
+            raise InputError("l_p = None: a micropolar material needs the plastic length, l_p > 0")
+        require_finite("l_p", l_p)
+        require(l_p > 0, "l_p", l_p, "l_p > 0")
+    elif l_p is not None:
+        raise InputError(f"l_p = {l_p!r}: a classical material has no plastic length")
+    if H < 0 and not elastic.micropolar:
+        warnings.warn(
+            f"H = {H:g}: softening without a length scale; the width of a shear band is that of the cells",
+            stacklevel=4,
+        )
+
+
+def _check_names(material: Plastic) -> None:
+    """Elastic and plastic numbers share one name space."""
+    taken = sorted(set(material.elastic.parameters()) & set(material.plastic_parameters()))
+    if taken:
+        raise InputError(
+            f"elastic: its parameter {taken[0]!r} has the name of a plastic one of "
+            f"{type(material).__name__}; rename it"
+        )
 
 
 def _generalised_stress(tau: Any, nu: Any, length: Any) -> Any:
@@ -122,31 +152,16 @@ class DruckerPrager(Plastic):
     l_p: float | None = None
 
     def __post_init__(self) -> None:
-        _check_elastic(self.elastic)
-        for name in ("phi", "psi", "H"):
+        for name in ("phi", "psi"):
             require_finite(name, getattr(self, name))
         allowed = "0 <= phi < pi/2, in radians (math.radians converts degrees)"
         require(0 <= self.phi < math.pi / 2, "phi", self.phi, allowed)
         require(0 <= self.psi <= self.phi, "psi", self.psi, f"0 <= psi <= phi = {self.phi:g} rad")
         if (self.c is None) == (self.k is None):
             raise InputError(f"c = {self.c!r}, k = {self.k!r}: exactly one of both is needed")
-        name, value = ("c", self.c) if self.k is None else ("k", self.k)
-        require_finite(name, value)
-        assert value is not None
-        require(value > 0, name, value, f"{name} > 0")
-        if self.micropolar:
-            if self.l_p is None:
-                raise InputError("l_p = None: a micropolar material needs the plastic length, l_p > 0")
-            require_finite("l_p", self.l_p)
-            require(self.l_p > 0, "l_p", self.l_p, "l_p > 0")
-        elif self.l_p is not None:
-            raise InputError(f"l_p = {self.l_p!r}: a classical material has no plastic length")
-        if self.H < 0 and not self.micropolar:
-            warnings.warn(
-                f"H = {self.H:g}: softening without a length scale; the width of a shear band is that of "
-                "the cells",
-                stacklevel=3,
-            )
+        name, strength = ("c", self.c) if self.k is None else ("k", self.k)
+        _check_flow(self.elastic, name, strength, self.H, self.l_p)
+        _check_names(self)
 
     @property
     def length(self) -> float:  # type: ignore[override]
@@ -215,10 +230,8 @@ class VonMises(Plastic):
     l_p: float | None = None
 
     def __post_init__(self) -> None:
-        self._cone()  # checks the arguments
-
-    def _cone(self) -> DruckerPrager:
-        return DruckerPrager(self.elastic, k=self.k, H=self.H, l_p=self.l_p)
+        _check_flow(self.elastic, "k", self.k, self.H, self.l_p)
+        _check_names(self)
 
     @property
     def length(self) -> float:  # type: ignore[override]
@@ -263,9 +276,9 @@ class UserPlasticity(Plastic):
             value = getattr(self, name)
             if not callable(value) and not (value is None and name != "function"):
                 raise InputError(f"{name}: {value!r} is not callable")
-        taken = set(self.elastic.parameters()) & set(self.values)
+        taken = sorted(set(self.elastic.parameters()) & set(self.values))
         if taken:
-            raise InputError(f"values: {sorted(taken)[0]!r} is a parameter of the elastic material")
+            raise InputError(f"values: {taken[0]!r} is a parameter of the elastic material")
         for name, value in self.values.items():
             require_finite(name, value)
         require_finite("length", self.length)
