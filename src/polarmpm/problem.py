@@ -343,7 +343,8 @@ class Problem:
             rows = np.flatnonzero(p.material == m)
             if len(rows):
                 numbers = np.tile(parameter_values(material), (len(rows), 1))
-                out[rows] = kernel(p.F[rows], p.q[rows], p.wryness[rows], *p.history(rows), numbers)
+                history = p.history(rows) if material.plastic else ()
+                out[rows] = kernel(p.F[rows], p.q[rows], p.wryness[rows], *history, numbers)
         return Fields(out[:, 0], out[:, 1:10].reshape(-1, 3, 3), out[:, 10:].reshape(-1, 3, 3))
 
     def energy(self) -> float:
