@@ -30,7 +30,9 @@ from .system import NodalSystem
 
 _LENGTH_TOLERANCE = 1e-8  # of a step's length; the state is an equilibrium however long the step is
 _PROBES = (0.0, 1.0, 0.5, 2.0)  # load factors at which loads are compared
-_BEND = 0.8  # least cosine between a step and its tangent; what is farther off may be another branch
+# Least cosine between a step and its tangent; what is farther off may be another branch. If steps of a small
+# part of the first one's length still bend as much, it is the path that does: where points unload it has a kink.
+_BEND, _KINK, _SHORT = 0.8, 0.0, 0.2
 _EASY = 6  # a step of at most so many iterations lets the next one grow
 _BAR = "arc length {n} steps, {elapsed} {postfix}"
 
@@ -110,6 +112,11 @@ def check_supports(comm: MPI.Comm, prescribed: Prescribed) -> None:
                 )
 
 
+def least_cosine(kink: bool) -> float:
+    """Between a step and its tangent."""
+    return _KINK if kink else _BEND
+
+
 # one step ---------------------------------------------------------------------------------------------
 class _Unsettled(Exception):
     """There is no equilibrium at the load factor of before."""
@@ -128,6 +135,7 @@ class Path:
         length: s (m).
         factor: the load factor, an unknown.
         sense: positive for a direction (nodes, block) in which the path goes on.
+        bend: least cosine between the step and its tangent.
     """
 
     system: NodalSystem
@@ -136,6 +144,7 @@ class Path:
     length: float
     factor: float
     sense: Callable[[np.ndarray], float]
+    bend: float = _BEND
 
     def __post_init__(self) -> None:
         self.own = slice(0, self.system.nodes.owned)
@@ -246,7 +255,7 @@ def _iterate(path: Path, controls: Controls, outcome: Outcome) -> None:
             balanced = force < controls.force_tolerance or energy < controls.energy_tolerance
             if balanced and abs(path.excess()) < _LENGTH_TOLERANCE:
                 cosine = path.inner(path.increment, path.forward) / path.size
-                outcome.converged = cosine > _BEND
+                outcome.converged = cosine > path.bend
                 outcome.reason = "" if outcome.converged else f"turned off the tangent (cosine {cosine:.2g})"
                 return
         if outcome.iterations >= controls.max_iterations:
@@ -272,7 +281,9 @@ class Marching(Protocol):
     progress: Any
     steps: list[Step]
 
-    def attempt_along(self, length: float, to: float | None) -> tuple[Outcome, float]: ...
+    def attempt_along(
+        self, length: float, to: float | None, kink: bool = False
+    ) -> tuple[Outcome, float]: ...
 
 
 def march(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
@@ -296,7 +307,8 @@ def _steps(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
         tried: list[str] = []
         begin = problem.progress.factor
         while True:
-            outcome, aim = problem.attempt_along(length, schedule.to)
+            kink = length < _SHORT * schedule.first
+            outcome, aim = problem.attempt_along(length, schedule.to, kink)
             if outcome.converged:
                 break
             tried.append(

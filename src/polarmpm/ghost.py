@@ -10,8 +10,8 @@ as it stands here (but for a misprint in its last row): the functions are contin
 derivatives along the face don't jump.
 
 With h^3 the parameters count in Pa / m^2 and N / m^2, strictly speaking. T takes the numbers of moduli; on
-cells of one metre that is a share of the stiffness, on smaller ones much less. `power=1` makes the
-parameters shares of the moduli whatever the size of the cells.
+cells of one metre that is a share of the stiffness, on smaller ones much less. With h in its place (`power=1`,
+the default) the parameters are shares of the moduli whatever the size of the cells.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ from .nodalterms import Boxes, Term, multiply
 from .parallel import look_up, lowest_ranks
 from .pointforms import Layout
 
-_SHARES = {"thesis": 1e-2, "light": 1e-5}  # of the moduli; "thesis" as in T 4.4, "light" a thousandth of it
+_SHARES = {"thesis": 1e-2, "light": 1e-5}  # of the moduli; "thesis" as in T 4.4
+_POWERS = {"thesis": 3, "light": 1}
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class GhostPenalty:
     Args:
         displacement: gamma_g1 (Pa; see the module's note on units).
         rotation: gamma_g2 (N).
-        power: of the faces' size h, 3 as in T (2.59), or 1.
+        power: of the faces' size h, 1, or 3 as in T (2.59).
 
     Raises:
         InputError: a parameter is negative or not finite; power is neither 1 nor 3.
@@ -50,7 +51,7 @@ class GhostPenalty:
 
     displacement: float
     rotation: float = 0.0
-    power: int = 3
+    power: int = 1
 
     def __post_init__(self) -> None:
         for name in ("displacement", "rotation"):
@@ -69,8 +70,8 @@ def make_penalty(
 
     Args:
         ghost: None, "light", "thesis" or a `GhostPenalty`. "thesis" takes lambda / 100 and gamma / 100 of the
-            stiffest material (T 4.4), "light" a thousandth of that; where lambda isn't positive, mu stands
-            in.
+            stiffest material and h^3 (T 4.4), "light" lambda / 1e5, gamma / 1e5 and h: enough for the
+            tangent's condition; where lambda isn't positive, mu stands in.
 
     Raises:
         InputError: an unknown choice; materials that don't name their moduli; a basis or an assembly without
@@ -94,7 +95,7 @@ def make_penalty(
     share = _SHARES[ghost]
     rotation = max(_modulus(ghost, m, ("gamma",)) for m in materials) if layout.rotations else 0.0
     stiffest = max(_modulus(ghost, m, ("lam", "mu")) for m in materials)
-    return GhostPenalty(share * stiffest, share * rotation)
+    return GhostPenalty(share * stiffest, share * rotation, _POWERS[ghost])
 
 
 def _modulus(ghost: str, material: Material, names: tuple[str, ...]) -> float:

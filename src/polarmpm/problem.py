@@ -262,9 +262,12 @@ class Problem:
         arclength.check_supports(self.comm, system.prescribed)
         return arclength.march(self, schedule)
 
-    def attempt_along(self, length: float, to: float | None = None) -> tuple[Outcome, float]:
+    def attempt_along(
+        self, length: float, to: float | None = None, kink: bool = False
+    ) -> tuple[Outcome, float]:
         """Try a step of a length (m) along the path, which ends at the load factor `to` if it meets it; on
-        failure everything stays as it was. Returns the load factor found, too. That loads and supports are
+        failure everything stays as it was. With `kink` the step may turn off its tangent. Returns the load
+        factor found, too. That loads and supports are
         such as they have to be is checked by `march_arc_length`."""
         system, p = self._prepare(), self.progress
         with self.timer("conditions"):
@@ -277,6 +280,7 @@ class Problem:
             volumes = self._nodal_volumes(system)
         loads = ends[0], ends[1] - ends[0]
         path = Path(system, loads, volumes, length, p.factor, lambda x: self._sense(system, x))
+        path.bend = arclength.least_cosine(kink)
         outcome = arclength.solve(path, self.controls, to)
         if outcome.converged:
             self._set_loads(system, path.factor)
