@@ -260,6 +260,20 @@ def test_consistent_tangent(dim, name):
         assert max(e.max(initial=0.0) for e in pulled.values()) < 1e-6
 
 
+@pytest.mark.parametrize(
+    "material", [cone(NEO_HOOKEAN, psi=30.0), cylinder(NEO_HOOKEAN)], ids=["cone", "cylinder"]
+)
+def test_classical_associated_flow_has_a_symmetric_tangent(material):
+    """Isotropic energies with an exponential return along the normal have an incremental potential; without
+    one the tangent isn't symmetric."""
+    for law, symmetric in ((material, True), (cone(NEO_HOOKEAN), False)):
+        driven, z = scattered(law)
+        _, a, y = driven.stress(z)
+        a = a[y.rows[~y.apex]]
+        difference = (np.abs(a - transposed(a)).max(axis=(1, 2)) / np.abs(a).max(axis=(1, 2))).max()
+        assert difference < 1e-11 if symmetric else difference > 0.1
+
+
 def test_taylor_remainder_is_of_second_order():
     driven, z = scattered(cone(), size=0.03)
     direction = np.random.default_rng(5).standard_normal(z.shape)
