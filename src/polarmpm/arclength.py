@@ -152,6 +152,7 @@ class Path:
         self.start: np.ndarray = self.system.x.copy()
         self.size = self.length**2 * self.system.comm.allreduce(float(self.volume[self.own].sum()))
         self.forward: np.ndarray | None = None  # the first correction; None: still at the start
+        self.growth = 0.0  # of the load factor in the last correction
         self.settled = False
 
     def inner(self, a: np.ndarray, b: np.ndarray) -> float:
@@ -206,8 +207,18 @@ class Path:
 
     def _add(self, correction: np.ndarray, growth: float) -> None:
         self.system.add(correction)
+        self.growth = growth
         self.factor += growth
         self.put_load()
+
+    def retreat(self) -> bool:
+        """Take back half of the last correction; False if there is none in this step."""
+        if not self.system.retreat():
+            return False
+        self.growth *= 0.5
+        self.factor -= self.growth
+        self.put_load()
+        return True
 
 
 def solve(path: Path, controls: Controls, to: float | None) -> Outcome:
@@ -245,7 +256,7 @@ def _stop_at(
 def _iterate(path: Path, controls: Controls, outcome: Outcome) -> None:
     system, tangent = path.system, True
     while True:
-        system.evaluate(tangent)
+        newton.evaluate(system, tangent, path.retreat)
         force, energy = system.measures()
         outcome.history.append((force, energy))
         if not math.isfinite(force) or force > controls.divergence:

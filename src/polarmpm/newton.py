@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -25,6 +26,9 @@ class System(Protocol):
 
     def pending(self) -> bool:
         """Whether prescribed values are still to be put in."""
+
+    def retreat(self) -> bool:
+        """Take back half of the last correction; False if there is none in this step."""
 
     def advance(self, fresh: bool) -> None:
         """Solve with the last tangent and add the correction to the unknowns.
@@ -92,7 +96,7 @@ def _iterate(system: System, controls: Controls, outcome: Outcome) -> None:
     """
     tangent, chord = True, False
     while True:
-        system.evaluate(tangent)
+        evaluate(system, tangent, system.retreat)
         force, energy = system.measures()
         outcome.history.append((force, energy))
         if not math.isfinite(force) or force > controls.divergence:
@@ -119,11 +123,28 @@ def _iterate(system: System, controls: Controls, outcome: Outcome) -> None:
         tangent = not chord and _SAFETY * ratio**2 * following > controls.force_tolerance
 
 
+def evaluate(system: System, tangent: bool, retreat: Callable[[], bool]) -> None:
+    """Evaluate where the points have stresses: while they have none, go back half of the last correction.
+
+    Raises:
+        LocalFailure: they still have none, or there is nothing to go back.
+    """
+    for _ in range(_RETREATS):
+        try:
+            return system.evaluate(tangent)
+        except LocalFailure:
+            if not retreat():
+                raise
+            tangent = True  # prescribed values may be pending again
+    system.evaluate(True)
+
+
 def expected_to_end(outcome: Outcome, controls: Controls) -> bool:
     """Whether the next residual is small enough if residuals go on to fall quadratically."""
     return _SAFETY * _ratio(outcome) ** 2 * outcome.history[-1][0] < controls.force_tolerance
 
 
+_RETREATS = 4  # corrections halved before points without stresses end the attempt
 _SAFETY = 10.0  # the change of the tangent is about twice the ratio
 
 

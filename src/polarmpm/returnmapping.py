@@ -8,7 +8,7 @@ surface has no admissible solution, the apex is tried, and the other way round.
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from mpi4py import MPI
 
@@ -48,6 +48,13 @@ class Yielding:
     blocks: np.ndarray
     iterations: np.ndarray
 
+    def without(self, left_out: np.ndarray) -> Yielding:
+        """The others of the points (n,) bool."""
+        if not np.any(left_out):
+            return self
+        keep = ~left_out
+        return Yielding(*(getattr(self, f.name)[keep] for f in fields(self)))
+
 
 class ReturnMapping:
     """Return mapping for the points of one elastoplastic material. Collective.
@@ -86,13 +93,15 @@ class ReturnMapping:
             np.zeros(len(rows), dtype=np.int32),
         )
         open_ = self._solve_all(y, tangent)
-        failed = np.concatenate([lost, self.ids[rows[open_]]])
+        # on the surface to rounding, with no flow to speak of: elastic
+        idle = open_ & (f[rows] <= -_YIELD * form.material.modulus)
+        failed = np.concatenate([lost, self.ids[rows[open_ & ~idle]]])
         everywhere = np.sort(np.concatenate(self.comm.allgather(failed)))
         if len(everywhere):
             names = ", ".join(map(str, everywhere[:10])) + (" ..." if len(everywhere) > 10 else "")
             raise LocalFailure(f"return mapping failed at {len(everywhere)} point(s): {names}")
-        self.yielding = y
-        return y
+        self.yielding = y.without(idle)
+        return self.yielding
 
     def _solve_all(self, y: Yielding, tangent: bool) -> np.ndarray:
         """Solve for all yielding points; which of them are left without a solution (n,)."""

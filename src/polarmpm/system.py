@@ -97,7 +97,7 @@ class NodalSystem:
     def set_prescribed(self, increments: np.ndarray) -> None:
         """Target of the prescribed unknowns, as increments since the reset (nodes, block); begins a step.
         Collective."""
-        self._rounding, self._begun = 0.0, True
+        self._rounding, self._begun, self._moved = 0.0, True, False
         self._lift = np.where(self.prescribed.fixed, increments - self.x, 0.0)
         self._pending = bool(self.comm.allreduce(bool(np.any(self._lift)), op=MPI.LOR))
 
@@ -171,4 +171,13 @@ class NodalSystem:
     def add(self, step: np.ndarray) -> None:
         """Add a correction (nodes, block) to the unknowns."""
         self.x += step
-        self._last = step
+        self._last, self._moved = step, True
+
+    def retreat(self) -> bool:
+        if not self._moved:
+            return False
+        self._last = 0.5 * self._last
+        self.x -= self._last
+        self._lift = self._lift + np.where(self.prescribed.fixed, self._last, 0.0)
+        self._pending = bool(self.comm.allreduce(bool(np.any(self._lift)), op=MPI.LOR))
+        return True
