@@ -376,6 +376,56 @@ class Local:
     def advance(self, fresh: bool) -> None:
         """The state doesn't change."""
 
+    def retreat(self) -> bool:
+        return False
+
+
+class Shortened(Local):
+    """Points have stresses again once the correction has been halved twice."""
+
+    def __init__(self) -> None:
+        super().__init__(2)
+        self.halved = 0
+
+    def evaluate(self, tangent: bool) -> None:
+        self.left -= 1
+        if self.left <= 0 and self.halved < 2:
+            raise LocalFailure("3 points: no return to the yield surface")
+        assert tangent or not self.halved  # what a retreat leaves pending is put in with it
+
+    def measures(self) -> tuple[float, float]:
+        return (0.0, 0.0) if self.halved == 2 else (1.0, 1.0)
+
+    def retreat(self) -> bool:
+        self.halved += 1
+        return True
+
+
+def test_corrections_are_halved_until_the_points_have_stresses():
+    system = Shortened()
+    outcome = newton.solve(system, pm.Controls())
+    assert outcome.converged and system.halved == 2
+
+
+def test_a_retreat_leaves_prescribed_values_to_be_put_in():
+    """Half of a correction is taken back; the supports' part of it is pending again."""
+    problem = beam(2)
+    problem.fix(pm.plane(x=4.0), ux=0.2)
+    system = problem._prepare()
+    problem._set_loads(system, 1.0)
+    system.set_prescribed(system.prescribed.increments(1.0, 0.0, 0.0))
+    assert not system.retreat()
+    system.evaluate(True)
+    system.advance(True)
+    whole = system.x.copy()
+    assert not system.pending()
+    assert system.retreat() and system.pending()
+    np.testing.assert_allclose(system.x, 0.5 * whole, rtol=1e-14)
+    system.evaluate(True)
+    system.advance(True)
+    fixed = system.prescribed.fixed
+    np.testing.assert_allclose(system.x[fixed], whole[fixed], rtol=1e-14, atol=1e-16)
+
 
 @pytest.mark.parametrize("at", [1, 3])
 def test_a_failure_at_the_points_is_a_reason(at):

@@ -30,8 +30,8 @@ from .system import NodalSystem
 
 _LENGTH_TOLERANCE = 1e-8  # of a step's length; the state is an equilibrium however long the step is
 _PROBES = (0.0, 1.0, 0.5, 2.0)  # load factors at which loads are compared
-# Least cosine between a step and its tangent; what is farther off may be another branch. If steps of a small
-# part of the first one's length still bend as much, it is the path that does: where points unload it has a kink.
+# Least cosine between a step and its tangent; what is farther off may be another branch. If steps of a fifth
+# of the first one's length bend as much, it is the path that does: where points unload it has a kink.
 _BEND, _KINK, _SHORT = 0.8, 0.0, 0.2
 _EASY = 6  # a step of at most so many iterations lets the next one grow
 _BAR = "arc length {n} steps, {elapsed} {postfix}"

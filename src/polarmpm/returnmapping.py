@@ -137,8 +137,9 @@ class ReturnMapping:
         mean = log.mean(axis=1, keepdims=True)
         volume = 3.0 * mean[:, 0]
         share = np.abs(volume) / np.maximum(np.abs(volume) - flow[:, 1], 1e-300)
-        back = np.exp(-(mean + share[:, None] * (log - mean)))
-        turned = (vector * back[:, None, :]) @ np.swapaxes(vector, 1, 2) @ before
+        with np.errstate(over="ignore", invalid="ignore"):  # what isn't finite is left out below
+            back = np.exp(-(mean + share[:, None] * (log - mean)))
+            turned = (vector * back[:, None, :]) @ np.swapaxes(vector, 1, 2) @ before
         wryness = slice(len(entries(self.form.layout)[0]), self.form.local_size - 2)
         new = y.X[at]
         new[:, : wryness.start] = _columns(turned, entries(self.form.layout)[0])
