@@ -400,7 +400,8 @@ def test_moduli_are_found_by_name():
     penalty = beam(2, ghost="thesis").ghost
     assert penalty == pm.GhostPenalty(30.0, 0.17, power=3)
     light = beam(2, ghost="light").ghost
-    assert light.displacement == pytest.approx(0.03, rel=1e-12) and light.power == 1
+    assert light.displacement == pytest.approx(0.03, rel=1e-12)
+    assert light.power == 1
     soft = pm.MicropolarElastic(lam=0.0, mu=2e3, kappa=7e2, alpha=0.0, beta=0.0, gamma=0.0)
     assert beam(2, soft, ghost="thesis").ghost == pm.GhostPenalty(20.0, 0.0, power=3)
     assert beam(2, NEO_HOOKEAN, ghost="thesis").ghost == pm.GhostPenalty(30.0, 0.0, power=3)

@@ -292,9 +292,7 @@ class Marching(Protocol):
     progress: Any
     steps: list[Step]
 
-    def attempt_along(
-        self, length: float, to: float | None, kink: bool = False
-    ) -> tuple[Outcome, float]: ...
+    def attempt_along(self, length: float, to: float | None, kink: bool = False) -> tuple[Outcome, float]: ...
 
 
 def march(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:

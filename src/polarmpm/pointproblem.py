@@ -71,8 +71,8 @@ class QuasiStatic(SurfaceProblem):
             stresses to the last; the papers let the rest relax, which softens the body reset by reset. Here
             it is carried along as forces on the nodes until the next reset (docs/theory.md).
         ghost: stabilises cells that the body cuts slightly (T 2.3.4): None, "thesis" (a hundredth of lambda
-            and of gamma, T 4.4), "light" (just enough for the condition of the tangent) or a `GhostPenalty`. With basis "gimpm" or
-            "mpm" and assembly "direct".
+            and of gamma, T 4.4), "light" (against the thinnest cuts only) or a `GhostPenalty`. With basis
+            "gimpm" or "mpm" and assembly "direct".
         controls: tolerances of Newton's method.
 
     Raises:
