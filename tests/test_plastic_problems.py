@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import ufl
 from bodies import box, everywhere, own_rows, residual_at, tangent_at
-from conftest import COMM, beam, by_id
+from conftest import COMM, beam, by_id, rotation
 from plasticity import (
     ELASTIC,
     HENCKY,
@@ -316,6 +316,74 @@ def test_only_the_weak_points_flow():
     assert np.all(problem.points.hardening[~weak] == 0)
     assert np.all(problem.points.hardening[weak] > 1e-3)
     assert problem.points.materials == (ELASTIC, cylinder(H=-20.0))
+
+
+# objectivity ----------------------------------------------------------------------------------------
+TURN = {2: np.array([0.0, 0.0, 2.4]), 3: np.array([0.9, -0.7, 2.0])}
+
+
+def turned(kind: str, material: Any, dim: int, reset: int | None) -> Any:
+    """All nodes are moved: an even deformation until the load factor is 1, then a rigid rotation on top."""
+    gradient = np.array([[0.03, 0.08, 0.02], [-0.01, -0.02, 0.03], [0.0, 0.04, -0.01]])[:dim, :dim]
+
+    def motion(t: float, x: np.ndarray) -> np.ndarray:
+        turn = rotation(max(t - 1.0, 0.0) * TURN[dim])[:dim, :dim]
+        start = (
+            np.linalg.inv(_so_far(problem, dim)) if reset else np.eye(dim)
+        )  # positions are of the last reset
+        first = x @ start.T
+        return first @ (turn @ (np.eye(dim) + min(t, 1.0) * gradient)).T - first
+
+    if kind == "elements":
+        problem: Any = pm.QuasiStaticFEM(
+            pm.Elements(box("quadrilateral", (2, 1), (2.0, 1.0)), material=material)
+        )
+    else:
+        low, high = np.full(dim, -4.0), np.full(dim, 4.0)
+        grid = pm.Grid.box(low, high, 1.0)
+        points = pm.seed(grid, bounds=(np.full(dim, 0.1), np.array([1.9, 0.9, 0.9])[:dim]), material=material)
+        problem = pm.QuasiStatic(grid, points, reset=reset, basis="mpm")
+
+    def angle(t: float) -> Any:
+        w = max(t - 1.0, 0.0) * TURN[dim]
+        return w[2] if dim == 2 else w
+
+    theta = {"theta": angle} if material.micropolar else {}
+    problem.fix(everywhere, u=motion, **theta)
+    return problem
+
+
+def _so_far(problem: Any, dim: int) -> np.ndarray:
+    """The even deformation of the last converged state."""
+    return COMM.bcast(problem.points.F[0, :dim, :dim])
+
+
+@pytest.mark.parametrize(
+    ("kind", "dim", "reset"),
+    [
+        ("points", 2, 1),
+        ("points", 2, None),
+        ("elements", 2, None),
+        pytest.param("points", 3, None, marks=pytest.mark.slow),
+        pytest.param("points", 3, 1, marks=pytest.mark.slow),
+    ],
+)
+@pytest.mark.parametrize("material", [cone(), cone(NEO_HOOKEAN)], ids=["micropolar", "classical"])
+def test_rigid_rotation_adds_no_flow(kind, dim, reset, material):
+    """By 2.4 rad, over new bases of the rotations; stresses turn with the body."""
+    problem = turned(kind, material, dim, reset)
+    run(problem, 4)
+    p, before = problem.points, {k: v.copy() for k, v in problem.points.arrays().items()}
+    stress = problem.fields().stress
+    assert before["hardening"].min(initial=1.0) > 1e-3
+    run(problem, 6, to=2.0)
+    turn = rotation(TURN[dim])
+    np.testing.assert_allclose(p.F, turn @ before["F"], rtol=0, atol=1e-9)
+    for name in ("hardening", "plastic_F", "plastic_wryness"):
+        np.testing.assert_allclose(getattr(p, name), before[name], rtol=0, atol=1e-9, err_msg=name)
+    now = problem.fields().stress
+    np.testing.assert_allclose(now, turn @ stress @ turn.T, rtol=0, atol=1e-6 * K)
+    assert np.abs(now - stress).max(initial=K) > K / 10
 
 
 # a user's functions ---------------------------------------------------------------------------------
