@@ -2,8 +2,8 @@
 
 Thesis 4.5.2. Cylinders as high as they are wide between rollers; the axial microrotation of the top face is
 prescribed, that of the bottom is held, and the wire turns with it as far as the coupling of rotation and
-displacement makes it. Micropolar elastoplasticity with the yield function of von Mises. Torques are divided by
-a^3, with a the radius: without the length scale (`--length 1e-9`) those of all wires are the same.
+displacement makes it. Micropolar elastoplasticity with the yield function of von Mises. Torques are divided
+by a^3, with a the radius: without the length scale (`--length 1e-9`) those of all wires are the same.
 """
 
 from dataclasses import replace
@@ -51,12 +51,6 @@ def build(diameter, args, solid=None):
     top = problem.fix(pm.plane(z=diameter), uz=0, theta_z=ROTATION)
     problem.fix(lambda x: np.linalg.norm(x, axis=1) < 1e-3 * cell, ux=0, uy=0, theta_x=0, theta_y=0)
     return problem, top
-
-
-def first_yield(path):
-    """Torque over a^3 (Pa) at the last step before any point has yielded; nan if the first one yields."""
-    before = np.flatnonzero(path["hardening"] == 0)[-1]
-    return float(path["torque"][before]) if before else float("nan")
 
 
 def solve(diameter, args, folder):
@@ -111,7 +105,8 @@ def main(argv=None):
 
 
 def draw(solved, file):
-    """Normalised torque over normalised curvature of all wires, and the thickest and thinnest wire."""
+    """Normalised torque over normalised curvature of all wires; the thinnest one with its microrotation and
+    its hardening variable."""
     from polarmpm import plot
 
     figure, axes = plot.subplots(1, 3, figsize=(15, 4.6), solid=[1, 2])
@@ -119,12 +114,13 @@ def draw(solved, file):
     plot.load_displacement(
         curves, axes[0], xlabel="twist per length times a (-)", ylabel="torque / $a^3$ (MPa)"
     )
-    for d, ax in zip((max(solved), min(solved)), axes[1:], strict=True):
-        problem = solved[d][0]
-        angle = 2 * np.arctan2(problem.points.q[:, 3], problem.points.q[:, 0])
-        label = f"axial microrotation (rad), 2a = {d:g} µm"
+    thin = min(solved)
+    points = solved[thin][0].points
+    angle = 2 * np.arctan2(points.q[:, 3], points.q[:, 0])
+    views = {"axial microrotation (rad)": angle, "hardening variable $\\chi$ (-)": points.hardening}
+    for (label, values), ax in zip(views.items(), axes[1:], strict=True):
         plot.plot_points(
-            problem.points, angle, ax, label=label, limits=(0, ROTATION), length=(1e6, "µm"), undeformed=False
+            points, values, ax, label=f"{label}, 2a = {thin:g} µm", length=(1e6, "µm"), undeformed=False
         )
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 

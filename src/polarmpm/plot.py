@@ -69,7 +69,7 @@ def plot_points(
     values: np.ndarray | None = None,
     ax: Any = None,
     *,
-    label: str = "",
+    label: str | None = "",
     limits: tuple[float, float] | None = None,
     cmap: str = "viridis",
     undeformed: bool = True,
@@ -84,7 +84,7 @@ def plot_points(
     Args:
         values: of the local points (np,); None colours all alike.
         ax: axes to draw into (of rank 0; with projection "3d" in three dimensions); None makes a figure.
-        label: of the colour bar, with unit: "displacement (m)".
+        label: of the colour bar, with unit: "displacement (m)"; None leaves the bar out.
         limits: of the colours; default: the values' range.
         domains: draw the weighting functions' domains, boxes along the axes, instead of the initial boxes
             as F deforms them.
@@ -115,7 +115,7 @@ def plot_points(
         ax = ax or drawing.new_axes(body.span, projection="3d")
         _draw_solid(ax, body, undeformed, mappable, view)
     drawing.name_axes(ax, points.dim, length[1])
-    if mappable is not None:
+    if mappable is not None and label is not None:
         drawing.colour_bar(ax, mappable, label, points.dim)
     return ax
 
@@ -126,7 +126,7 @@ def plot_mesh(
     ax: Any = None,
     *,
     at: str = "nodes",
-    label: str = "",
+    label: str | None = "",
     limits: tuple[float, float] | None = None,
     cmap: str = "viridis",
     undeformed: bool = True,
@@ -184,7 +184,7 @@ def plot_mesh(
         drawn = [faces.now, faces.before] if undeformed else [faces.now]
         drawing.finish_solid(ax, [a.reshape(-1, 3) for a in drawn], view)
     drawing.name_axes(ax, elements.dim, length[1])
-    if mappable is not None:
+    if mappable is not None and label is not None:
         drawing.colour_bar(ax, mappable, label, elements.dim)
     return ax
 
