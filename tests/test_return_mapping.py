@@ -46,6 +46,7 @@ from scipy.spatial.transform import Rotation
 
 import polarmpm as pm
 from polarmpm import rotations
+from polarmpm.materials.stiffness import stiffness_at_rest
 
 # the energies of ELASTIC and FULL in the reference frame instead of the rotated one
 GENERAL = pm.UserEnergy(ELASTIC.energy, ELASTIC.parameters())
@@ -565,6 +566,49 @@ def test_hardening_near_the_apex_may_cost_energy():
     assert expected[on].min() < 0 < expected[on].max()
     assert loss[trace(x.tau) <= 0].min() > 0
     np.testing.assert_array_equal(y.rows, x.rows)
+
+
+# scales of the local iteration ----------------------------------------------------------------------
+def plain_energy(F: Any, p: Any) -> Any:
+    """As NEO_HOOKEAN, a million times as stiff, without a number that tells how stiff."""
+    log_j = ufl.ln(ufl.det(F))
+    return 1e6 * (MU / 2 * (ufl.inner(F, F) - 3 - 2 * log_j) + LAM / 2 * log_j**2)
+
+
+def plain_micropolar(E: Any, G: Any, p: Any) -> Any:
+    numbers = {k: 1e6 * v for k, v in ELASTIC.parameters().items()}
+    return ELASTIC.energy(E, G, type("Numbers", (), numbers))
+
+
+@pytest.mark.parametrize("values", [{}, {"ratio": 0.3}])
+@pytest.mark.parametrize("kind", ["classical", "micropolar"])
+def test_moduli_need_no_names(kind, values):
+    """Energies with constants of their own, cone and apex."""
+    if kind == "classical":
+        own, known = pm.UserEnergy(plain_energy, values, micropolar=False), NEO_HOOKEAN
+    else:
+        own, known = pm.UserEnergy(plain_micropolar, values, isotropic=True), ELASTIC
+    for tension in (0.0, 0.03):
+        (first, z), (second, _) = (
+            scattered(cone(e, k=k), tension=tension) for e, k in ((own, 1e6 * K), (known, K))
+        )
+        (s0, a0, y0), (s1, a1, y1) = first.stress(z), second.stress(z)
+        np.testing.assert_array_equal(y0.rows, y1.rows)
+        np.testing.assert_array_equal(y0.apex, y1.apex)
+        assert (y0.apex if tension else ~y0.apex).sum() >= 25
+        np.testing.assert_allclose(s0 / 1e6, s1, rtol=0, atol=1e-9 * np.abs(s1).max())
+        np.testing.assert_allclose(a0 / 1e6, a1, rtol=0, atol=1e-8 * np.abs(a1).max())
+
+
+def test_stiffness_at_rest():
+    """lam + 2 mu, and alpha + 2 gamma or gamma + beta."""
+    for material, expected in (
+        (NEO_HOOKEAN, (LAM + 2 * MU, 0.0)),
+        (FULL, (LAM + 2 * MU, 110.0 + 2 * 170.0)),
+        (NO_COUPLES, (LAM + 2 * MU, 0.0)),
+        (ELASTIC, (LAM + 2 * MU, 4 / 3 * ELASTIC.gamma)),
+    ):
+        np.testing.assert_allclose(stiffness_at_rest(material), expected, rtol=1e-12)
 
 
 # a user's functions ---------------------------------------------------------------------------------

@@ -6,12 +6,14 @@ import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import ufl
 
 from ..errors import InputError
 from .base import Material, check_material, require, require_finite
+from .stiffness import stiffness_at_rest
 
 _SPRING = 1e-9  # of the couple-stress moduli, see `DruckerPrager.apex`
 
@@ -49,11 +51,15 @@ class Plastic(Material):
         """Numbers of yield function and potential by name."""
         return {}
 
-    @property
+    @cached_property
     def modulus(self) -> float:
         """An elastic stiffness (Pa), which makes stresses strains in measures of the local iteration."""
-        numbers = self.elastic.parameters()
-        return abs(numbers.get("mu", 0.0)) or max(map(abs, numbers.values()), default=0.0) or 1.0
+        return abs(self.elastic.parameters().get("mu", 0.0)) or self._at_rest[0] or 1.0
+
+    @cached_property
+    def _at_rest(self) -> tuple[float, float]:
+        """Stiffnesses (Pa, N) of an elastic part whose moduli have names of their own."""
+        return stiffness_at_rest(self.elastic)
 
     def energy(self, *strains_and_parameters: Any) -> Any:
         return self.elastic.energy(*strains_and_parameters)
@@ -188,7 +194,8 @@ class DruckerPrager(Plastic):
 
     def _couple_modulus(self) -> float:
         numbers = self.elastic.parameters()
-        return max((abs(numbers.get(name, 0.0)) for name in ("alpha", "beta", "gamma")), default=0.0) or 1.0
+        named = [abs(numbers[name]) for name in ("alpha", "beta", "gamma") if name in numbers]
+        return (max(named) if named else self._at_rest[1]) or 1.0
 
     def yield_function(self, tau: Any, nu: Any, chi: Any, p: Any) -> Any:
         return self._q(tau, nu, p) + p.friction * ufl.tr(tau) / 3 - (p.k + p.H * chi)
