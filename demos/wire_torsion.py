@@ -46,7 +46,9 @@ def build(diameter, args, solid=None):
     )
     # forces of 1e-9 relative to those of the step are reached first, whatever the unit of energy
     controls = pm.Controls(energy_tolerance=1e-20)
-    problem = pm.QuasiStatic(grid, points, basis=args.basis, controls=controls)
+    # with beta = 0 nothing but kappa stiffens the skew part of the wryness
+    ghost = pm.GhostPenalty(0.0, args.ghost * elastic(args.length).gamma) if args.ghost else None
+    problem = pm.QuasiStatic(grid, points, basis=args.basis, ghost=ghost, controls=controls)
     problem.fix(pm.plane(z=0.0), uz=0, theta_z=0)
     top = problem.fix(pm.plane(z=diameter), uz=0, theta_z=ROTATION)
     problem.fix(lambda x: np.linalg.norm(x, axis=1) < 1e-3 * cell, ux=0, uy=0, theta_x=0, theta_y=0)
@@ -86,6 +88,11 @@ def main(argv=None):
         argv=argv,
         more={
             "--cells": {"type": int, "default": 4, "help": "across the diameter, an even number"},
+            "--ghost": {
+                "type": float,
+                "default": 0.0,
+                "help": "ghost penalty of microrotations, a share of gamma",
+            },
             "--length": {"type": float, "default": LENGTH, "help": "characteristic length (m)"},
             "--diameters": {"type": float, "nargs": "+", "default": DIAMETERS, "help": "micrometres"},
         },
