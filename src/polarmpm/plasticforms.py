@@ -282,8 +282,9 @@ class PlasticForm(PointForm):
     def _apex_residual(self) -> list[Any]:
         """sym tau = p I on the cone's tip, the flow symmetric, no couple stress.
 
-        Wryness without couple stress (as bounded stiffness allows) doesn't flow: a spring of a billionth of
-        the couple-stress moduli decides on it.
+        The flow of wryness has the direction of a couple stress: on the smooth cone it is a multiple of S C,
+        C = F^T F, so that (Ge_trial - Ge) C^-1 has no part of which the couple stress vanishes (as it does
+        for skew wryness with bounded stiffness). A spring of a billionth of the moduli sees to that.
         """
         ue, ge, chi, multiplier = self._unknown
         p = self._numbers
@@ -294,8 +295,9 @@ class PlasticForm(PointForm):
         rows.append(p.friction * ufl.tr(tau) / 3 - (p.k + p.H * chi))
         rows += [ratio[i, j] - ratio[j, i] for i, j in pairs]
         if ge is not None:
-            couple = self._elastic_stress(ue, ge)[1]
-            rows += self._flat(couple + p.spring * (ge - self._trial[1]), True)
+            f, couple = self._motion[0], self._elastic_stress(ue, ge)[1]
+            back = ufl.inv(ufl.dot(ufl.transpose(f), f))
+            rows += self._flat(couple + p.spring * ufl.dot(ge - self._trial[1], back), True)
         rows.append(chi - self._history[2] - multiplier)
         dilatancy = ufl.conditional(ufl.gt(p.dilatancy, 0.0), p.dilatancy, p.friction)
         rows.append(multiplier - ufl.ln(ufl.det(ratio)) / dilatancy)

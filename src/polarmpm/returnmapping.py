@@ -26,6 +26,7 @@ _YIELD = -1e-10
 _TOLERANCE = 1e-13  # of the local residual, as a strain
 _LOOSE = 1e-9  # accepted where rounding ends the iteration; T 4.3.3 uses it throughout
 _BACKWARDS = -1e-8  # a strain: flow that is no more than rounding
+_TIPS = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4)  # rounded tips over k, see `_round_tip`
 _MOST = 60  # local iterations, halved steps included
 
 
@@ -120,41 +121,53 @@ class ReturnMapping:
             attempt(first, True)
             attempt(first & open_, False)
             attempt(open_.copy(), True)
-            self._start_from_apex(y, open_, start)
-            attempt(open_.copy(), False, afresh=False)
+            if "tip" in self.form.material.parameters() and self.comm.allreduce(int(open_.sum())):
+                self._round_tip(y, open_, start)
+                attempt(open_.copy(), False, afresh=False)
+                attempt(open_.copy(), True, afresh=False)
         return open_
 
-    def _start_from_apex(self, y: Yielding, open_: np.ndarray, trial: np.ndarray) -> None:
-        """Where the apex asks for too much deviatoric flow, the solution on the cone is close: the same flow,
-        with as much of its deviator as the cone allows."""
-        at = np.flatnonzero(open_)
-        if not len(at):
-            return
-        flow = evaluate(self._kernels(True).flow, np.hstack([y.inputs[at], y.X[at]]))
-        now, before = (self._tensors(X[at])[0] for X in (y.X, trial))
-        value, vector = np.linalg.eigh(_symmetric(before @ np.linalg.inv(now)))
-        log = np.log(np.maximum(value, 1e-300))
-        mean = log.mean(axis=1, keepdims=True)
-        volume = 3.0 * mean[:, 0]
-        share = np.abs(volume) / np.maximum(np.abs(volume) - flow[:, 1], 1e-300)
-        with np.errstate(over="ignore", invalid="ignore"):  # what isn't finite is left out below
-            back = np.exp(-(mean + share[:, None] * (log - mean)))
-            turned = (vector * back[:, None, :]) @ np.swapaxes(vector, 1, 2) @ before
-        wryness = slice(len(entries(self.form.layout)[0]), self.form.local_size - 2)
-        new = y.X[at]
-        new[:, : wryness.start] = _columns(turned, entries(self.form.layout)[0])
-        new[:, wryness] = trial[at, wryness] + share[:, None] * (new[:, wryness] - trial[at, wryness])
-        y.X[at] = np.where(np.all(np.isfinite(new), axis=1, keepdims=True), new, trial[at])
+    def _round_tip(self, y: Yielding, open_: np.ndarray, trial: np.ndarray) -> None:
+        """Start values close to the apex: solve for a rounded tip, and sharpen it step by step.
+
+        There the direction of flow on the sharp cone turns with the smallest change of stress, and Newton's
+        method gets nowhere from the trial state.
+        """
+        at, form = np.flatnonzero(open_), self.form
+        numbers = form.material.parameters()
+        column = form.inputs - len(numbers) + list(numbers).index("tip")
+        X, inputs = trial[at], y.inputs[at]
+        for share in _TIPS:
+            inputs[:, column] = share * numbers["k"]
+            new, _, failed, iterations = self._run(False, inputs, X, False)
+            X = np.where(failed[:, None], X, new)
+            y.iterations[at] += iterations
+        y.X[at] = X
 
     def _kernels(self, apex: bool) -> Return:
         return self.form.return_kernels(apex, self.comm)
 
     def _solve(self, y: Yielding, which: np.ndarray, apex: bool, tangent: bool) -> np.ndarray:
         """Solve for some of the yielding points on one part of the surface; which of them succeeded."""
-        kernels, n = self._kernels(apex), len(which)
-        form = self.form
-        X, blocks = y.X[which], np.zeros((n, y.blocks.shape[1]))
-        inputs = np.ascontiguousarray(y.inputs[which])
+        inputs = y.inputs[which]
+        X, blocks, failed, iterations = self._run(apex, inputs, y.X[which], tangent)
+        good = ~failed
+        flow = evaluate(self._kernels(apex).flow, np.hstack([inputs[good], X[good]]))
+        good[good] = flow[:, 1] >= _BACKWARDS
+        solved = which[good]
+        y.X[which] = X
+        y.blocks[solved], y.apex[solved] = blocks[good], apex
+        y.iterations[which] += iterations
+        return good
+
+    def _run(
+        self, apex: bool, inputs: np.ndarray, X: np.ndarray, tangent: bool
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """X, blocks, whether it failed, and iterations of points from initial values of X."""
+        kernels, form, n = self._kernels(apex), self.form, len(inputs)
+        nz = form.layout.unknowns
+        X, inputs = X.copy(), np.ascontiguousarray(inputs)
+        blocks = np.zeros((n, nz * (1 + nz) if tangent else nz))
         status, iterations = np.zeros(n, dtype=np.int8), np.zeros(n, dtype=np.int32)
         controls = native.Return()
         native.fill(
@@ -167,10 +180,10 @@ class ReturnMapping:
             loose=_LOOSE,
             nin=form.inputs,
             nx=form.local_size,
-            nz=form.layout.unknowns,
+            nz=nz,
             most=_MOST,
         )
-        failed = native.library().polarmpm_return(
+        out_of_memory = native.library().polarmpm_return(
             ctypes.byref(controls),
             n,
             inputs.ctypes.data,
@@ -180,15 +193,9 @@ class ReturnMapping:
             status.ctypes.data,
             iterations.ctypes.data,
         )
-        if failed:
+        if out_of_memory:
             raise MemoryError("no memory for the return mapping")
-        good = status == 0
-        good[good] = evaluate(kernels.flow, np.hstack([inputs[good], X[good]]))[:, 1] >= _BACKWARDS
-        solved = which[good]
-        y.X[which] = X
-        y.blocks[solved], y.apex[solved] = blocks[good], apex
-        y.iterations[which] += iterations
-        return good
+        return X, blocks, status != 0, iterations
 
     # history --------------------------------------------------------------------------------------
     def update_history(self, points: Points, rows: np.ndarray, base: np.ndarray) -> None:
@@ -235,14 +242,6 @@ class ReturnMapping:
         for k, (i, j) in enumerate(wryness):
             second[:, i, j] = X[:, len(deformation) + k]
         return first, second
-
-
-def _symmetric(a: np.ndarray) -> np.ndarray:
-    return 0.5 * (a + np.swapaxes(a, 1, 2))
-
-
-def _columns(tensors: np.ndarray, places: tuple[tuple[int, int], ...]) -> np.ndarray:
-    return np.column_stack([tensors[:, i, j] for i, j in places])
 
 
 def evaluate(kernel: Kernel, inputs: np.ndarray) -> np.ndarray:

@@ -120,13 +120,14 @@ def _check_names(material: Plastic) -> None:
         )
 
 
-def _generalised_stress(tau: Any, nu: Any, length: Any) -> Any:
-    """q = sqrt(3/2 (s : s + nu : nu / l_p^2)), s the deviator of sym tau: T (4.37)-(4.38)."""
+def _generalised_stress(tau: Any, nu: Any, length: Any, tip: Any = None) -> Any:
+    """q = sqrt(3/2 (s : s + nu : nu / l_p^2)), s the deviator of sym tau: T (4.37)-(4.38); with a rounded
+    tip."""
     s = ufl.dev(ufl.sym(tau))
     square = ufl.inner(s, s)
     if nu is not None:
         square += ufl.inner(nu, nu) / length**2
-    return ufl.sqrt(1.5 * square)
+    return ufl.sqrt(1.5 * square if tip is None else 1.5 * square + tip**2)
 
 
 @dataclass(frozen=True)
@@ -144,6 +145,7 @@ class DruckerPrager(Plastic):
         k: yield strength (Pa) at p = 0. Exactly one of both.
         H: hardening modulus (Pa), negative for softening.
         l_p: plastic length (m); needed by micropolar materials.
+        tip: rounds the apex off: q becomes sqrt(q^2 + tip^2) (Pa). With 0 the apex is sharp.
 
     Raises:
         InputError: an argument is out of range.
@@ -156,10 +158,12 @@ class DruckerPrager(Plastic):
     k: float | None = None
     H: float = 0.0
     l_p: float | None = None
+    tip: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("phi", "psi"):
+        for name in ("phi", "psi", "tip"):
             require_finite(name, getattr(self, name))
+        require(self.tip >= 0, "tip", self.tip, "tip >= 0")
         allowed = "0 <= phi < pi/2, in radians (math.radians converts degrees)"
         require(0 <= self.phi < math.pi / 2, "phi", self.phi, allowed)
         require(0 <= self.psi <= self.phi, "psi", self.psi, f"0 <= psi <= phi = {self.phi:g} rad")
@@ -175,7 +179,7 @@ class DruckerPrager(Plastic):
 
     @property
     def has_apex(self) -> bool:  # type: ignore[override]
-        return self.phi > 0
+        return self.phi > 0 and self.tip == 0
 
     @property
     def strength(self) -> float:
@@ -187,7 +191,7 @@ class DruckerPrager(Plastic):
 
     def plastic_parameters(self) -> dict[str, float]:
         a, b = (6 * math.sin(angle) / (3 - math.sin(angle)) for angle in (self.phi, self.psi))
-        numbers = {"friction": a, "dilatancy": b, "k": self.strength, "H": self.H}
+        numbers = {"friction": a, "dilatancy": b, "k": self.strength, "H": self.H, "tip": self.tip}
         if self.micropolar:
             numbers |= {"l_p": self.length, "spring": _SPRING * self._couple_modulus()}
         return numbers
@@ -204,7 +208,7 @@ class DruckerPrager(Plastic):
         return self._q(tau, nu, p) + p.dilatancy * ufl.tr(tau) / 3
 
     def _q(self, tau: Any, nu: Any, p: Any) -> Any:
-        return _generalised_stress(tau, nu, p.l_p if self.micropolar else 1.0)
+        return _generalised_stress(tau, nu, p.l_p if self.micropolar else 1.0, p.tip)
 
     def hardening_energy(self, chi: Any, p: Any) -> Any:
         return p.H * chi**2 / 2
