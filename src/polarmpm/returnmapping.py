@@ -23,6 +23,7 @@ from .points import Points
 # Yield function over elastic modulus from which on a point counts as yielding. A point that yielded in the
 # last step sits on the surface: its tangent at the start of a step is the elastoplastic one.
 _YIELD = -1e-10
+_HOPELESS = 10.0  # what an iterate that runs away asks of a point; not worth an attempt
 _TOLERANCE = 1e-13  # of the local residual, as a strain
 _LOOSE = 1e-9  # accepted where rounding ends the iteration; T 4.3.3 uses it throughout
 _BACKWARDS = -1e-8  # a strain: flow that is no more than rounding
@@ -81,7 +82,8 @@ class ReturnMapping:
         form, n = self.form, self.form.local_size
         trial = evaluate(self._trial, inputs)
         f = trial[:, n]
-        finite = np.all(np.isfinite(trial[:, : n + 1]), axis=1)
+        with np.errstate(invalid="ignore"):
+            finite = np.all(np.isfinite(trial[:, : n + 1]), axis=1) & (f < _HOPELESS * form.material.modulus)
         rows = np.flatnonzero((f > _YIELD * form.material.modulus) & finite)
         lost = self.ids[~finite]
         nz = form.layout.unknowns
