@@ -291,6 +291,12 @@ def test_thin_wires_are_stronger():
     assert 0.9 < without[1] / thick < 1.0
 
 
+def test_recorder_needs_a_plastic_material_for_hardening(folder):
+    problem, _ = wires.build(12e-6, wire_args(), wires.elastic(wires.LENGTH))
+    with pytest.raises(pm.InputError, match="hardening.*plastic"):
+        pm.Recorder(folder / "wire.pvd", problem, fields=("hardening",))
+
+
 # the scripts ------------------------------------------------------------------------------------
 CASES = {
     "shear_layer": (
