@@ -293,7 +293,7 @@ def test_thin_wires_are_stronger():
 
 def test_recorder_needs_a_plastic_material_for_hardening(folder):
     problem, _ = wires.build(12e-6, wire_args(), wires.elastic(wires.LENGTH))
-    with pytest.raises(pm.InputError, match="hardening.*plastic"):
+    with pytest.raises(pm.InputError, match=r"hardening.*plastic"):
         pm.Recorder(folder / "wire.pvd", problem, fields=("hardening",))
 
 
