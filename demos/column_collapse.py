@@ -115,6 +115,7 @@ def measure(columns):
             "weight": weight[-1],
             "hardening": problem.comm.allreduce(problem.points.hardening.max(initial=0.0), op=MPI.MAX),
             "ghost_share": work["ghost"] / work["external"],
+            "carried_share": work["carried"] / work["external"],
             "iterations": sum(step.iterations for step in problem.steps),
         }
         for name, value in row.items():

@@ -195,3 +195,13 @@ def test_mistakes_in_a_users_function_are_named(function, message):
     elements = pm.Elements(mesh, material=pm.UserPlasticity(ELASTIC, function, {"y": 1.0}))
     with pytest.raises(pm.InputError, match=message):
         pm.QuasiStaticFEM(elements)
+
+
+def test_materials_given_after_the_problem_are_refused():
+    points = pm.seed(pm.Grid.box((0, 0), (2, 1), 1.0), material=ELASTIC, points_per_cell=2)
+    problem = pm.QuasiStatic(pm.Grid.box((0, 0), (2, 1), 1.0), points)
+    problem.fix(pm.plane(x=0.0), u=0, theta=0)
+    stiffer = pm.MicropolarElastic(**{**ELASTIC.parameters(), "lam": 2 * ELASTIC.lam})
+    points.assign(points.where(lambda x: x[:, 0] > 1), stiffer)
+    with pytest.raises(pm.InputError, match="another material after the problem had been made"):
+        next(problem.march(1))

@@ -233,6 +233,8 @@ class QuasiStatic(SurfaceProblem):
     def _prepare(self) -> LoadedPoints:
         """The system of the present grid; reset if that is due, renewed if conditions have changed."""
         p, old = self.progress, self._system
+        if len(self.points.materials) != len(self.forms):
+            raise InputError("points: were given another material after the problem had been made of them")
         if old is not None and not p.reset_due and not self._stale:
             return old
         self._compile()

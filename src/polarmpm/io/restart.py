@@ -59,6 +59,8 @@ def _arrays(problem: Any) -> dict[str, np.ndarray]:
         reference, lattice, values = between
         arrays |= {f"reference/{f.name}": getattr(reference, f.name) for f in fields(reference)}
         arrays |= {"nodes/lattice": lattice, "nodes/increments": values}
+    for name, a in problem.surface_state().items():  # the same on every rank
+        arrays[f"surfaces/{name.replace('/', '.')}"] = a if problem.comm.rank == 0 else a[:0]
     return arrays
 
 
@@ -125,6 +127,8 @@ def _put(problem: QuasiStatic, rows: dict[str, np.ndarray], progress: Progress) 
         reference = Reference(*(rows[f"reference/{f.name}"] for f in fields(Reference)))
         between = reference, rows["nodes/lattice"], rows["nodes/increments"]
     problem.points.replace({name: rows[f"points/{name}"] for name in problem.points.fields})
+    surfaces = {name[9:].replace(".", "/"): a for name, a in rows.items() if name.startswith("surfaces/")}
+    problem.restore_surfaces(surfaces)
     problem.restore(progress, between)
 
 
@@ -140,9 +144,9 @@ def _check(problem: Problem, file: h5py.File, path: Any) -> None:
 
 def _read_all(file: h5py.File, comm: MPI.Comm) -> dict[str, np.ndarray]:
     groups = [group for group in file if group != "counts"]
-    return {
-        f"{group}/{name}": _read(file, f"{group}/{name}", comm) for group in groups for name in file[group]
-    }
+    names = [f"{group}/{name}" for group in groups for name in file[group]]
+    whole = [name for name in names if name.startswith("surfaces/")]
+    return {name: file[name][:] if name in whole else _read(file, name, comm) for name in names}
 
 
 def _read(file: h5py.File, name: str, comm: MPI.Comm) -> np.ndarray:
