@@ -253,6 +253,7 @@ def wire_args(**options):
     return argparse.Namespace(**{**defaults, **options})
 
 
+@pytest.mark.slow  # its kernels take long to compile
 @pytest.mark.parametrize("diameter", [12e-6, 170e-6])
 def test_wire_yields_where_the_elastic_one_says(diameter):
     """The rotation at first yield from the elastic field; up to there the torque is the elastic one."""
@@ -282,6 +283,7 @@ def torque(diameter, to, **options):
     return problem.reaction(top)[1][2] / (diameter / 2) ** 3
 
 
+@pytest.mark.slow  # its kernels take long to compile
 def test_thin_wires_are_stronger():
     """In the order of their size; without the length scale they are alike."""
     thin, middle, thick = (torque(d * 1e-6, 0.05) for d in (12, 30, 170))
