@@ -688,3 +688,56 @@ def test_states_that_are_not_finite_are_named():
     z[1, 0] = np.nan
     with pytest.raises(pm.errors.LocalFailure, match=r"failed at \d+ point\(s\): 1"):
         driven.solve(z)
+
+
+# near the apex ------------------------------------------------------------------------------------
+def near_the_apex(n: int, seed: int = 3) -> tuple[Driven, np.ndarray]:
+    """Points that have been sheared a lot, and increments whose return lies close to the edge of the apex."""
+    rng = np.random.default_rng(seed)
+    driven = Driven(cone(phi=25.0, psi=5.0), n)
+    driven.points.F[:, 0, 1] = rng.uniform(-1.5, 1.5, n)
+    driven.points.plastic_F = driven.points.F.copy()
+    z = 1e-3 * rng.standard_normal((n, driven.size))
+    z[:, 5:] *= 10.0
+    pull = K / (3 * slope(25.0) * BULK) + rng.uniform(0.0, 4e-3, n)
+    # du/dX = e F stretches the elastic part alike in all directions of the plane
+    z[:, :4] = (z[:, :4].reshape(n, 2, 2) + pull[:, None, None] * driven.points.F[:, :2, :2]).reshape(n, 4)
+    return driven, z
+
+
+def test_every_state_near_the_apex_has_a_return():
+    """Where cone and apex meet none of the states is left over, and some need cones with rounded tips."""
+    driven, z = near_the_apex(4000)
+    y = driven.mapping.evaluate(driven.inputs(z), False)
+    assert 0.1 < y.apex.mean() < 0.9
+    assert y.iterations.max() > 30
+    x = driven.solve(z)
+    assert np.abs(yield_value(driven.material, x.tau, x.nu, x.chi)).max() < 1e-9 * MU
+    assert np.all(driven.mapping.dissipation() >= 0.0)
+
+
+def test_the_apex_is_the_limit_of_rounded_tips():
+    """Stresses, plastic strain and wryness, skew wryness too, of cones whose tips get sharper."""
+    driven, z = near_the_apex(300)
+    sharp = driven.solve(z)
+    assert sharp.apex.sum() > 30
+    errors = []
+    for tip in (1e-2, 1e-3, 1e-4):
+        rounded, _ = near_the_apex(300)
+        blunt = Driven(cone(phi=25.0, psi=5.0, tip=tip * K), 300)
+        blunt.points = rounded.points
+        blunt.points.materials = (blunt.material,)
+        x = blunt.solve(z)
+        rows = np.isin(x.rows, sharp.rows[sharp.apex])
+        assert not np.any(x.apex)
+        at = sharp.apex
+        errors.append(
+            [
+                np.abs(x.tau[rows] - sharp.tau[at]).max() / MU,
+                np.abs(x.ge[rows] - sharp.ge[at]).max() * L_P,
+                np.abs(x.chi[rows] - sharp.chi[at]).max(),
+            ]
+        )
+    errors = np.array(errors)
+    assert np.all(errors[-1] < 1e-4)
+    assert np.all(errors[1:] < 0.5 * errors[:-1])

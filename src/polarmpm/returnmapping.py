@@ -119,13 +119,15 @@ class ReturnMapping:
 
         first = y.apex.copy()
         attempt(~first, False)
-        if self.form.material.has_apex:
+        has_apex = self.form.material.has_apex
+        if has_apex:
             attempt(first, True)
             attempt(first & open_, False)
             attempt(open_.copy(), True)
-            if "tip" in self.form.material.parameters() and self.comm.allreduce(int(open_.sum())):
-                self._round_tip(y, open_, start)
-                attempt(open_.copy(), False, afresh=False)
+        if "tip" in self.form.material.parameters() and self.comm.allreduce(int(open_.sum())):
+            self._round_tip(y, open_, start)
+            attempt(open_.copy(), False, afresh=False)
+            if has_apex:
                 attempt(open_.copy(), True, afresh=False)
         return open_
 
@@ -139,8 +141,8 @@ class ReturnMapping:
         numbers = form.material.parameters()
         column = form.inputs - len(numbers) + list(numbers).index("tip")
         X, inputs = trial[at], y.inputs[at]
-        for share in _TIPS:
-            inputs[:, column] = share * numbers["k"]
+        for tip in [share * numbers["k"] for share in _TIPS if share * numbers["k"] > numbers["tip"]]:
+            inputs[:, column] = tip
             new, _, failed, iterations = self._run(False, inputs, X, False)
             X = np.where(failed[:, None], X, new)
             y.iterations[at] += iterations
