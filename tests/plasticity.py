@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 import polarmpm as pm
 from polarmpm import rotations
+from polarmpm.forms import make_form
 from polarmpm.materials.base import parameter_values
-from polarmpm.pointforms import make_form
 from polarmpm.points import Points
 from polarmpm.returnmapping import ReturnMapping, Yielding, evaluate
 

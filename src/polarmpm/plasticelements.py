@@ -15,8 +15,9 @@ from . import rotations
 from .blockforms import BlockForms
 from .elementforms import ElementForms
 from .elements import Elements
+from .forms import make_form
 from .materials.base import parameter_values
-from .pointforms import Kernel, Layout, make_form
+from .pointforms import Kernel, Layout
 from .returnmapping import ReturnMapping, evaluate
 
 

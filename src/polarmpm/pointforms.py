@@ -278,15 +278,6 @@ def compile_expressions(
     return Kernel(lib, "evaluate", inputs, size)
 
 
-def make_form(material: Material, dim: int) -> PointForm:
-    """The form of an elastic or a plastic material."""
-    if not material.plastic:
-        return PointForm(material, dim)
-    from .plasticforms import PlasticForm  # elastic scenes don't know of it
-
-    return PlasticForm(material, dim)
-
-
 class CoupleForm:
     """Virtual work of dead couples in three dimensions, -m . J_l(w) dw, and its derivative.
 

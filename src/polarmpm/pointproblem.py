@@ -13,13 +13,14 @@ import numpy as np
 from . import conditions, movinggrid, rotations
 from .conditions import Amplitude, Plane, PlaneSpec, Support
 from .errors import InputError
+from .forms import make_form
 from .ghost import Ghost, GhostPenalty, make_penalty
 from .grid import Grid
 from .interpolation import Increments, Interpolation, Reference
 from .movinggrid import MovingPlane
 from .newton import Controls
 from .parallel import look_up, together
-from .pointforms import CoupleForm, Kernel, make_form
+from .pointforms import CoupleForm, Kernel
 from .points import Points, Selection
 from .pointsystem import LoadedPoints, PointSystem
 from .problem import Progress
