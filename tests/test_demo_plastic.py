@@ -164,6 +164,15 @@ def test_length_orders_the_bands(run):
     assert result["force"][0] < result["force"][1] < result["force"][2]
 
 
+@pytest.mark.slow
+def test_a_thin_band_needs_the_elastic_tangent_to_begin_with(run):
+    """T 4.4, 2.5 mm: from three quarters on the elastoplastic tangent at the start of a step fails."""
+    result, _ = run("--grids", "39x4", "--steps", "200", length="2.5e-3")
+    assert result["displacement"][0] == pytest.approx(0.02, rel=1e-12)
+    assert result["width"][0] < 0.02
+    assert result["most_iterations"][0] > 9
+
+
 def test_classical_band_is_a_row_of_cells(run):
     """The finer the cells the more brittle; nearly all the plastic strain is in the weak row."""
     result, _ = run("--model", "classical", "--grids", "9x2", "19x4", "--steps", "40")

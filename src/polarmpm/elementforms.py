@@ -69,6 +69,10 @@ class ElementForms:
         """Set a quadrature function from values (np, c) at the points."""
         function.x.array.reshape(-1, values.shape[1])[self._rows] = values
 
+    def start_elastic(self, on: bool) -> bool:
+        """See `system.NodalSystem`."""
+        return False
+
     def flow(self, base: np.ndarray) -> None:
         """Put plastic flow into the points' history; there is none here."""
 

@@ -118,6 +118,9 @@ class ElementSystem(NodalSystem):
     def put_external(self, forces: np.ndarray) -> None:
         self._dead_forces = self.external = forces
 
+    def start_elastic(self, on: bool) -> bool:
+        return self.forms.start_elastic(on)
+
     def _put(self, x: np.ndarray) -> None:
         self.forms.x.x.array[:] = x.ravel()
 

@@ -71,6 +71,12 @@ class PlasticElementForms(ElementForms):
             for form, rows in zip(self._point_forms, self._rows_of, strict=True)
         ]
 
+    def start_elastic(self, on: bool) -> bool:
+        for mapping in self._mappings:
+            if mapping is not None:
+                mapping.start_elastic = on
+        return True
+
     def flow(self, base: np.ndarray) -> None:
         """Put the plastic flow of a converged step into the points' history; their deformation has been
         updated, `base` (n, 4) is their microrotation before."""

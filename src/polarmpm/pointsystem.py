@@ -52,6 +52,12 @@ class LoadedPoints(NodalSystem):
 
         return ReturnMapping(batch.form, self.comm, self.interpolation.points.id[batch.rows])
 
+    def start_elastic(self, on: bool) -> bool:
+        plastic = [m for m in self.mappings if m is not None]
+        for mapping in plastic:
+            mapping.start_elastic = on
+        return bool(plastic)
+
     @property
     def symmetric(self) -> bool:
         """Whether the tangent is symmetric."""

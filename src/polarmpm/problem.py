@@ -218,6 +218,13 @@ class Problem:
                 increments = system.prescribed.increments(factor, p.reset_factor, p.rotation_factor)
             system.set_prescribed(increments)
         outcome = newton.solve(system, self.controls)
+        if not outcome.converged and system.start_elastic(True):
+            # where points unload, the elastic tangent is the better one to begin with
+            tried, system.x = outcome.history, start.x.copy()
+            system.set_prescribed(increments)
+            outcome = newton.solve(system, self.controls)
+            outcome.history[:0] = tried
+            system.start_elastic(False)
         self._finish(system, start, outcome, factor)
         return outcome
 

@@ -64,12 +64,17 @@ class ReturnMapping:
     Args:
         form: its form.
         ids: permanent ids of the points (n,), for messages.
+
+    Attributes:
+        start_elastic: points on the yield surface, with no flow, are elastic.
+        yielding: what the last evaluation found.
     """
 
     def __init__(self, form: PointForm, comm: MPI.Comm, ids: np.ndarray):
         assert isinstance(form, PlasticForm)
         self.form, self.comm, self.ids = form, comm, ids
         self._trial: Kernel = form.trial_kernel(comm)
+        self.start_elastic = False
         self.yielding: Yielding | None = None
 
     # evaluation -----------------------------------------------------------------------------------
@@ -84,7 +89,8 @@ class ReturnMapping:
         f = trial[:, n]
         with np.errstate(invalid="ignore"):
             finite = np.all(np.isfinite(trial[:, : n + 1]), axis=1) & (f < _HOPELESS * form.material.modulus)
-        rows = np.flatnonzero((f > _YIELD * form.material.modulus) & finite)
+        least = -_YIELD if self.start_elastic else _YIELD
+        rows = np.flatnonzero((f > least * form.material.modulus) & finite)
         lost = self.ids[~finite]
         nz = form.layout.unknowns
         y = Yielding(

@@ -88,6 +88,11 @@ class NodalSystem:
         """Release PETSc's objects."""
         raise NotImplementedError
 
+    def start_elastic(self, on: bool) -> bool:
+        """Whether points on the yield surface begin a step with their elastic tangent; False where there is
+        no such choice."""
+        return False
+
     def carry_imbalance(self) -> None:
         """Take the present state as an equilibrium: carry along what is out of balance in it. Collective."""
         free = ~self.prescribed.fixed
