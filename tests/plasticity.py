@@ -20,7 +20,7 @@ from polarmpm import rotations
 from polarmpm.forms import make_form
 from polarmpm.materials.base import parameter_values
 from polarmpm.points import Points
-from polarmpm.returnmapping import ReturnMapping, Yielding, evaluate
+from polarmpm.returnmapping import ReturnMapping, Yielding
 
 LAM, MU = 3e3, 2e3  # Pa
 BULK = LAM + 2 * MU / 3
@@ -191,7 +191,7 @@ class Driven:
         if self._elastic is None:
             self._elastic = self.form.compile(COMM)
         nz, inputs = self.size, self.inputs(z)
-        out = evaluate(self._elastic[1], inputs)
+        out = self._elastic[1](inputs)
         s, a = out[:, :nz].copy(), np.zeros((self.n, nz, nz))
         i, j = np.triu_indices(nz)
         a[:, i, j] = a[:, j, i] = out[:, nz:]

@@ -18,7 +18,7 @@ from .elements import Elements
 from .forms import make_form
 from .materials.base import parameter_values
 from .pointforms import Kernel, Layout
-from .returnmapping import ReturnMapping, evaluate
+from .returnmapping import ReturnMapping
 
 
 class PlasticElementForms(ElementForms):
@@ -36,7 +36,8 @@ class PlasticElementForms(ElementForms):
         self._kernels: list[tuple[Kernel, Kernel]] = []
         self._mappings: list[ReturnMapping | None] = []
         self._comm = comm
-        self._base = points.q
+        self._states: list[np.ndarray] = []  # kernel inputs after z
+        self._frames: list[np.ndarray] = []  # see `_frame`
 
     @property
     def residual_form(self) -> None:
@@ -65,11 +66,14 @@ class PlasticElementForms(ElementForms):
     # history --------------------------------------------------------------------------------------
     def pack(self) -> None:
         p = self.elements.points
-        self._base = p.q
-        self._states = [
-            form.pack(p.F[rows], p.q[rows], p.wryness[rows], p.history(rows))
-            for form, rows in zip(self._point_forms, self._rows_of, strict=True)
-        ]
+        self._states, self._frames = [], []
+        for form, rows in zip(self._point_forms, self._rows_of, strict=True):
+            state = form.pack(p.F[rows], p.q[rows], p.wryness[rows], p.history(rows))
+            numbers = np.tile(parameter_values(form.material), (len(rows), 1))
+            self._states.append(np.hstack([state, numbers]))
+            turned = self.layout.rotations and form.material.isotropic
+            turn = rotations.to_tensor(p.q[rows]) if turned else None
+            self._frames.append(_frame(self.layout, turn, len(rows)))
 
     def start_elastic(self, on: bool) -> bool:
         for mapping in self._mappings:
@@ -95,14 +99,9 @@ class PlasticElementForms(ElementForms):
         n, nz = len(self.elements.points), self.layout.unknowns
         z = self._unknowns()
         s, moduli = np.zeros((n, nz)), np.zeros((n if tangent else 0, nz * nz))
-        for k, (form, rows) in enumerate(zip(self._point_forms, self._rows_of, strict=True)):
-            turn = None
-            if self.layout.rotations and form.material.isotropic:
-                turn = rotations.to_tensor(self._base[rows])
-            frame = _frame(self.layout, turn, len(rows))
-            numbers = np.tile(parameter_values(form.material), (len(rows), 1))
+        for k, (rows, frame) in enumerate(zip(self._rows_of, self._frames, strict=True)):
             framed = np.einsum("nij,nj->ni", frame, z[rows])
-            s[rows], a = self._evaluate(k, np.hstack([framed, self._states[k], numbers]), tangent)
+            s[rows], a = self._evaluate(k, np.hstack([framed, self._states[k]]), tangent)
             back = np.swapaxes(frame, 1, 2)
             s[rows] = np.einsum("nij,nj->ni", back, s[rows])
             if tangent:
@@ -121,7 +120,7 @@ class PlasticElementForms(ElementForms):
     def _evaluate(self, k: int, inputs: np.ndarray, tangent: bool) -> tuple[np.ndarray, np.ndarray]:
         """s (n, nz) and moduli (n, nz, nz) of a material's points."""
         nz = self.layout.unknowns
-        out = evaluate(self._kernels[k][tangent], inputs)
+        out = self._kernels[k][tangent](inputs)
         s, a = out[:, :nz], np.zeros((len(inputs) if tangent else 0, nz, nz))
         if tangent:
             i, j = np.triu_indices(nz)

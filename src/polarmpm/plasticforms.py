@@ -27,7 +27,7 @@ from . import kinematics as kin
 from .codegen import Scalariser
 from .errors import InputError
 from .materials.base import Material, evaluate_energy, named_parameters
-from .materials.plastic import Plastic
+from .materials.plastic import SPRING, Plastic
 from .pointforms import Kernel, Layout, PointForm, generator_version, matrix, state_size
 from .spectral import exp_symmetric, squared_log_strain, strain_invariants
 
@@ -312,7 +312,7 @@ class PlasticForm(PointForm):
         deformation, wryness = map(len, entries(self.layout))
         pairs = 3 if self.layout.dim == 3 else 1
         stress = [1.0 / self.material.modulus] * (deformation - pairs)
-        couple = 1e9 * self.material.plastic_parameters().get("spring", 1.0)
+        couple = self.material.plastic_parameters().get("spring", SPRING) / SPRING
         spring = [self.material.length / couple] * wryness
         return np.array([*stress, *([1.0] * pairs), *spring, 1.0, 1.0])
 

@@ -25,9 +25,9 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
-from . import _compat, codegen, jit, rotations, scalargraph
+from . import _compat, codegen, jit, native, rotations, scalargraph
 from . import kinematics as kin
-from .codegen import LANES, Scalariser
+from .codegen import Scalariser
 from .materials.base import Material, evaluate_energy, named_parameters, parameter_values
 
 
@@ -65,28 +65,19 @@ class Kernel:
         self.inputs, self.outputs = inputs, outputs
         self.address: int = ctypes.cast(getattr(lib, name), ctypes.c_void_p).value or 0
         self._library = lib  # keeps the code loaded
-        self._call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(self.address)
 
     def __call__(self, *columns: np.ndarray) -> np.ndarray:
-        """Evaluate for all rows; for post-processing and tests (the solver calls the code from C)."""
-        rows = np.concatenate([c.reshape(len(columns[0]), -1) for c in columns], axis=1)
+        """Evaluate for all rows, (n, outputs). The sums over points call the code from C."""
+        flat = [c.reshape(len(c), int(np.prod(c.shape[1:]))) for c in columns]  # also of no rows
+        rows = np.concatenate(flat, axis=1, dtype=float)
         if rows.shape[1] != self.inputs:
             raise ValueError(f"kernel has {self.inputs} inputs, {rows.shape[1]} are given")
-        out = np.empty((len(rows), self.outputs))
-        lane_in, lane_out = _aligned(self.inputs), _aligned(self.outputs)
-        for start in range(0, len(rows), LANES):
-            part = rows[start : start + LANES]
-            lane_in[:, : len(part)] = part.T
-            lane_in[:, len(part) :] = part[-1][:, None]
-            self._call(lane_in.ctypes.data, lane_out.ctypes.data)
-            out[start : start + LANES] = lane_out[:, : len(part)].T
+        rows, out = np.ascontiguousarray(rows), np.empty((len(rows), self.outputs))
+        if native.library().polarmpm_evaluate(
+            self.address, len(rows), self.inputs, self.outputs, rows.ctypes.data, out.ctypes.data
+        ):
+            raise MemoryError("no memory to evaluate a kernel")
         return out
-
-
-def _aligned(rows: int) -> np.ndarray:
-    raw = np.zeros(rows * LANES + LANES)
-    shift = (-raw.ctypes.data // 8) % LANES
-    return raw[shift : shift + rows * LANES].reshape(rows, LANES)
 
 
 @dataclass

@@ -274,8 +274,8 @@ class Problem:
     ) -> tuple[Outcome, float]:
         """Try a step of a length (m) along the path, which ends at the load factor `to` if it meets it; on
         failure everything stays as it was. With `kink` the step may turn off its tangent. Returns the load
-        factor found, too. That loads and supports are
-        such as they have to be is checked by `march_arc_length`."""
+        factor found, too. That loads and supports are such as they have to be is checked by
+        `march_arc_length`."""
         system, p = self._prepare(), self.progress
         with self.timer("conditions"):
             ends = []

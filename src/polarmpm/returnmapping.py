@@ -85,7 +85,7 @@ class ReturnMapping:
             LocalFailure: at some points there is no solution; the message has their ids. On every rank.
         """
         form, n = self.form, self.form.local_size
-        trial = evaluate(self._trial, inputs)
+        trial = self._trial(inputs)
         f = trial[:, n]
         with np.errstate(invalid="ignore"):
             finite = np.all(np.isfinite(trial[:, : n + 1]), axis=1) & (f < _HOPELESS * form.material.modulus)
@@ -162,7 +162,7 @@ class ReturnMapping:
         inputs = y.inputs[which]
         X, blocks, failed, iterations = self._run(apex, inputs, y.X[which], tangent)
         good = ~failed
-        flow = evaluate(self._kernels(apex).flow, np.hstack([inputs[good], X[good]]))
+        flow = self._kernels(apex).flow(inputs[good], X[good])
         good[good] = flow[:, 1] >= _BACKWARDS
         solved = which[good]
         y.X[which] = X
@@ -239,7 +239,7 @@ class ReturnMapping:
             which = np.flatnonzero(y.apex == apex)
             if len(which):
                 flow = self._kernels(apex).flow
-                out[which] = evaluate(flow, np.hstack([y.inputs[which], y.X[which]]))[:, 0]
+                out[which] = flow(y.inputs[which], y.X[which])[:, 0]
         return out
 
     def _tensors(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -252,16 +252,3 @@ class ReturnMapping:
         for k, (i, j) in enumerate(wryness):
             second[:, i, j] = X[:, len(deformation) + k]
         return first, second
-
-
-def evaluate(kernel: Kernel, inputs: np.ndarray) -> np.ndarray:
-    """Outputs (n, kernel.outputs) of a kernel for rows of inputs (n, kernel.inputs)."""
-    if inputs.shape[1] != kernel.inputs:
-        raise ValueError(f"kernel has {kernel.inputs} inputs, {inputs.shape[1]} are given")
-    inputs = np.ascontiguousarray(inputs)
-    out = np.empty((len(inputs), kernel.outputs))
-    if native.library().polarmpm_evaluate(
-        kernel.address, len(inputs), kernel.inputs, kernel.outputs, inputs.ctypes.data, out.ctypes.data
-    ):
-        raise MemoryError("no memory to evaluate a kernel")
-    return out

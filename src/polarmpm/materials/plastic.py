@@ -15,7 +15,7 @@ from ..errors import InputError
 from .base import Material, check_material, require, require_finite
 from .stiffness import stiffness_at_rest
 
-_SPRING = 1e-9  # of the couple-stress moduli, see `DruckerPrager.apex`
+SPRING = 1e-9  # of the couple-stress moduli, for the return to the apex (`plasticforms`)
 
 
 class Plastic(Material):
@@ -193,7 +193,7 @@ class DruckerPrager(Plastic):
         a, b = (6 * math.sin(angle) / (3 - math.sin(angle)) for angle in (self.phi, self.psi))
         numbers = {"friction": a, "dilatancy": b, "k": self.strength, "H": self.H, "tip": self.tip}
         if self.micropolar:
-            numbers |= {"l_p": self.length, "spring": _SPRING * self._couple_modulus()}
+            numbers |= {"l_p": self.length, "spring": SPRING * self._couple_modulus()}
         return numbers
 
     def _couple_modulus(self) -> float:
