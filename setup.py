@@ -8,7 +8,7 @@ setup(
         Extension(
             "polarmpm._native",
             sources=["src/polarmpm/_native.c"],
-            depends=["src/polarmpm/_moments.h", "src/polarmpm/_return.h"],
+            depends=["src/polarmpm/_moments.h", "src/polarmpm/_return.h", "src/polarmpm/_scatter.h"],
             extra_compile_args=["-O3", "-std=gnu11", "-fno-math-errno"],
         )
     ]

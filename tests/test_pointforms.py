@@ -9,7 +9,7 @@ from conftest import ANISOTROPIC, COMM, GENERAL, HENCKY, MICROPOLAR, NEO_HOOKEAN
 
 import polarmpm as pm
 from polarmpm import _compat, pointforms, rotations
-from polarmpm.pointforms import CoupleForm, PointForm
+from polarmpm.pointforms import CoupleForm, PointForm, compile_expressions
 
 MATERIALS = {
     "rotated": MICROPOLAR,
@@ -70,6 +70,11 @@ def inputs(form: PointForm, s: dict[str, np.ndarray]) -> tuple[np.ndarray, np.nd
     return np.concatenate(z, axis=1), np.concatenate(state, axis=1), parameters
 
 
+def at_rest(form: PointForm, z: np.ndarray, state: np.ndarray, parameters: np.ndarray) -> tuple:
+    """Inputs of the tangent's kernel with no correction before: where it is the derivative of the residual."""
+    return (z, state, parameters, z) if form.predicts else (z, state, parameters)
+
+
 def full(upper: np.ndarray, n: int) -> np.ndarray:
     """Symmetric matrices of their upper triangles, row by row."""
     out = np.zeros((len(upper), n, n))
@@ -91,12 +96,12 @@ def test_residual_and_tangent_are_derivatives(dim, material):
         return residual(z, state, parameters)
 
     def tangent(z):
-        return full(blocks(z, state, parameters)[:, n:], n)
+        return full(blocks(*at_rest(form, z, state, parameters))[:, n:], n)
 
     assert derivative_error(lambda z: energy(z, state, parameters), lambda z: r(z)[:, None], z) < 1e-7
     assert derivative_error(r, tangent, z) < 1e-7
     np.testing.assert_allclose(
-        blocks(z, state, parameters)[:, :n], r(z), rtol=1e-13, atol=1e-13 * abs(r(z)).max()
+        blocks(*at_rest(form, z, state, parameters))[:, :n], r(z), rtol=1e-13, atol=1e-13 * abs(r(z)).max()
     )
 
 
@@ -130,7 +135,7 @@ def test_rotated_and_reference_frame_agree(dim):
         form = PointForm(material, dim)
         z = inputs(form, s)
         n = z[0].shape[1]
-        values = form.compile(COMM)[1](*z)
+        values = form.compile(COMM)[1](*at_rest(form, *z))
         out.append((form.compile_energy(COMM)(*z), values[:, :n], full(values[:, n:], n)))
     n = out[0][1].shape[1]
     change = np.zeros((POINTS, n, n))  # rotated z' = change z
@@ -149,6 +154,47 @@ def test_rotated_and_reference_frame_agree(dim):
     np.testing.assert_allclose(turned, k2, atol=1e-12 * abs(k2).max())
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_iterations_predict_the_stress_of_the_geometric_part(dim):
+    """K = S'[dE, dE] + S~ . d2E with S~ = S(z~) + S'(z~) [z - z~], put together from differences of E(z)."""
+    form = PointForm(MICROPOLAR, dim)
+    z, state, parameters = inputs(form, draw(dim))
+    before = z + 0.05 * np.random.default_rng(7).normal(size=z.shape)
+    n, m = z.shape[1], MICROPOLAR
+    strain = compile_expressions(list(form.strains()), form.terminals, form.inputs, form.space.domain, COMM)
+    eye = np.eye(3)
+    transposed = np.einsum("il,jk->ijkl", eye, eye).reshape(9, 9)
+    law = np.zeros((18, 18))
+    for at, (trace, sym, skw) in ((0, (m.lam, m.mu, m.kappa)), (9, (m.alpha, m.gamma, m.beta))):
+        block = trace * np.outer(eye.ravel(), eye.ravel()) + sym * (np.eye(9) + transposed)
+        law[at : at + 9, at : at + 9] = block + skw * (np.eye(9) - transposed)
+
+    def first(z, h=1e-3):  # of fourth order
+        out = np.zeros((len(z), 18, n))
+        for k in range(n):
+            d = np.zeros(n)
+            d[k] = h
+            e = [strain(z + c * d, state, parameters) for c in (-2, -1, 1, 2)]
+            out[:, :, k] = (e[0] - 8 * e[1] + 8 * e[2] - e[3]) / (12 * h)
+        return out
+
+    second = np.zeros((len(z), 18, n, n))
+    for k in range(n):
+        d = np.zeros(n)
+        d[k] = 1e-3
+        e = [first(z + c * d) for c in (-2, -1, 1, 2)]
+        second[..., k] = (e[0] - 8 * e[1] + 8 * e[2] - e[3]) / 12e-3
+    slope = first(z)
+    meant = strain(before, state, parameters) + np.einsum("pek,pk->pe", first(before), z - before)
+    expected = np.einsum("pek,ef,pfl->pkl", slope, law, slope) + np.einsum(
+        "pe,ef,pfkl->pkl", meant, law, second
+    )
+    found = full(form.compile(COMM)[1](z, state, parameters, before)[:, n:], n)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8 * abs(expected).max())
+    exact = full(form.compile(COMM)[1](z, state, parameters, z)[:, n:], n)
+    assert abs(found - exact).max() > 1e-3 * abs(expected).max()  # the prediction matters here
+
+
 def test_differences_notice_a_wrong_tangent():
     """The yardstick of this module: an entry that is off by a millionth of the largest one is found."""
     form = PointForm(MICROPOLAR, 2)
@@ -157,7 +203,7 @@ def test_differences_notice_a_wrong_tangent():
     n = z.shape[1]
 
     def wrong(z):
-        k = full(blocks(z, state, parameters)[:, n:], n)
+        k = full(blocks(*at_rest(form, z, state, parameters))[:, n:], n)
         k[3, 1, 2] += 1e-6 * abs(k).max()
         return k
 
@@ -246,7 +292,7 @@ def test_same_numbers_as_ffcx(dim, material, monkeypatch):
     form = PointForm(material, dim)
     z, state, parameters = inputs(form, draw(dim, seed=2))
     vector, matrix = assembled(form, z, state, parameters)
-    out = kernel(z, state, parameters)
+    out = kernel(*at_rest(form, z, state, parameters))
     n = z.shape[1]
     np.testing.assert_allclose(out[:, :n], vector, rtol=0, atol=1e-12 * abs(vector).max())
     np.testing.assert_allclose(full(out[:, n:], n), matrix, rtol=0, atol=1e-12 * abs(matrix).max())

@@ -323,7 +323,8 @@ def test_restart_with_the_other_assembly(folder, reset):
     """A state belongs to the points, not to the way in which they are summed."""
 
     def problem(assembly):
-        made = beam(2, basis="mpm", assembly=assembly, reset=reset)
+        controls = pm.Controls(force_tolerance=1e-12)
+        made = beam(2, basis="mpm", assembly=assembly, reset=reset, controls=controls)
         made.load(made.points.farthest((1, 0)), force=(0, -8.0))
         return made
 

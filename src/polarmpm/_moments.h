@@ -23,18 +23,16 @@ FAST int polarmpm_moments(const Batch *b, const Law *law, const double *x, int32
 {
     if (b->npoints == 0) return 0;
     const int nz = unknowns_of(b->dim, b->rot), size = symmetric ? nz * (nz + 1) / 2 : nz * nz;
-    const int stride = (largest_group(b) + WIDTH - 1) / WIDTH * WIDTH;
     Work w;
-    const int failed = create_work(b, tangent != NULL, 0, stride, &w);
+    const int failed = create_work(b, tangent != NULL, 0, &w);
     int64_t group = 0, group_of[LANES];
     for (int64_t start = 0; start < b->npoints && !failed; start += LANES) {
-        int lanes = evaluate(b, law, x, start, &group, stride, group_of, &w);
-        const int coupled = lanes < 0;
-        lanes = coupled ? -lanes : lanes;
+        int coupled;
+        const int lanes = evaluate(b->dim, b->rot, b, law, x, start, &group, group_of, &w, &coupled);
         for (int l = 0; l < lanes; ++l) {
             const int64_t p = start + l;
             const double *frame = b->state + p * b->nstate;
-            point_terms(b, law, &w, p, l, coupled, tangent != NULL, residual + p * nz);
+            point_terms(b->dim, b->rot, b, law, &w, p, l, coupled, residual + p * nz, tangent ? w.A : NULL);
             pull_back(b, frame, residual + p * nz, 1);
             if (!tangent) continue;
             for (int i = 0; i < nz; ++i) pull_back(b, frame, w.A + i * nz, 1);

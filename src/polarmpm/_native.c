@@ -13,9 +13,10 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 3,             /* raised with every change of a structure or signature, here and in native.py */
+    INTERFACE = 4,             /* raised with every change of a structure or signature, here and in native.py */
     LANES = 8,                 /* points in a kernel call */
-    WIDTH = 4                  /* nodes in a vector */
+    WIDTH = 4,                 /* nodes in a vector */
+    MANY = 4                   /* points whose blocks are summed at once */
 };
 
 typedef double vec __attribute__((vector_size(8 * WIDTH), aligned(8 * WIDTH)));
@@ -23,7 +24,7 @@ typedef void (*kernel_t)(const double *in, double *out);
 
 #define INLINE static inline __attribute__((always_inline))
 #if defined(__x86_64__) && defined(__gnu_linux__) && !defined(__clang__)
-#define FAST __attribute__((target_clones("fma", "default")))
+#define FAST __attribute__((target_clones("arch=x86-64-v4", "fma", "default")))
 #else
 #define FAST
 #endif
@@ -55,10 +56,11 @@ typedef struct {
 } Matrix;
 
 typedef struct {
-    kernel_t kernel;           /* (z, state, param) -> residual [, upper triangle of the tangent] */
+    kernel_t kernel;           /* (z, state, param [, z before]) -> residual [, upper triangle of the tangent] */
     kernel_t couple;           /* (w, m) -> residual, tangent; NULL without couples */
     const int32_t *couple_of;  /* [point] row of `couples`, -1: none */
     const double *couples;     /* [row][3] */
+    const double *before;      /* nodal values before the last correction, for the tangent's kernel; NULL: not needed */
     const int32_t *block_of;   /* [point] row of `blocks`, -1: evaluate the kernel; NULL: kernel for all points */
     const double *blocks;      /* [row][nz (+ nz nz with tangent)] per volume, from the return mapping */
 } Law;
@@ -84,9 +86,10 @@ static int largest_group(const Batch *b)
 }
 
 /* Weighting functions of a point and their gradients, [value, d/dx_1, ...][stride]; in the frame if given. */
-INLINE void shape(const Batch *b, int64_t p, const int32_t *count, const double *frame, int stride, double *s)
+INLINE void shape(const int dim, const Batch *b, int64_t p, const int32_t *count, const double *frame, int stride,
+                  double *s)
 {
-    const int dim = b->dim, m = b->slots;
+    const int m = b->slots;
     const double *w = b->weights + p * dim * 2 * m;
     const int n2 = dim == 3 ? count[2] : 1;
     int a = 0;
@@ -151,7 +154,7 @@ void polarmpm_gather(const Batch *b, const double *x, int32_t framed, double *z,
         const int n = nodes_of(b, g);
         const int32_t *nodes = b->nodes + b->node_first[g];
         for (int64_t p = b->first[g]; p < b->first[g + 1]; ++p) {
-            shape(b, p, b->count + g * b->dim, framed ? b->state + p * b->nstate : NULL, stride, s);
+            shape(b->dim, b, p, b->count + g * b->dim, framed ? b->state + p * b->nstate : NULL, stride, s);
             gather_point(b->dim, b->rot, n, stride, s, nodes, x, z + p * nz, 1);
             for (int i = 0; value && i < nb; ++i) {
                 double sum = 0.0;
@@ -172,7 +175,7 @@ void polarmpm_spread(const Batch *b, const double *f, int32_t nc, double *out)
         const int n = nodes_of(b, g);
         const int32_t *nodes = b->nodes + b->node_first[g];
         for (int64_t p = b->first[g]; p < b->first[g + 1]; ++p) {
-            shape(b, p, b->count + g * b->dim, NULL, stride, s);
+            shape(b->dim, b, p, b->count + g * b->dim, NULL, stride, s);
             for (int a = 0; a < n; ++a)
                 for (int c = 0; c < nc; ++c) out[(int64_t)nodes[a] * nc + c] += s[a] * f[p * nc + c];
         }
@@ -197,182 +200,14 @@ void polarmpm_couple_nodes(const Batch *b, int32_t reach, uint8_t *mark)
     }
 }
 
-/* B^T A B of a point into the dense matrix of its group; s holds values and gradients [1 + dim][nv].
- * The first point of a group overwrites what an earlier group has left. */
-INLINE void add_tangent(const int dim, const int rot, const int nv, const int symmetric, const int first, int n,
-                        const double *A, const vec *s, vec *T, vec *K)
-{
-    const int nb = dim + rot, d2 = dim * dim, nz = d2 + rot * (1 + dim);
-    const double *scalar = (const double *)s;
-    for (int r = 0; r < nz; ++r) {
-        const double *row = A + r * nz;
-        for (int k = 0; k < dim; ++k)
-            for (int v = 0; v < nv; ++v) {
-                vec sum = row[dim * k] * s[nv + v];
-                for (int j = 1; j < dim; ++j) sum += row[dim * k + j] * s[(1 + j) * nv + v];
-                T[(r * nb + k) * nv + v] = sum;
-            }
-        for (int k = 0; k < rot; ++k)
-            for (int v = 0; v < nv; ++v) {
-                vec sum = row[d2 + k] * s[v];
-                for (int j = 0; j < dim; ++j) sum += row[d2 + rot + dim * k + j] * s[(1 + j) * nv + v];
-                T[(r * nb + dim + k) * nv + v] = sum;
-            }
-    }
-    for (int a = 0; a < n; ++a) {
-        const int begin = symmetric ? a / WIDTH : 0;
-        double g[3];
-        for (int j = 0; j < dim; ++j) g[j] = scalar[(1 + j) * nv * WIDTH + a];
-        const double value = scalar[a];
-        for (int i = 0; i < nb; ++i)
-            for (int k = 0; k < nb; ++k) {
-                vec *out = K + ((a * nb + i) * nb + k) * nv;
-                for (int v = begin; v < nv; ++v) {
-                    vec sum = first ? (vec){0} : out[v];
-                    if (i < dim) {
-                        for (int j = 0; j < dim; ++j) sum += g[j] * T[((dim * i + j) * nb + k) * nv + v];
-                    } else {
-                        const int q = i - dim;
-                        sum += value * T[((d2 + q) * nb + k) * nv + v];
-                        for (int j = 0; j < dim; ++j)
-                            sum += g[j] * T[((d2 + rot + dim * q + j) * nb + k) * nv + v];
-                    }
-                    out[v] = sum;
-                }
-            }
-    }
-}
-
-#define CASE_FIRST(D, R, NV, S)                                            \
-    if (first) add_tangent(D, R, NV, S, 1, n, A, s, T, K);                 \
-    else add_tangent(D, R, NV, S, 0, n, A, s, T, K)
-#define CASE_NV(D, R, S)                                                   \
-    switch (nv) {                                                          \
-    case 1: CASE_FIRST(D, R, 1, S); break;                                 \
-    case 2: CASE_FIRST(D, R, 2, S); break;                                 \
-    case 3: CASE_FIRST(D, R, 3, S); break;                                 \
-    case 5: CASE_FIRST(D, R, 5, S); break;                                 \
-    case 7: CASE_FIRST(D, R, 7, S); break;                                 \
-    default: CASE_FIRST(D, R, nv, S);                                      \
-    }
-
-INLINE void add_tangent_any(int dim, int rot, int nv, int symmetric, int first, int n, const double *A,
-                            const vec *s, vec *T, vec *K)
-{
-    if (dim == 3 && rot == 3) {
-        if (symmetric) { CASE_NV(3, 3, 1) } else { CASE_NV(3, 3, 0) }
-    } else if (dim == 3) {
-        if (symmetric) { CASE_NV(3, 0, 1) } else { CASE_NV(3, 0, 0) }
-    } else if (rot == 1) {
-        if (symmetric) { CASE_NV(2, 1, 1) } else { CASE_NV(2, 1, 0) }
-    } else {
-        if (symmetric) { CASE_NV(2, 0, 1) } else { CASE_NV(2, 0, 0) }
-    }
-}
-
-/* B^T r of a point into the group's nodal forces [node][block]. */
-INLINE void add_residual(int dim, int rot, int n, int stride, const double *s, const double *r, double *f)
-{
-    const int nb = dim + rot, d2 = dim * dim;
-    for (int a = 0; a < n; ++a) {
-        for (int i = 0; i < dim; ++i)
-            for (int j = 0; j < dim; ++j) f[a * nb + i] += r[dim * i + j] * s[(1 + j) * stride + a];
-        for (int i = 0; i < rot; ++i) {
-            f[a * nb + dim + i] += r[d2 + i] * s[a];
-            for (int j = 0; j < dim; ++j)
-                f[a * nb + dim + i] += r[d2 + rot + dim * i + j] * s[(1 + j) * stride + a];
-        }
-    }
-}
-
-/* Where the pair (a, q) of a group's nodes goes: the row is the node with the smaller global number. */
-typedef struct {
-    int64_t column;            /* block column times block size */
-    int32_t row, col;          /* local nodes */
-    int32_t swapped;
-} Place;
-
-INLINE Place place_of(const Batch *b, const Matrix *M, const int32_t *nodes, const int32_t *c, int a, int q, int nb)
-{
-    const int side = 2 * M->reach + 1, codes = b->dim == 3 ? side * side * side : side * side;
-    const int n2 = b->dim == 3 ? c[2] : 1, n12 = c[1] * n2;
-    const int swapped = M->symmetric && M->number[nodes[a]] > M->number[nodes[q]];
-    const int r = swapped ? q : a, k = swapped ? a : q;
-    int code = (k / n12 - r / n12 + M->reach) * side + k / n2 % c[1] - r / n2 % c[1] + M->reach;
-    if (b->dim == 3) code = code * side + k % n2 - r % n2 + M->reach;
-    return (Place){(int64_t)M->place[(int64_t)nodes[r] * codes + code] * nb, nodes[r], nodes[k], swapped};
-}
-
-/* A pair with prescribed unknowns: their rows and columns stay out of the matrix, all but the diagonal, and
- * what their increments add to the residual of free unknowns goes to rhs. */
-static void put_constrained(const Matrix *M, int nb, Place at, int diagonal, const double *K, int64_t istep,
-                            int64_t jstep, double *rhs)
-{
-    const int64_t row = (int64_t)at.row * nb, col = (int64_t)at.col * nb;
-    for (int i = 0; i < nb; ++i) {
-        double *out = M->values + M->row_start[row + i] + at.column;
-        for (int j = diagonal && M->symmetric ? i : 0; j < nb; ++j) {
-            const double value = K[i * istep + j * jstep];
-            const int ri = M->fixed[row + i], cj = M->fixed[col + j];
-            if (!(ri | cj) || (diagonal && i == j)) out[j] += value;
-            if (M->lift && ri != cj) {
-                if (cj) rhs[row + i] += value * M->lift[col + j];
-                else if (M->symmetric) rhs[col + j] += value * M->lift[row + i];
-            }
-        }
-    }
-}
-
-/* The group's dense matrix into the sparse rows; entry (i, j) of the pair (a, q) stands at
- * K[((a nb + i) nb + j) cols + q]. */
-INLINE void flush_matrix(const Batch *b, const Matrix *M, int64_t g, const int nb, int n, int nv, const double *K,
-                         Place *at, double *rhs)
-{
-    const int32_t *c = b->count + g * b->dim, *nodes = b->nodes + b->node_first[g];
-    const int64_t cols = (int64_t)nv * WIDTH;
-    int constrained = 0;
-    for (int a = 0; a < n; ++a)
-        for (int i = 0; i < nb; ++i) constrained |= M->fixed[(int64_t)nodes[a] * nb + i];
-    for (int a = 0; a < n; ++a) {
-        const double *Ka = K + (int64_t)a * nb * nb * cols;
-        const int begin = M->symmetric ? a : 0;
-        int swapped = 0;
-        for (int q = begin; q < n; ++q) {
-            at[q] = place_of(b, M, nodes, c, a, q, nb);
-            swapped |= at[q].swapped;
-        }
-        if (constrained || swapped) {
-            for (int q = begin; q < n; ++q)
-                put_constrained(M, nb, at[q], a == q, Ka + q, at[q].swapped ? cols : nb * cols,
-                                at[q].swapped ? nb * cols : cols, rhs);
-            continue;
-        }
-        for (int i = 0; i < nb; ++i) {
-            double *out = M->values + M->row_start[(int64_t)nodes[a] * nb + i];
-            for (int j = M->symmetric ? i : 0; j < nb; ++j) out[at[a].column + j] += Ka[(i * nb + j) * cols + a];
-            for (int q = begin; q < n; ++q) {
-                if (q == a) continue;
-                double *block = out + at[q].column;
-                for (int j = 0; j < nb; ++j) block[j] += Ka[(i * nb + j) * cols + q];
-            }
-        }
-    }
-}
-
-INLINE void flush_any(const Batch *b, const Matrix *M, int64_t g, int n, int nv, const double *K, Place *at,
-                      double *rhs)
-{
-    switch (block_of(b)) {
-    case 6: flush_matrix(b, M, g, 6, n, nv, K, at, rhs); break;
-    case 3: flush_matrix(b, M, g, 3, n, nv, K, at, rhs); break;
-    default: flush_matrix(b, M, g, block_of(b), n, nv, K, at, rhs);
-    }
-}
+#include "_scatter.h"
 
 typedef struct {
-    double *in, *out, *cin, *cout, *shapes, *A, *f;
-    vec *s, *T, *K;
+    double *in, *out, *cin, *cout, *A;
+    vec *shapes, *x, *before, *f, *K;  /* shapes [lane][4][sv], nodal values [component][sv] of a group */
     Place *at;
+    int sv;                            /* vectors of the nodes of the largest group */
+    int64_t gathered;                  /* the group of which x and before are; -1: none */
 } Work;
 
 static void *vectors(size_t n)
@@ -383,81 +218,165 @@ static void *vectors(size_t n)
     return p;
 }
 
-/* Evaluate LANES points from `start` on: shapes of each, then the kernels. Returns how many are real. */
-INLINE int evaluate(const Batch *b, const Law *law, const double *x, int64_t start, int64_t *group, int stride,
-                    int64_t *group_of, const Work *w)
+INLINE void gather_group(const int nb, int n, int sv, const int32_t *nodes, const double *x, vec *out)
 {
-    const int nz = unknowns_of(b->dim, b->rot), ns = b->nstate, np = b->nparam;
-    int lanes = (int)(b->npoints - start < LANES ? b->npoints - start : LANES), coupled = 0, open = 0;
-    for (int l = 0; l < LANES; ++l) {
-        const int64_t p = start + (l < lanes ? l : lanes - 1);
+    double *to = (double *)out;
+    for (int i = 0; i < nb; ++i) {
+        for (int a = 0; a < n; ++a) to[i * sv * WIDTH + a] = x[(int64_t)nodes[a] * nb + i];
+        for (int a = n; a < sv * WIDTH; ++a) to[i * sv * WIDTH + a] = 0.0;
+    }
+}
+
+INLINE double dot(const int nv, const vec *a, const vec *b)
+{
+    vec sum = a[0] * b[0];
+    for (int v = 1; v < nv; ++v) sum += a[v] * b[v];
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+/* z = (du/dx, w, dw/dx) of a point from its group's nodal values, into one lane. */
+INLINE void interpolate(const int dim, const int rot, int nv, int sv, const vec *s, const vec *x, double *z)
+{
+    for (int i = 0; i < dim; ++i)
+        for (int j = 0; j < dim; ++j) z[(dim * i + j) * LANES] = dot(nv, x + i * sv, s + (1 + j) * sv);
+    for (int i = 0; i < rot; ++i) {
+        z[(dim * dim + i) * LANES] = dot(nv, x + (dim + i) * sv, s);
+        for (int j = 0; j < dim; ++j)
+            z[(dim * dim + rot + dim * i + j) * LANES] = dot(nv, x + (dim + i) * sv, s + (1 + j) * sv);
+    }
+}
+
+/* Evaluate LANES points from `start` on: shapes of each, then the kernels. Returns how many are real. */
+INLINE int evaluate(const int dim, const int rot, const Batch *b, const Law *law, const double *x, int64_t start,
+                    int64_t *group, int64_t *group_of, Work *w, int *coupled)
+{
+    const int nb = dim + rot, nz = unknowns_of(dim, rot), ns = b->nstate, np = b->nparam, sv = w->sv;
+    const int lanes = (int)(b->npoints - start < LANES ? b->npoints - start : LANES);
+    int open = 0;
+    *coupled = 0;
+    for (int l = 0; l < lanes; ++l) {
+        const int64_t p = start + l;
         open |= !law->block_of || law->block_of[p] < 0;
-        if (l < lanes) {
-            while (p >= b->first[*group + 1]) ++*group;
-            group_of[l] = *group;
-            shape(b, p, b->count + *group * b->dim, b->state + p * ns, stride, w->shapes + l * 4 * stride);
+        while (p >= b->first[*group + 1]) ++*group;
+        group_of[l] = *group;
+        const int n = nodes_of(b, *group), nv = (n + WIDTH - 1) / WIDTH;
+        const int32_t *nodes = b->nodes + b->node_first[*group];
+        if (w->gathered != *group) {
+            gather_group(nb, n, sv, nodes, x, w->x);
+            if (law->before) gather_group(nb, n, sv, nodes, law->before, w->before);
+            w->gathered = *group;
         }
-        gather_point(b->dim, b->rot, nodes_of(b, *group), stride, w->shapes + (l < lanes ? l : lanes - 1) * 4 * stride,
-                     b->nodes + b->node_first[*group], x, w->in + l, LANES);
+        vec *s = w->shapes + (int64_t)l * 4 * sv;
+        shape(dim, b, p, b->count + *group * dim, b->state + p * ns, sv * WIDTH, (double *)s);
+        interpolate(dim, rot, nv, sv, s, w->x, w->in + l);
+        if (law->before) interpolate(dim, rot, nv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l);
         for (int k = 0; k < ns; ++k) w->in[(nz + k) * LANES + l] = b->state[p * ns + k];
-        for (int k = 0; k < np; ++k) w->in[(nz + ns + k) * LANES + l] = b->param[k];
         if (law->couple) {
             const int32_t row = law->couple_of[p];
-            coupled |= l < lanes && row >= 0;
+            *coupled |= row >= 0;
             for (int k = 0; k < 3; ++k) {
                 w->cin[k * LANES + l] = w->in[(9 + k) * LANES + l];
                 w->cin[(3 + k) * LANES + l] = row >= 0 ? law->couples[3 * row + k] : 0.0;
             }
         }
     }
+    for (int l = lanes; l < LANES; ++l) {  /* lanes without a point repeat the last one */
+        for (int k = 0; k < nz + ns; ++k) w->in[k * LANES + l] = w->in[k * LANES + lanes - 1];
+        for (int k = nz + ns + np; law->before && k < 2 * nz + ns + np; ++k)
+            w->in[k * LANES + l] = w->in[k * LANES + lanes - 1];
+        for (int k = 0; k < 6; ++k) w->cin[k * LANES + l] = w->cin[k * LANES + lanes - 1];
+    }
     if (open) law->kernel(w->in, w->out);
-    if (coupled) law->couple(w->cin, w->cout);
-    return coupled ? -lanes : lanes;
+    if (*coupled) law->couple(w->cin, w->cout);
+    return lanes;
 }
 
-/* What a point's virtual work multiplies, times its volume: r [nz] and, if wanted, w->A [nz][nz]; gradients in
+/* What a point's virtual work multiplies, times its volume: r [nz] and, if wanted, A [nz][nz]; gradients in
  * the point's frame. */
-INLINE void point_terms(const Batch *b, const Law *law, const Work *w, int64_t p, int l, int coupled, int tangent,
-                        double *r)
+INLINE void point_terms(const int dim, const int rot, const Batch *b, const Law *law, const Work *w, int64_t p, int l,
+                        int coupled, double *r, double *A)
 {
-    const int nz = unknowns_of(b->dim, b->rot);
+    const int nz = unknowns_of(dim, rot);
     const int64_t row = law->block_of ? law->block_of[p] : -1;
-    const double *block = row < 0 ? NULL : law->blocks + row * (nz + (tangent ? nz * nz : 0));
-    for (int k = 0; k < nz; ++k) r[k] = b->volume[p] * (block ? block[k] : w->out[k * LANES + l]);
+    const double *block = row < 0 ? NULL : law->blocks + row * (nz + (A ? nz * nz : 0)), volume = b->volume[p];
+    for (int k = 0; k < nz; ++k) r[k] = volume * (block ? block[k] : w->out[k * LANES + l]);
     if (coupled)
         for (int k = 0; k < 3; ++k) r[9 + k] += w->cout[k * LANES + l];
-    if (!tangent) return;
+    if (!A) return;
     const double *upper = w->out + nz * LANES + l;
     if (block)
-        for (int k = 0; k < nz * nz; ++k) w->A[k] = b->volume[p] * block[nz + k];
+        for (int k = 0; k < nz * nz; ++k) A[k] = volume * block[nz + k];
     else
-        for (int i = 0, k = 0; i < nz; ++i)
-            for (int j = i; j < nz; ++j, ++k)
-                w->A[i * nz + j] = w->A[j * nz + i] = b->volume[p] * upper[k * LANES];
+        for (int i = 0; i < nz; ++i)
+            for (int j = i; j < nz; ++j, upper += LANES) A[i * nz + j] = A[j * nz + i] = volume * *upper;
     if (coupled)
         for (int i = 0; i < 3; ++i)
-            for (int j = 0; j < 3; ++j) w->A[(9 + i) * nz + 9 + j] += w->cout[(3 + 3 * i + j) * LANES + l];
+            for (int j = 0; j < 3; ++j) A[(9 + i) * nz + 9 + j] += w->cout[(3 + 3 * i + j) * LANES + l];
 }
 
 /* Memory for the evaluation of points and, with `scatter`, for sums of a group. Returns nonzero without memory. */
-static int create_work(const Batch *b, int tangent, int scatter, int stride, Work *w)
+static int create_work(const Batch *b, int tangent, int scatter, Work *w)
 {
-    const int nb = block_of(b), nz = unknowns_of(b->dim, b->rot), most = scatter ? largest_group(b) : 0;
-    const int matrix = tangent && scatter, outputs = nz + (tangent ? nz * (nz + 1) / 2 : 0);
-    *w = (Work){.in = vectors((size_t)(nz + b->nstate + b->nparam) * LANES), .out = vectors((size_t)outputs * LANES),
-                .cin = vectors(6 * LANES), .cout = vectors(12 * LANES),
-                .shapes = vectors((size_t)LANES * 4 * stride), .s = vectors((size_t)4 * stride),
-                .A = vectors((size_t)nz * nz),
-                .f = vectors((size_t)most * nb), .T = vectors((size_t)nz * nb * stride),
-                .K = vectors(matrix ? (size_t)most * nb * nb * stride : 1),
-                .at = malloc(sizeof(Place) * (most + 1))};
-    return !(w->in && w->out && w->cin && w->cout && w->shapes && w->s && w->A && w->f && w->T && w->K && w->at);
+    const int nb = block_of(b), nz = unknowns_of(b->dim, b->rot), largest = largest_group(b);
+    const int most = scatter ? largest : 0, outputs = nz + (tangent ? nz * (nz + 1) / 2 : 0);
+    const size_t sv = (largest + WIDTH - 1) / WIDTH, stride = sv * WIDTH, inputs = 2 * nz + b->nstate + b->nparam;
+    *w = (Work){.in = vectors(inputs * LANES), .out = vectors((size_t)outputs * LANES),
+                .cin = vectors(6 * LANES), .cout = vectors(12 * LANES), .A = vectors((size_t)LANES * nz * nz),
+                .shapes = vectors(LANES * 4 * stride), .x = vectors(nb * stride), .before = vectors(nb * stride),
+                .f = vectors(nb * stride), .K = vectors(tangent && scatter ? most * nb * nb * stride : 1),
+                .at = malloc(sizeof(Place) * (most + 1)), .sv = (int)sv, .gathered = -1};
+    if (!(w->in && w->out && w->cin && w->cout && w->A && w->shapes && w->x && w->before && w->f && w->K && w->at))
+        return 1;
+    for (int k = 0; k < b->nparam; ++k)
+        for (int l = 0; l < LANES; ++l) w->in[(nz + b->nstate + k) * LANES + l] = b->param[k];
+    return 0;
 }
 
 static void free_work(Work *w)
 {
-    free(w->in), free(w->out), free(w->cin), free(w->cout), free(w->shapes), free(w->s);
-    free(w->A), free(w->f), free(w->T), free(w->K), free(w->at);
+    free(w->in), free(w->out), free(w->cin), free(w->cout), free(w->A);
+    free(w->shapes), free(w->x), free(w->before), free(w->f), free(w->K), free(w->at);
+}
+
+/* Points l .. end of these lanes, all of group g: their work into the group's sums. */
+INLINE void add_points(const int dim, const int rot, const Batch *b, const Law *law, const Matrix *M, const Work *w,
+                       int64_t start, int64_t g, int l, int end, int coupled)
+{
+    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot), sv = w->sv;
+    for (int q = l; q < end; ++q) {
+        double r[21];
+        point_terms(dim, rot, b, law, w, start + q, q, coupled, r, M ? w->A + q * nz * nz : NULL);
+        add_residual(dim, rot, nv, sv, w->shapes + q * 4 * sv, r, w->f);
+    }
+    for (int P; M && l < end; l += P) {
+        P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
+        add_tangents(dim, rot, nv, M->symmetric, P, start + l == b->first[g], n, w->A + l * nz * nz,
+                     w->shapes + l * 4 * sv, sv, w->K);
+    }
+}
+
+INLINE void assemble(const int dim, const int rot, const Batch *b, const Law *law, const Matrix *M, const double *x,
+                     double *force, double *rhs, Work *w)
+{
+    const int nb = dim + rot;
+    int64_t group = 0, group_of[LANES];
+    for (int64_t start = 0; start < b->npoints; start += LANES) {
+        int coupled;
+        const int lanes = evaluate(dim, rot, b, law, x, start, &group, group_of, w, &coupled);
+        for (int l = 0, end; l < lanes; l = end) {
+            const int64_t g = group_of[l];
+            for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
+            if (start + l == b->first[g]) memset(w->f, 0, sizeof(vec) * nb * w->sv);
+            add_points(dim, rot, b, law, M, w, start, g, l, end, coupled);
+            if (start + end < b->first[g + 1]) continue;
+            const int32_t *nodes = b->nodes + b->node_first[g];
+            const int n = nodes_of(b, g);
+            for (int a = 0; a < n; ++a)
+                for (int i = 0; i < nb; ++i)
+                    force[(int64_t)nodes[a] * nb + i] += ((const double *)w->f)[i * w->sv * WIDTH + a];
+            if (M) flush_matrix(b, M, g, nb, n, (n + WIDTH - 1) / WIDTH, (const double *)w->K, w->at, rhs);
+        }
+    }
 }
 
 /* Residual (internal minus couples' work) added to `force`, tangent to M (NULL: residual only).
@@ -467,38 +386,17 @@ FAST int polarmpm_assemble(const Batch *b, const Law *law, const Matrix *M, cons
                            double *rhs)
 {
     if (b->npoints == 0) return 0;
-    const int dim = b->dim, rot = b->rot, nb = block_of(b);
-    const int stride = (largest_group(b) + WIDTH - 1) / WIDTH * WIDTH;
     Work w;
-    const int failed = create_work(b, M != NULL, 1, stride, &w);
-    int64_t group = 0, group_of[LANES], open = -1;
-    for (int64_t start = 0; start < b->npoints && !failed; start += LANES) {
-        int lanes = evaluate(b, law, x, start, &group, stride, group_of, &w);
-        const int coupled = lanes < 0;
-        lanes = coupled ? -lanes : lanes;
-        for (int l = 0; l < lanes; ++l) {
-            const int64_t p = start + l, g = group_of[l];
-            const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH;
-            if (g != open) {
-                memset(w.f, 0, sizeof(double) * n * nb);
-                open = g;
-            }
-            const double *sp = w.shapes + l * 4 * stride;
-            double r[21];
-            point_terms(b, law, &w, p, l, coupled, M != NULL, r);
-            add_residual(dim, rot, n, stride, sp, r, w.f);
-            if (M) {
-                for (int c = 0; c <= dim; ++c)
-                    memcpy((double *)w.s + c * nv * WIDTH, sp + c * stride, sizeof(double) * nv * WIDTH);
-                add_tangent_any(dim, rot, nv, M->symmetric, p == b->first[g], n, w.A, w.s, w.T, w.K);
-            }
-            if (p + 1 == b->first[g + 1]) {
-                const int32_t *nodes = b->nodes + b->node_first[g];
-                for (int a = 0; a < n; ++a)
-                    for (int i = 0; i < nb; ++i) force[(int64_t)nodes[a] * nb + i] += w.f[a * nb + i];
-                if (M) flush_any(b, M, g, n, nv, (const double *)w.K, w.at, rhs);
-            }
-        }
+    const int failed = create_work(b, M != NULL, 1, &w);
+    if (failed) {
+    } else if (b->dim == 3 && b->rot == 3) {
+        assemble(3, 3, b, law, M, x, force, rhs, &w);
+    } else if (b->dim == 3) {
+        assemble(3, 0, b, law, M, x, force, rhs, &w);
+    } else if (b->rot == 1) {
+        assemble(2, 1, b, law, M, x, force, rhs, &w);
+    } else {
+        assemble(2, 0, b, law, M, x, force, rhs, &w);
     }
     free_work(&w);
     return failed;

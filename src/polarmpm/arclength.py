@@ -243,7 +243,7 @@ def _stop_at(
     path: Path, controls: Controls, to: float, share: float, history: list[tuple[float, float]]
 ) -> Outcome:
     """Newton's method at a load factor, from between the step's two ends."""
-    path.system.x = path.start + share * path.increment
+    path.system.jump(path.start + share * path.increment)
     path.factor = to
     path.put_load()
     outcome = newton.solve(path.system, controls)

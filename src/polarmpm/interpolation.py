@@ -153,7 +153,7 @@ class Interpolation:
         self.pack()
 
     def kernel_inputs(self, batch: PointBatch, x: np.ndarray) -> np.ndarray:
-        """Inputs (n, form.inputs) of the kernels of a batch's points at nodal increments x (nodes, block)."""
+        """Inputs (n, form.inputs) of the residual's kernel at nodal increments x (nodes, block)."""
         form, b = batch.form, batch.batch
         nz, ns = self.layout.unknowns, form.state_size
         out = np.empty((len(batch.rows), form.inputs))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 3  # the same number as in _native.c
+INTERFACE = 4  # the same number as in _native.c
 
 _I32, _I64, _PTR = ctypes.c_int32, ctypes.c_int64, ctypes.c_void_p
 
@@ -59,6 +59,7 @@ class Law(ctypes.Structure):
         ("couple", _PTR),
         ("couple_of", _PTR),
         ("couples", _PTR),
+        ("before", _PTR),
         ("block_of", _PTR),
         ("blocks", _PTR),
     ]

@@ -149,12 +149,17 @@ def pack_state(layout: Layout, frame: np.ndarray, wryness: np.ndarray, q: np.nda
     return np.concatenate(parts, axis=1)
 
 
-def virtual_work(material: Material, strains: Sequence[Any], unknown: Any, test: Any, numbers: Any) -> Any:
-    """dW/dE : dE + dW/dGamma : dGamma, T (3.145)-(3.146), with variations of the strains in `unknown`."""
+def stresses(material: Material, strains: Sequence[Any], numbers: Any) -> list[Any]:
+    """dW/dE and dW/dGamma, T (3.145)-(3.146); of a classical material the derivatives by its measures."""
     variables = [ufl.variable(e) for e in strains]
     w = evaluate_energy(material, variables, named_parameters(material, numbers))
-    pairs = zip(variables, strains, strict=True)
-    return sum(ufl.inner(ufl.diff(w, v), ufl.derivative(e, unknown, test)) for v, e in pairs)
+    return [ufl.diff(w, v) for v in variables]
+
+
+def virtual_work(material: Material, strains: Sequence[Any], unknown: Any, test: Any, numbers: Any) -> Any:
+    """dW/dE : dE + dW/dGamma : dGamma with variations of the strains in `unknown`."""
+    pairs = zip(stresses(material, strains, numbers), strains, strict=True)
+    return sum(ufl.inner(s, ufl.derivative(e, unknown, test)) for s, e in pairs)
 
 
 class PointForm:
@@ -182,12 +187,19 @@ class PointForm:
     def inputs(self) -> int:
         return self.layout.unknowns + self.state_size + len(parameter_values(self.material))
 
+    @property
+    def predicts(self) -> bool:
+        """Whether iterations have a tangent of their own, see `iteration_tangent`."""
+        m = self.material
+        return m.stress_prediction and (m.micropolar or type(m).measures is not Material.measures)
+
     # kinematics ---------------------------------------------------------------------------------
-    def strains(self) -> tuple[Any, ...]:
+    def strains(self, z: Any = None) -> tuple[Any, ...]:
         """(E, Gamma) of a micropolar material, the strain measures of a classical one, from z and the
         state.
         """
-        return strains(self.material, self.layout, self.z, self.state, rotated=self.material.isotropic)
+        z = self.z if z is None else z
+        return strains(self.material, self.layout, z, self.state, rotated=self.material.isotropic)
 
     def pack(
         self, F: np.ndarray, q: np.ndarray, wryness: np.ndarray, history: Sequence[np.ndarray]
@@ -220,15 +232,52 @@ class PointForm:
         trial = ufl.TrialFunction(self.space.function_space(self.layout.unknowns))
         return ufl.derivative(self.residual, self.z, trial)
 
+    @cached_property
+    def iteration_tangent(self) -> ufl.Form:
+        """The tangent with predicted stresses in its geometric part.
+
+        A correction of the unknowns turns points, and with the turn comes a spurious strain of second order;
+        its stress spoils the next tangent. Taken for the geometric part instead is the stress that the
+        linear solution meant, S(z~) + S'(z~) [z - z~] with z~ from before the correction: the mixed integration
+        points of Magisano, Leonetti and Garcea (2017). At z = z~, and so at the solution, it's the tangent.
+        """
+        if not self.predicts:
+            return self.tangent
+        space = self.space.function_space(self.layout.unknowns)
+        test, trial = ufl.TestFunction(space), ufl.TrialFunction(space)
+        before, now = self._correction
+        measured = self.strains()
+        material_part = stresses(self.material, measured, self.parameters)
+        start = stresses(self.material, self.strains(before), self.parameters)
+        work = 0
+        for e, s, s0 in zip(measured, material_part, start, strict=True):
+            variation = ufl.derivative(e, self.z, test)
+            predicted = s0 + ufl.derivative(s0, before, now - before)
+            work += ufl.inner(ufl.derivative(s, self.z, trial), variation)
+            work += ufl.derivative(ufl.inner(predicted, variation), self.z, trial)
+        return work * ufl.dx(domain=self.space.domain, degree=1)
+
+    @cached_property
+    def _correction(self) -> tuple[Any, Any]:
+        """z before the last correction, and z itself once more, as what isn't derived by."""
+        return self.space.coefficient(self.layout.unknowns), self.space.coefficient(self.layout.unknowns)
+
     # compiled -----------------------------------------------------------------------------------
+    def _tangent_terminals(self) -> dict[Any, int]:
+        if not self.predicts:
+            return self.terminals
+        before, now = self._correction
+        return {**self.terminals, before: self.inputs, now: 0}
+
     def _signature(self, expr: Any) -> str:
-        terminals = {c: i for i, c in enumerate(self.terminals)}
+        terminals = {c: i for i, c in enumerate(self._tangent_terminals())}
         return _compat.expression_signature(expr, {**terminals, self.space.domain: 0})
 
     def _source(self) -> str:
         n = self.layout.unknowns
-        scalarise = Scalariser(self.terminals)
-        r, k = (scalarise.scalar(codegen.expand(codegen.integrand(f))) for f in (self.residual, self.tangent))
+        scalarise = Scalariser(self._tangent_terminals())
+        forms = self.residual, self.iteration_tangent
+        r, k = (scalarise.scalar(codegen.expand(codegen.integrand(f))) for f in forms)
         zero = scalarise.graph.zero
         rows = codegen.coefficients(r, (n,), zero)
         full = codegen.coefficients(k, (n, n), zero)
@@ -236,12 +285,14 @@ class PointForm:
         return codegen.write_c(scalarise.graph, {"residual": rows, "blocks": rows + upper})
 
     def compile(self, comm: MPI.Comm) -> tuple[Kernel, Kernel]:
-        """(residual, residual and upper triangle of the tangent) as kernels. Collective."""
+        """(residual, residual and upper triangle of the iterations' tangent) as kernels of (z, state,
+        parameters); the second one, where the form predicts stresses, also of z before the last correction.
+        Collective."""
         n = self.layout.unknowns
-        key = jit.digest(generator_version(), "blocks", self._signature(codegen.integrand(self.tangent)))
-        lib = jit.library(key, self._source, comm)
-        size = n + n * (n + 1) // 2
-        return Kernel(lib, "residual", self.inputs, n), Kernel(lib, "blocks", self.inputs, size)
+        signature = self._signature(codegen.integrand(self.iteration_tangent))
+        lib = jit.library(jit.digest(generator_version(), "blocks", signature), self._source, comm)
+        size, inputs = n + n * (n + 1) // 2, self.inputs + (n if self.predicts else 0)
+        return Kernel(lib, "residual", self.inputs, n), Kernel(lib, "blocks", inputs, size)
 
     def compile_energy(self, comm: MPI.Comm) -> Kernel:
         """Energy per reference volume as a kernel of (z, state, parameters)."""

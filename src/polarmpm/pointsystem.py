@@ -82,7 +82,8 @@ class LoadedPoints(NodalSystem):
     def _law(self, k: int, tangent: bool) -> native.Law:
         """Compiled kernels of batch k."""
         law = native.Law()
-        native.fill(law, kernel=self.kernels[k][tangent].address)
+        before = self.before if tangent and self.interpolation.forms[k].predicts else None
+        native.fill(law, kernel=self.kernels[k][tangent].address, before=before)
         if self.couple_kernel is not None:
             rows, couples = self._couples[k]
             native.fill(law, couple=self.couple_kernel.address, couple_of=rows, couples=couples)

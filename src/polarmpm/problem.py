@@ -220,7 +220,7 @@ class Problem:
         outcome = newton.solve(system, self.controls)
         if not outcome.converged and system.start_elastic(True):
             # where points unload, the elastic tangent is the better one to begin with
-            tried, system.x = outcome.history, start.x.copy()
+            tried, system.x = outcome.history, start.x
             system.set_prescribed(increments)
             outcome = newton.solve(system, self.controls)
             outcome.history[:0] = tried

@@ -36,6 +36,7 @@ class NodalSystem:
 
     Attributes:
         x: nodal increments since the reset (nodes, block), ghosts included.
+        before: what they were before the last correction; at the start of a step the same.
         external: forces on the nodes, complete on owned rows.
         residual: internal minus external and carried forces of the last evaluation; complete on owned rows.
         first: the residual as it was when the step began.
@@ -56,6 +57,7 @@ class NodalSystem:
         self.length, self.comm, self.timer = length, comm, timer
         shape = (len(nodes), layout.block)
         self.x: np.ndarray = np.zeros(shape)
+        self.before: np.ndarray = self.x
         self._last: np.ndarray = np.zeros(shape)
         self.residual: np.ndarray = np.zeros(shape)
         self.first: np.ndarray = self.residual
@@ -103,6 +105,7 @@ class NodalSystem:
         """Target of the prescribed unknowns, as increments since the reset (nodes, block); begins a step.
         Collective."""
         self._rounding, self._begun, self._moved = 0.0, True, False
+        self.before = self.x
         self._lift = np.where(self.prescribed.fixed, increments - self.x, 0.0)
         self._pending = bool(self.comm.allreduce(bool(np.any(self._lift)), op=MPI.LOR))
 
@@ -175,14 +178,18 @@ class NodalSystem:
 
     def add(self, step: np.ndarray) -> None:
         """Add a correction (nodes, block) to the unknowns."""
-        self.x += step
+        self.before, self.x = self.x, self.x + step
         self._last, self._moved = step, True
+
+    def jump(self, x: np.ndarray) -> None:
+        """Put in nodal increments (nodes, block) that no correction has led to."""
+        self.before = self.x = x
 
     def retreat(self) -> bool:
         if not self._moved:
             return False
         self._last = 0.5 * self._last
-        self.x -= self._last
+        self.x = self.x - self._last
         self._lift = self._lift + np.where(self.prescribed.fixed, self._last, 0.0)
         self._pending = bool(self.comm.allreduce(bool(np.any(self._lift)), op=MPI.LOR))
         return True

@@ -24,11 +24,15 @@ class Material:
         micropolar: whether points carry a microrotation; without it the scene has no rotation unknowns.
         isotropic: W(R E R^T, R Gamma R^T) = W(E, Gamma) for every rotation R. Allows a cheaper frame.
         plastic: the energy is that of the elastic part, and there is a yield function; see `plastic.Plastic`.
+        stress_prediction: iterations predict the stress of the tangent's geometric part linearly, see
+            `PointForm.iteration_tangent`. It needs fewer of them where the strain measures turn with the body; a
+            classical material of energy W(F) is left as it is.
     """
 
     micropolar: bool = True
     isotropic: bool = False
     plastic: bool = False
+    stress_prediction: bool = True
 
     def parameters(self) -> dict[str, float]:
         """Numbers of the energy by name. They enter the compiled code as inputs."""

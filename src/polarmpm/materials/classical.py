@@ -43,11 +43,14 @@ class _Classical(Material):
 
 @dataclass(frozen=True)
 class NeoHookean(_Classical):
-    """W = mu/2 (tr(F^T F) - 3 - 2 ln J) + lambda/2 (ln J)^2; Lame's constants lam, mu in Pa."""
+    """W = mu/2 (tr C - 3 - 2 ln J) + lambda/2 (ln J)^2 with C = F^T F; Lame's constants lam, mu in Pa."""
 
-    def energy(self, F: Any, p: Any) -> Any:
-        log_j = ufl.ln(ufl.det(F))
-        return p.mu / 2 * (ufl.inner(F, F) - 3 - 2 * log_j) + p.lam / 2 * log_j**2
+    def measures(self, F: Any) -> tuple[Any, ...]:
+        return (ufl.dot(ufl.transpose(F), F),)
+
+    def energy(self, C: Any, p: Any) -> Any:
+        log_j = ufl.ln(ufl.det(C)) / 2
+        return p.mu / 2 * (ufl.tr(C) - 3 - 2 * log_j) + p.lam / 2 * log_j**2
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,8 @@ class Hencky(_Classical):
 
     |ln V|^2 is exact to 4e-11 for principal stretches between 1/10 and 10, see `spectral`.
     """
+
+    stress_prediction = False  # invariants are no measures in which it would be linear
 
     def measures(self, F: Any) -> tuple[Any, ...]:
         return (*strain_invariants(F), ufl.det(F))

@@ -1,0 +1,138 @@
+/* Sums of points' blocks in a group's dense matrix, and from there into the sparse matrix; a part of _native.c. */
+
+/* B^T A B of P points of a group, added to its dense matrix K[node][i][k][nv]; the first points of a group overwrite
+ * what an earlier group has left. s holds their values and gradients, [P][4][sv] vectors; A is [P][nz][nz].
+ * With several points at once an entry of K is read and written once for all of them. */
+INLINE void add_tangent(const int dim, const int rot, int nv, int symmetric, const int P, int first, int n,
+                        const double *A, const vec *s, int sv, vec *K)
+{
+    const int nb = dim + rot, d2 = dim * dim, nz = unknowns_of(dim, rot);
+    for (int k = 0; k < nb; ++k)
+        for (int v = 0; v < nv; ++v) {
+            const int end = symmetric && n > (v + 1) * WIDTH ? (v + 1) * WIDTH : n;
+            vec T[MANY][21];  /* column k of A B for the nodes of vector v */
+            for (int q = 0; q < P; ++q) {
+                const vec *sq = s + q * 4 * sv + v;
+                const double *column = A + q * nz * nz + (k < dim ? dim * k : d2 + rot + dim * (k - dim));
+                const double *value = A + q * nz * nz + d2 + k - dim;
+                for (int r = 0; r < nz; ++r) {
+                    vec sum = column[r * nz] * sq[sv];
+                    for (int j = 1; j < dim; ++j) sum += column[r * nz + j] * sq[(1 + j) * sv];
+                    if (k >= dim) sum += value[r * nz] * sq[0];
+                    T[q][r] = sum;
+                }
+            }
+            for (int i = 0; i < nb; ++i) {
+                const int row = i < dim ? dim * i : d2 + rot + dim * (i - dim);
+                for (int a = 0; a < end; ++a) {
+                    vec *out = K + ((a * nb + i) * nb + k) * nv + v;
+                    vec sum = first ? (vec){0} : *out;
+                    for (int q = 0; q < P; ++q) {
+                        const double *g = (const double *)(s + q * 4 * sv) + a;
+                        for (int j = 0; j < dim; ++j) sum += g[(1 + j) * sv * WIDTH] * T[q][row + j];
+                        if (i >= dim) sum += g[0] * T[q][d2 + i - dim];
+                    }
+                    *out = sum;
+                }
+            }
+        }
+}
+
+/* P is 1, 2 or MANY. */
+INLINE void add_tangents(const int dim, const int rot, int nv, int symmetric, int P, int first, int n, const double *A,
+                         const vec *s, int sv, vec *K)
+{
+    switch (P) {
+    case 1: add_tangent(dim, rot, nv, symmetric, 1, first, n, A, s, sv, K); break;
+    case 2: add_tangent(dim, rot, nv, symmetric, 2, first, n, A, s, sv, K); break;
+    default: add_tangent(dim, rot, nv, symmetric, MANY, first, n, A, s, sv, K);
+    }
+}
+
+/* B^T r of a point into the group's nodal forces, [component][sv] vectors. */
+INLINE void add_residual(const int dim, const int rot, int nv, int sv, const vec *s, const double *r, vec *f)
+{
+    for (int v = 0; v < nv; ++v) {
+        for (int i = 0; i < dim; ++i)
+            for (int j = 0; j < dim; ++j) f[i * sv + v] += r[dim * i + j] * s[(1 + j) * sv + v];
+        for (int i = 0; i < rot; ++i) {
+            f[(dim + i) * sv + v] += r[dim * dim + i] * s[v];
+            for (int j = 0; j < dim; ++j)
+                f[(dim + i) * sv + v] += r[dim * dim + rot + dim * i + j] * s[(1 + j) * sv + v];
+        }
+    }
+}
+
+/* Where the pair (a, q) of a group's nodes goes: the row is the node with the smaller global number. */
+typedef struct {
+    int64_t column;            /* block column times block size */
+    int32_t row, col;          /* local nodes */
+    int32_t swapped;
+} Place;
+
+INLINE Place place_of(const Batch *b, const Matrix *M, const int32_t *nodes, const int32_t *c, int a, int q, int nb)
+{
+    const int side = 2 * M->reach + 1, codes = b->dim == 3 ? side * side * side : side * side;
+    const int n2 = b->dim == 3 ? c[2] : 1, n12 = c[1] * n2;
+    const int swapped = M->symmetric && M->number[nodes[a]] > M->number[nodes[q]];
+    const int r = swapped ? q : a, k = swapped ? a : q;
+    int code = (k / n12 - r / n12 + M->reach) * side + k / n2 % c[1] - r / n2 % c[1] + M->reach;
+    if (b->dim == 3) code = code * side + k % n2 - r % n2 + M->reach;
+    return (Place){(int64_t)M->place[(int64_t)nodes[r] * codes + code] * nb, nodes[r], nodes[k], swapped};
+}
+
+/* A pair with prescribed unknowns: their rows and columns stay out of the matrix, all but the diagonal, and
+ * what their increments add to the residual of free unknowns goes to rhs. */
+static void put_constrained(const Matrix *M, int nb, Place at, int diagonal, const double *K, int64_t istep,
+                            int64_t jstep, double *rhs)
+{
+    const int64_t row = (int64_t)at.row * nb, col = (int64_t)at.col * nb;
+    for (int i = 0; i < nb; ++i) {
+        double *out = M->values + M->row_start[row + i] + at.column;
+        for (int j = diagonal && M->symmetric ? i : 0; j < nb; ++j) {
+            const double value = K[i * istep + j * jstep];
+            const int ri = M->fixed[row + i], cj = M->fixed[col + j];
+            if (!(ri | cj) || (diagonal && i == j)) out[j] += value;
+            if (M->lift && ri != cj) {
+                if (cj) rhs[row + i] += value * M->lift[col + j];
+                else if (M->symmetric) rhs[col + j] += value * M->lift[row + i];
+            }
+        }
+    }
+}
+
+/* The group's dense matrix into the sparse rows; entry (i, j) of the pair (a, q) stands at
+ * K[((a nb + i) nb + j) cols + q]. */
+INLINE void flush_matrix(const Batch *b, const Matrix *M, int64_t g, const int nb, int n, int nv, const double *K,
+                         Place *at, double *rhs)
+{
+    const int32_t *c = b->count + g * b->dim, *nodes = b->nodes + b->node_first[g];
+    const int64_t cols = (int64_t)nv * WIDTH;
+    int constrained = 0;
+    for (int a = 0; a < n; ++a)
+        for (int i = 0; i < nb; ++i) constrained |= M->fixed[(int64_t)nodes[a] * nb + i];
+    for (int a = 0; a < n; ++a) {
+        const double *Ka = K + (int64_t)a * nb * nb * cols;
+        const int begin = M->symmetric ? a : 0;
+        int swapped = 0;
+        for (int q = begin; q < n; ++q) {
+            at[q] = place_of(b, M, nodes, c, a, q, nb);
+            swapped |= at[q].swapped;
+        }
+        if (constrained || swapped) {
+            for (int q = begin; q < n; ++q)
+                put_constrained(M, nb, at[q], a == q, Ka + q, at[q].swapped ? cols : nb * cols,
+                                at[q].swapped ? nb * cols : cols, rhs);
+            continue;
+        }
+        for (int i = 0; i < nb; ++i) {
+            double *out = M->values + M->row_start[(int64_t)nodes[a] * nb + i];
+            for (int j = M->symmetric ? i : 0; j < nb; ++j) out[at[a].column + j] += Ka[(i * nb + j) * cols + a];
+            for (int q = begin; q < n; ++q) {
+                if (q == a) continue;
+                double *block = out + at[q].column;
+                for (int j = 0; j < nb; ++j) block[j] += Ka[(i * nb + j) * cols + q];
+            }
+        }
+    }
+}
