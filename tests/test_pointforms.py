@@ -71,7 +71,7 @@ def inputs(form: PointForm, s: dict[str, np.ndarray]) -> tuple[np.ndarray, np.nd
 
 
 def at_rest(form: PointForm, z: np.ndarray, state: np.ndarray, parameters: np.ndarray) -> tuple:
-    """Inputs of the tangent's kernel with no correction before: where it is the derivative of the residual."""
+    """Inputs of the tangent's kernel with no correction before: there it derives the residual."""
     return (z, state, parameters, z) if form.predicts else (z, state, parameters)
 
 

@@ -194,12 +194,11 @@ class PointForm:
         return m.stress_prediction and (m.micropolar or type(m).measures is not Material.measures)
 
     # kinematics ---------------------------------------------------------------------------------
-    def strains(self, z: Any = None) -> tuple[Any, ...]:
+    def strains(self) -> tuple[Any, ...]:
         """(E, Gamma) of a micropolar material, the strain measures of a classical one, from z and the
         state.
         """
-        z = self.z if z is None else z
-        return strains(self.material, self.layout, z, self.state, rotated=self.material.isotropic)
+        return strains(self.material, self.layout, self.z, self.state, rotated=self.material.isotropic)
 
     def pack(
         self, F: np.ndarray, q: np.ndarray, wryness: np.ndarray, history: Sequence[np.ndarray]
@@ -236,9 +235,9 @@ class PointForm:
     def iteration_tangent(self) -> ufl.Form:
         """The tangent with predicted stresses in its geometric part.
 
-        A correction of the unknowns turns points, and with the turn comes a spurious strain of second order;
-        its stress spoils the next tangent. Taken for the geometric part instead is the stress that the
-        linear solution meant, S(z~) + S'(z~) [z - z~] with z~ from before the correction: the mixed integration
+        A correction of the unknowns turns points, and with the turn comes a spurious strain of second order,
+        whose stress spoils the next tangent. The geometric part takes instead the stress that the linear
+        solution meant, S(z~) + S'(z~) [z - z~] with z~ from before the correction: the mixed integration
         points of Magisano, Leonetti and Garcea (2017). At z = z~, and so at the solution, it's the tangent.
         """
         if not self.predicts:
@@ -246,11 +245,13 @@ class PointForm:
         space = self.space.function_space(self.layout.unknowns)
         test, trial = ufl.TestFunction(space), ufl.TrialFunction(space)
         before, now = self._correction
-        measured = self.strains()
-        material_part = stresses(self.material, measured, self.parameters)
-        start = stresses(self.material, self.strains(before), self.parameters)
+        m, measured = self.material, self.strains()
+        earlier = strains(m, self.layout, before, self.state, rotated=m.isotropic)
+        pairs = zip(
+            stresses(m, measured, self.parameters), stresses(m, earlier, self.parameters), strict=True
+        )
         work = 0
-        for e, s, s0 in zip(measured, material_part, start, strict=True):
+        for e, (s, s0) in zip(measured, pairs, strict=True):
             variation = ufl.derivative(e, self.z, test)
             predicted = s0 + ufl.derivative(s0, before, now - before)
             work += ufl.inner(ufl.derivative(s, self.z, trial), variation)

@@ -25,7 +25,7 @@ class Material:
         isotropic: W(R E R^T, R Gamma R^T) = W(E, Gamma) for every rotation R. Allows a cheaper frame.
         plastic: the energy is that of the elastic part, and there is a yield function; see `plastic.Plastic`.
         stress_prediction: iterations predict the stress of the tangent's geometric part linearly, see
-            `PointForm.iteration_tangent`. It needs fewer of them where the strain measures turn with the body; a
+            `PointForm.iteration_tangent`. It takes fewer of them where strain measures turn with the body; a
             classical material of energy W(F) is left as it is.
     """
 
