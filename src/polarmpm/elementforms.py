@@ -8,6 +8,7 @@ its geometry never has to be changed.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
@@ -17,8 +18,8 @@ import ufl
 from . import _compat
 from . import kinematics as kin
 from .elements import Elements, Facets
-from .materials.base import parameter_values
-from .pointforms import Layout, pack_state, state_size, strains, virtual_work
+from .materials.base import Material, parameter_values
+from .pointforms import Layout, pack_state, state_size, strains, tangent_work, virtual_work
 
 
 def point_unknowns(layout: Layout, x: Any) -> list[Any]:
@@ -38,6 +39,7 @@ class ElementForms:
 
     Attributes:
         x: nodal increments.
+        before, correction: what they were before the last correction, and x less that.
         state: history in a quadrature space, in the order of `pointforms.strains`.
         total: displacement of the last converged state in the space of the unknowns, for surfaces.
         symmetric: the tangent is symmetric.
@@ -50,6 +52,7 @@ class ElementForms:
 
         self.elements, self.layout = elements, elements.layout
         self.x, self.total = fem.Function(elements.space), fem.Function(elements.space)
+        self.before, self.correction = fem.Function(elements.space), fem.Function(elements.space)
         size = state_size(self.layout, rotated=False)
         space = _compat.quadrature_space(elements.mesh, size, elements.quadrature_degree)
         self.state = fem.Function(space)
@@ -89,16 +92,29 @@ class ElementForms:
         dx = ufl.Measure("dx", domain=e.mesh, subdomain_data=e.region_tags(), metadata=degree)
         return [dx(row + 1) for row in range(len(e.points.materials))]
 
+    def _laws(self) -> Iterator[tuple[Material, Any, Any]]:
+        """Each material with its parameters and its part of the volume."""
+        return zip(self.elements.points.materials, self._numbers, self._measures(), strict=True)
+
+    def _strains(self, material: Material, x: Any) -> tuple[Any, ...]:
+        return strains(material, self.layout, point_unknowns(self.layout, x), self.state, rotated=False)
+
     @cached_property
     def residual_form(self) -> ufl.Form:
         """Virtual work of the stresses, T (3.145)-(3.146)."""
-        z = point_unknowns(self.layout, self.x)
+        return sum(
+            virtual_work(m, self._strains(m, self.x), self.x, self.test, numbers) * dx
+            for m, numbers, dx in self._laws()
+        )
+
+    @cached_property
+    def tangent_form(self) -> ufl.Form:
+        """The iterations' tangent, see `pointforms.tangent_work`; symmetric, being a Hessian."""
         form = 0
-        for material, numbers, dx in zip(
-            self.elements.points.materials, self._numbers, self._measures(), strict=True
-        ):
-            measures = strains(material, self.layout, z, self.state, rotated=False)
-            form += virtual_work(material, measures, self.x, self.test, numbers) * dx
+        for m, numbers, dx in self._laws():
+            at = [self._strains(m, x) for x in (self.x, self.before)]
+            unknowns = self.x, self.before, self.correction
+            form += tangent_work(m, at, unknowns, (self.test, self.trial), numbers) * dx
         return form
 
     @cached_property
@@ -107,8 +123,7 @@ class ElementForms:
 
     @cached_property
     def tangent(self) -> Any:
-        """Derivative of the residual; symmetric, being a Hessian."""
-        return _compat.compile_form(ufl.derivative(self.residual_form, self.x, self.trial))
+        return _compat.compile_form(self.tangent_form)
 
     @cached_property
     def point_values(self) -> _compat.Evaluator:

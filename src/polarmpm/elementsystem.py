@@ -121,8 +121,11 @@ class ElementSystem(NodalSystem):
     def start_elastic(self, on: bool) -> bool:
         return self.forms.start_elastic(on)
 
-    def _put(self, x: np.ndarray) -> None:
+    def _put(self, x: np.ndarray, before: np.ndarray | None = None) -> None:
         self.forms.x.x.array[:] = x.ravel()
+        if before is not None:
+            self.forms.before.x.array[:] = before.ravel()
+            self.forms.correction.x.array[:] = (x - before).ravel()
 
     def _sum(self, linear: Sequence[Any]) -> np.ndarray:
         """Nodal sums of linear forms, complete on owned rows."""
@@ -134,7 +137,7 @@ class ElementSystem(NodalSystem):
         return total
 
     def assemble(self, tangent: bool) -> np.ndarray:
-        self._put(self.x)
+        self._put(self.x, self.before if tangent else None)
         self.forms.update(tangent)
         internal = self._sum([self._residual])
         if self._varying:

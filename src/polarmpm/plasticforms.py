@@ -121,10 +121,6 @@ class PlasticForm(PointForm):
 
     # sizes ----------------------------------------------------------------------------------------
     @property
-    def predicts(self) -> bool:
-        return False  # stresses that return to the yield surface don't follow a linear prediction
-
-    @property
     def elastic_size(self) -> int:
         """Scalars of the state before the history."""
         return state_size(self.layout, rotated=self.material.isotropic)

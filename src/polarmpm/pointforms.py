@@ -162,6 +162,45 @@ def virtual_work(material: Material, strains: Sequence[Any], unknown: Any, test:
     return sum(ufl.inner(s, ufl.derivative(e, unknown, test)) for s, e in pairs)
 
 
+def predicts(material: Material) -> bool:
+    """Whether a material's iterations have a tangent of their own, see `tangent_work`."""
+    measured = material.micropolar or type(material).measures is not Material.measures
+    return material.stress_prediction and measured and not material.plastic
+
+
+def tangent_work(
+    material: Material,
+    strains: Sequence[Any],
+    unknowns: Sequence[Any],
+    arguments: Sequence[Any],
+    numbers: Any,
+) -> Any:
+    """Derivative of the virtual work, but with predicted stresses in its geometric part.
+
+    A correction of the unknowns turns points, and with the turn comes a spurious strain of second order,
+    whose stress spoils the next tangent. The geometric part takes instead the stress that the linear solution
+    meant, S(x~) + S'(x~) [x - x~] with x~ from before the correction: the mixed integration points of
+    Magisano, Leonetti and Garcea (2017). At x = x~, and so at the solution, it's the derivative itself. Where
+    the material doesn't predict, it always is.
+
+    Args:
+        strains: measures at x, and at x~.
+        unknowns: x, x~ and x - x~; the latter holds numbers of its own.
+        arguments: test and trial function.
+    """
+    (now, before), (x, x0, correction), (test, trial) = strains, unknowns, arguments
+    if not predicts(material):
+        return ufl.derivative(virtual_work(material, now, x, test, numbers), x, trial)
+    work = 0
+    for e, s, s0 in zip(
+        now, stresses(material, now, numbers), stresses(material, before, numbers), strict=True
+    ):
+        variation, predicted = ufl.derivative(e, x, test), s0 + ufl.derivative(s0, x0, correction)
+        work += ufl.inner(ufl.derivative(s, x, trial), variation)
+        work += ufl.derivative(ufl.inner(predicted, variation), x, trial)
+    return work
+
+
 class PointForm:
     """Residual and tangent of a material at points in `dim` dimensions, as UFL forms and compiled."""
 
@@ -189,9 +228,8 @@ class PointForm:
 
     @property
     def predicts(self) -> bool:
-        """Whether iterations have a tangent of their own, see `iteration_tangent`."""
-        m = self.material
-        return m.stress_prediction and (m.micropolar or type(m).measures is not Material.measures)
+        """Whether the iterations' tangent depends on the last correction, too."""
+        return predicts(self.material)
 
     # kinematics ---------------------------------------------------------------------------------
     def strains(self) -> tuple[Any, ...]:
@@ -233,29 +271,15 @@ class PointForm:
 
     @cached_property
     def iteration_tangent(self) -> ufl.Form:
-        """The tangent with predicted stresses in its geometric part.
-
-        A correction of the unknowns turns points, and with the turn comes a spurious strain of second order,
-        whose stress spoils the next tangent. The geometric part takes instead the stress that the linear
-        solution meant, S(z~) + S'(z~) [z - z~] with z~ from before the correction: the mixed integration
-        points of Magisano, Leonetti and Garcea (2017). At z = z~, and so at the solution, it's the tangent.
-        """
+        """What iterations take for the tangent, see `tangent_work`."""
         if not self.predicts:
             return self.tangent
-        space = self.space.function_space(self.layout.unknowns)
-        test, trial = ufl.TestFunction(space), ufl.TrialFunction(space)
+        m, space = self.material, self.space.function_space(self.layout.unknowns)
         before, now = self._correction
-        m, measured = self.material, self.strains()
         earlier = strains(m, self.layout, before, self.state, rotated=m.isotropic)
-        pairs = zip(
-            stresses(m, measured, self.parameters), stresses(m, earlier, self.parameters), strict=True
-        )
-        work = 0
-        for e, (s, s0) in zip(measured, pairs, strict=True):
-            variation = ufl.derivative(e, self.z, test)
-            predicted = s0 + ufl.derivative(s0, before, now - before)
-            work += ufl.inner(ufl.derivative(s, self.z, trial), variation)
-            work += ufl.derivative(ufl.inner(predicted, variation), self.z, trial)
+        arguments = ufl.TestFunction(space), ufl.TrialFunction(space)
+        unknowns = self.z, before, now - before
+        work = tangent_work(m, (self.strains(), earlier), unknowns, arguments, self.parameters)
         return work * ufl.dx(domain=self.space.domain, degree=1)
 
     @cached_property
