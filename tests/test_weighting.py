@@ -7,6 +7,7 @@ import pytest
 
 import polarmpm as pm
 from polarmpm.grid import MARGIN
+from polarmpm.points import domain_half_length
 from polarmpm.weighting import Weights, node_positions, weights
 
 ORIGIN, CELL, CELLS = (-1.3, 0.4, 2.0), (0.5, 0.8, 1.25), (6, 5, 7)
@@ -235,3 +236,19 @@ def test_unknown_basis(bad):
     """The message names what was given and what is allowed."""
     with pytest.raises(pm.InputError, match=r"basis = .*gimpm, mpm, bspline"):
         weights(bad, lattice(2), np.zeros((1, 2)), np.zeros((1, 2)))
+
+
+@pytest.mark.parametrize("spread", [0.0, 1e-9, 1e-4, 0.5])
+def test_half_lengths_are_those_of_the_right_stretch(spread):
+    """U_ii l_i0 with the U of an eigenvalue solver, for equal stretches and for some that are far apart."""
+    rng = np.random.default_rng(3)
+    n = 200
+    axes = [np.linalg.qr(rng.normal(size=(n, 3, 3)))[0] for _ in range(2)]
+    stretch = np.exp(spread * rng.normal(size=(n, 3)))
+    F = axes[0] @ (stretch[:, :, None] * np.swapaxes(axes[1], 1, 2))
+    U = (axes[1] * stretch[:, None, :]) @ np.swapaxes(axes[1], 1, 2)
+    for dim in (2, 3):
+        l0 = rng.uniform(0.1, 1.0, (n, dim))
+        expected = np.diagonal(U, axis1=1, axis2=2)[:, :dim] * l0
+        error = abs(domain_half_length(F, l0) - expected) / stretch.max(axis=1)[:, None]
+        assert error.max() < 1e-12

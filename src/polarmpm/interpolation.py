@@ -86,18 +86,19 @@ class Interpolation:
         self.layout: Layout = forms[0].layout
         self.reference = r = reference or Reference.of(points)
         cells = supporting_cells(grid, r.x) if basis == "bspline" else None
+        half = domain_half_length(r.F, points.half_length0) if basis == "gimpm" else points.half_length0
         with together(grid.comm):
-            w = weights(basis, grid, r.x, domain_half_length(r.F, points.half_length0), cells)
+            w = weights(basis, grid, r.x, half, cells)
         order, groups = _group(points.material, w)
         degree = 2 if basis == "bspline" else 1
         reached = _reached_cells(grid, groups, degree) if sources else np.zeros(0, dtype=np.int64)
         self.terms = [term for source in sources for term in source.terms(grid, reached)]
-        touched, node_sets = _node_sets(grid, groups, [t.boxes.numbers(grid).ravel() for t in self.terms])
+        more = [t.boxes.numbers(grid).ravel() for t in self.terms]
+        touched, node_sets, first = _node_sets(grid, groups, more)
         self.nodes = ActiveNodes.build(grid, touched, partial(node_positions, basis, grid))
-        # lattice -> local numbers: the owned and the ghost nodes are each in ascending order
-        to_local = self.nodes.local(touched)
+        node_sets = self.nodes.local(touched).astype(np.int32)[node_sets]
         self.batches = [
-            self._batch(form, m, w, order, groups, node_sets, to_local) for m, form in enumerate(forms)
+            self._batch(form, m, w, order, groups, (node_sets, first)) for m, form in enumerate(forms)
         ]
         sides = [int(groups.count.max(initial=2)), *(max(t.boxes.count) for t in self.terms)]
         self.reach = int(grid.comm.allreduce(max(sides) - 1, op=MPI.MAX))
@@ -110,14 +111,12 @@ class Interpolation:
         w: Weights,
         order: np.ndarray,
         groups: _Groups,
-        node_sets: list[np.ndarray],
-        to_local: np.ndarray,
+        node_sets: tuple[np.ndarray, np.ndarray],
     ) -> PointBatch:
-        mine = np.flatnonzero(groups.material == material)
-        rows = np.concatenate([order[groups.first[g] : groups.first[g + 1]] for g in mine] or [order[:0]])
-        sizes = groups.first[mine + 1] - groups.first[mine]
-        sets = [to_local[node_sets[g]] for g in mine]
-        lengths = np.array([len(s) for s in sets], dtype=np.int64)
+        # groups are sorted by material first
+        begin, end = np.searchsorted(groups.material, [material, material + 1])
+        first, nodes, node_first = groups.first[begin : end + 1], node_sets[0], node_sets[1][begin : end + 1]
+        rows = order[first[0] : first[-1]]
         parameters = parameter_values(form.material)
         batch = native.Batch()
         native.fill(
@@ -128,14 +127,14 @@ class Interpolation:
             nstate=form.state_size,
             nparam=len(parameters),
             npoints=len(rows),
-            ngroups=len(mine),
+            ngroups=end - begin,
             weights=np.ascontiguousarray(w.table[rows]),
-            count=np.ascontiguousarray(groups.count[mine], dtype=np.int32),
+            count=np.ascontiguousarray(groups.count[begin:end], dtype=np.int32),
             param=parameters,
             volume=np.ascontiguousarray(self.points.volume0[rows]),
-            first=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
-            node_first=np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64),
-            nodes=np.concatenate(sets or [np.zeros(0)]).astype(np.int32),
+            first=(first - first[0]).astype(np.int64),
+            node_first=node_first - node_first[0],
+            nodes=np.ascontiguousarray(nodes[node_first[0] : node_first[-1]]),
         )
         return PointBatch(form, rows, batch)
 
@@ -230,29 +229,33 @@ def _group(material: np.ndarray, w: Weights) -> tuple[np.ndarray, _Groups]:
     return order, _Groups(heads[:, 0], heads[:, 1 : 1 + dim], heads[:, 1 + dim :], first)
 
 
+def _boxes(grid: Grid, sizes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """For each different size (n, d) of boxes of nodes: which rows have it, and its nodes' distances from the
+    first one, as lattice numbers."""
+    different, kind = np.unique(sizes, axis=0, return_inverse=True)
+    out = []
+    for k, size in enumerate(different):
+        index = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1).reshape(-1, grid.dim)
+        out.append((np.flatnonzero(kind.ravel() == k), index @ grid.strides))
+    return out
+
+
 def _reached_cells(grid: Grid, groups: _Groups, degree: int) -> np.ndarray:
     """Lattice numbers, ascending, of the cells on which the groups' functions, of a degree, are weights."""
-    first, cells = grid.node_number(groups.node.reshape(-1, grid.dim)), []
-    sizes, kind = np.unique(groups.count - degree, axis=0, return_inverse=True)
-    for k, size in enumerate(sizes):
-        index = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1).reshape(-1, grid.dim)
-        cells.append((first[kind.ravel() == k][:, None] + index @ grid.strides).ravel())
-    return np.unique(np.concatenate(cells or [first]))
+    first = grid.node_number(groups.node.reshape(-1, grid.dim))
+    boxes = _boxes(grid, groups.count - degree)
+    return np.unique(np.concatenate([first[:0], *((first[g][:, None] + box).ravel() for g, box in boxes)]))
 
 
 def _node_sets(
     grid: Grid, groups: _Groups, more: Sequence[np.ndarray]
-) -> tuple[np.ndarray, list[np.ndarray]]:
-    """All lattice numbers touched, those in `more` among them, ascending, and for each group the places of
-    its nodes among them."""
-    base = grid.node_number(groups.node) if len(groups.node) else np.zeros(0, dtype=np.int64)
-    boxes: dict[tuple[int, ...], np.ndarray] = {}
-    numbers = []
-    for start, count in zip(base, map(tuple, groups.count), strict=True):
-        if count not in boxes:
-            index = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1)
-            boxes[count] = index.reshape(-1, grid.dim) @ grid.strides
-        numbers.append(start + boxes[count])
-    ends = np.cumsum([0] + [len(s) for s in numbers])
-    touched, inverse = np.unique(np.concatenate([base[:0], *numbers, *more]), return_inverse=True)
-    return touched, np.split(inverse, ends[1:])[:-1]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All lattice numbers touched, those in `more` among them, ascending; the places among them of the groups'
+    nodes, one group after the other; and where each group's begin (groups + 1)."""
+    base = grid.node_number(groups.node.reshape(-1, grid.dim))
+    first = np.concatenate([[0], np.cumsum(np.prod(groups.count, axis=1))]).astype(np.int64)
+    numbers = np.empty(first[-1], dtype=np.int64)
+    for g, box in _boxes(grid, groups.count):
+        numbers[first[g][:, None] + np.arange(len(box))] = base[g][:, None] + box
+    touched, inverse = np.unique(np.concatenate([numbers, *more]), return_inverse=True)
+    return touched, inverse[: len(numbers)], first
