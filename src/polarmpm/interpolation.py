@@ -250,7 +250,7 @@ def _reached_cells(grid: Grid, groups: _Groups, degree: int) -> np.ndarray:
 def _node_sets(
     grid: Grid, groups: _Groups, more: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """All lattice numbers touched, those in `more` among them, ascending; the places among them of the groups'
+    """All lattice numbers touched, those in `more` too, ascending; the places among them of the groups'
     nodes, one group after the other; and where each group's begin (groups + 1)."""
     base = grid.node_number(groups.node.reshape(-1, grid.dim))
     first = np.concatenate([[0], np.cumsum(np.prod(groups.count, axis=1))]).astype(np.int64)

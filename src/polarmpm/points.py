@@ -304,8 +304,8 @@ def right_stretch(F: np.ndarray) -> np.ndarray:
 def domain_half_length(F: np.ndarray, half_length0: np.ndarray) -> np.ndarray:
     """Half-lengths l_i = U_ii l_i0 (m) of domains, (n, d), T (2.56)-(2.58).
 
-    By the theorem of Cayley and Hamilton U (i1 i2 - i3) = i1 i3 I + (i1^2 - i2) C - C^2 with C = F^T F and U's
-    invariants: an eigenvector is never needed.
+    By the theorem of Cayley and Hamilton U (i1 i2 - i3) = i1 i3 I + (i1^2 - i2) C - C^2 with C = F^T F and
+    U's invariants: an eigenvector is never needed.
     """
     C = np.swapaxes(F, 1, 2) @ F
     stretch = np.sqrt(_eigenvalues(C))
