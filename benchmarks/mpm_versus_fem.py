@@ -104,7 +104,7 @@ def splines(cell, side):
     mesh = arch_mesh(round(LENGTH / side), round(1 / side))
     grid = pm.Grid.box((0, -40, -8), (80, 40, 64), cell)
     points = pm.seed_mesh(grid, mesh, material=arch.MATERIAL, degree=3)
-    problem = pm.QuasiStatic(grid, points, basis="bspline", reset=None)
+    problem = pm.QuasiStatic(grid, points, basis="bspline", reset=None, balanced_reset=False)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     # angle from the end in units of a mesh cell's; Gauss positions lie (1 -+ 1/sqrt 3) / 2 cells from the end
     angle = np.pi / 4 - np.arctan2(points.X[:, 0], points.X[:, 1] + 100)

@@ -38,7 +38,7 @@ def build(cell, dilatancy, args):
     if args.basis == "bspline":  # converges faster, and resets lose nothing
         options = {"reset": pm.WhenDistorted(0.2), "balanced_reset": True}
     else:  # the thesis' way
-        options = {"ghost": "thesis"}
+        options = {"ghost": "thesis", "reset": 1, "balanced_reset": False}
     problem = pm.QuasiStatic(grid, points, basis=args.basis, **options)
     problem.fix(pm.plane(x=0.0), ux=0)
     problem.fix(pm.plane(y=0.0), uy=0)

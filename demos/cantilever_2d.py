@@ -32,7 +32,7 @@ def build(case, args):
         material=material(case),
         points_per_cell=args.points_per_cell,
     )
-    problem = pm.QuasiStatic(grid, points, basis=args.basis)
+    problem = pm.QuasiStatic(grid, points, basis=args.basis, reset=1, balanced_reset=False)
     problem.fix(pm.plane(x=0.0), ux=0, theta=0)  # the root slides vertically ...
     problem.fix(lambda x: np.hypot(x[:, 0], x[:, 1] - HEIGHT / 2) < 1e-6, uy=0)  # ... but for its middle
     tip = points.farthest((1, 0))

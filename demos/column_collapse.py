@@ -39,6 +39,7 @@ def build(cells, args):
         ghost=ghost,
         balanced_reset=True,  # past the limit load nothing holds what a reset lets go
         controls=pm.Controls(force_tolerance=1e-7, energy_tolerance=1e-11),
+        reset=1,
     )
     problem.fix(pm.plane(x=0.0), ux=0)
     problem.fix(pm.plane(y=0.0), ux=0, uy=0)

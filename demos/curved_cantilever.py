@@ -43,7 +43,7 @@ def build(args):
     points = pm.seed(
         grid, Arch(args.centre, args.bottom), material=MATERIAL, points_per_cell=args.points_per_cell
     )
-    problem = pm.QuasiStatic(grid, points, basis=args.basis)
+    problem = pm.QuasiStatic(grid, points, basis=args.basis, reset=1, balanced_reset=False)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     tip = points.farthest((1, -1, 0))
     problem.load(tip, force=(0, 0, FORCE))

@@ -28,7 +28,7 @@ def build(cells, args):
     """The problem of one grid, and the exact solution."""
     grid = pm.Grid.box((0, 0, 0), (1, 1, 1), 1 / cells)
     points = pm.seed(grid, material=MATERIAL, points_per_cell=args.points_per_cell, layout="gauss")
-    problem = pm.QuasiStatic(grid, points, basis=args.basis)
+    problem = pm.QuasiStatic(grid, points, basis=args.basis, reset=1, balanced_reset=False)
     return problem, impose(problem)
 
 

@@ -73,7 +73,15 @@ def build(rows, columns, length, args):
         )
         points.assign(points.where(in_zone), weak)
         ghost = None if args.basis == "bspline" else penalty(args.ghost, args.model, length)
-        problem = pm.QuasiStatic(grid, points, basis=args.basis, ghost=ghost, controls=controls(args.model))
+        problem = pm.QuasiStatic(
+            grid,
+            points,
+            basis=args.basis,
+            ghost=ghost,
+            controls=controls(args.model),
+            reset=1,
+            balanced_reset=False,
+        )
     problem.fix(lambda x: np.ones(len(x), dtype=bool), uy=0)
     base = problem.fix(pm.plane(y=0.0), ux=0)
     problem.fix(pm.plane(y=HEIGHT), ux=SHIFT)

@@ -21,7 +21,7 @@ def build(args):
     grid = pm.Grid.box((0, -1, -1), (8, 1, 1), args.cell)
     bounds = ((0, -SIDE / 2, -SIDE / 2), (LENGTH, SIDE / 2, SIDE / 2))
     points = pm.seed(grid, bounds=bounds, material=MATERIAL, points_per_cell=args.points_per_cell)
-    problem = pm.QuasiStatic(grid, points, basis=args.basis)
+    problem = pm.QuasiStatic(grid, points, basis=args.basis, reset=1, balanced_reset=False)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     tip = points.farthest((1, 0, 0))
     problem.load(tip, couple=(args.moment, 0, 0))

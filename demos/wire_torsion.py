@@ -48,7 +48,9 @@ def build(diameter, args, solid=None):
     controls = pm.Controls(energy_tolerance=1e-20)
     # with beta = 0 nothing but kappa stiffens the skew part of the wryness
     ghost = pm.GhostPenalty(0.0, args.ghost * elastic(args.length).gamma) if args.ghost else None
-    problem = pm.QuasiStatic(grid, points, basis=args.basis, ghost=ghost, controls=controls)
+    problem = pm.QuasiStatic(
+        grid, points, basis=args.basis, ghost=ghost, controls=controls, reset=1, balanced_reset=False
+    )
     problem.fix(pm.plane(z=0.0), uz=0, theta_z=0)
     top = problem.fix(pm.plane(z=diameter), uz=0, theta_z=ROTATION)
     problem.fix(lambda x: np.linalg.norm(x, axis=1) < 1e-3 * cell, ux=0, uy=0, theta_x=0, theta_y=0)

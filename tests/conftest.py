@@ -93,7 +93,7 @@ def beam(
     upper = np.multiply(scale, (3.5, 1.0, 1.0)[:dim])
     points = pm.seed(grid, material=material, points_per_cell=per_cell or dim, bounds=(np.zeros(dim), upper))
     points.x = points.X = points.x + np.multiply(scale, (0.0, 0.3, 0.2)[:dim])
-    problem = pm.QuasiStatic(grid, points, **options)
+    problem = pm.QuasiStatic(grid, points, **{**pm.PUBLISHED, **options})
     theta = {"theta": 0} if material.micropolar else {}
     problem.fix(pm.plane(x=0.0), u=0, **theta)
     return problem

@@ -49,7 +49,9 @@ class PointBody:
     def __init__(self, *, pushed: float | None = None, comm: Any = COMM, **options: Any):
         grid = pm.Grid.box((0.0, -0.4), (1.0, 0.2), 0.02, comm)
         points = pm.seed(grid, inside=self.inside, material=NEO_HOOKEAN, points_per_cell=2)
-        self.problem = problem = pm.QuasiStatic(grid, points, **{"basis": "mpm", "reset": None, **options})
+        self.problem = problem = pm.QuasiStatic(
+            grid, points, **{**pm.PUBLISHED, "basis": "mpm", "reset": None, **options}
+        )
         self.wall = problem.fix(pm.plane(x=0.0), u=0)
         end = points.farthest((1.0, 0.0))
         if pushed is None:

@@ -244,7 +244,7 @@ def test_broken_energy_is_a_kernel_error():
     """A user's energy that can't be compiled: KernelError with the culprit, no traceback of a compiler."""
     material = pm.UserEnergy(lambda E, G, p: ufl.bessel_J(1, ufl.tr(E)) + ufl.inner(G, G))
     grid = pm.Grid.box((0, 0), (1, 1), 1.0)
-    problem = pm.QuasiStatic(grid, pm.seed(grid, material=material))
+    problem = pm.QuasiStatic(grid, pm.seed(grid, material=material), **pm.PUBLISHED)
     with pytest.raises(pm.KernelError, match="Bessel"):
         list(problem.march(1))
 

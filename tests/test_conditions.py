@@ -224,7 +224,7 @@ def test_plane_takes_the_nodes_behind_the_wall():
     points = pm.seed(grid, material=MICROPOLAR, bounds=((0, 0), (3, 2)))
     points.half_length0 = points.half_length0 + 0.1  # reach across the faces
     for beyond, expected in (("auto", {-1.0, 0.0}), ("below", {-1.0, 0.0}), ("none", {0.0})):
-        problem = pm.QuasiStatic(grid, points)
+        problem = pm.QuasiStatic(grid, points, **pm.PUBLISHED)
         problem.fix(pm.plane(x=0.0, beyond=beyond), u=0, theta=0)
         problem.fix(pm.plane(y=2.0), uy=0)
         system = problem._prepare()
@@ -259,7 +259,7 @@ def test_roller_lets_the_body_slide():
     """Uniaxial stretch between rollers: uniform stretch, and no shear anywhere."""
     grid = pm.Grid.box((-1, -1), (5, 3), 1.0)
     points = pm.seed(grid, material=NEO_HOOKEAN, bounds=((0, 0), (4, 2)))
-    problem = pm.QuasiStatic(grid, points, basis="mpm")
+    problem = pm.QuasiStatic(grid, points, basis="mpm", reset=1, balanced_reset=False)
     problem.fix(pm.plane(x=0.0), ux=0)
     problem.fix(pm.plane(y=0.0), uy=0)
     problem.fix(pm.plane(x=4.0), ux=0.4)

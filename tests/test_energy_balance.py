@@ -132,7 +132,7 @@ def splines() -> Any:
     """Held on a wall of the grid and loaded at its end."""
     grid = pm.Grid.box((0.0, -3.0), (6.0, 3.0), 1.0)
     points = pm.seed(grid, material=MICROPOLAR, points_per_cell=3, bounds=((0.0, 0.0), (4.0, 1.0)))
-    problem = pm.QuasiStatic(grid, points, basis="bspline", reset=None)
+    problem = pm.QuasiStatic(grid, points, basis="bspline", reset=None, balanced_reset=False)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     problem.load(points.farthest((1.0, 0.0)), force=(10.0, -60.0))
     return problem

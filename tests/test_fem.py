@@ -81,7 +81,7 @@ def points_and_element(cell, material):
     volume = COMM.allreduce(body.points.volume0.sum())
     assert volume == pytest.approx(COMM.allreduce(points.volume0.sum()), rel=1e-14)
     body.displacement = body.nodes.position @ (F[:dim, :dim] - np.eye(dim)).T
-    return pm.QuasiStatic(grid, points, basis="mpm"), pm.QuasiStaticFEM(body)
+    return pm.QuasiStatic(grid, points, basis="mpm", reset=1, balanced_reset=False), pm.QuasiStaticFEM(body)
 
 
 @pytest.mark.parametrize(("cell", "material"), ONE_CELL)
@@ -112,7 +112,9 @@ def test_a_script_changes_its_method_in_two_lines(strict):
         if points:
             grid = pm.Grid.box((0, 0), (4, 1), 0.5)
             body = pm.seed(grid, material=MICROPOLAR, layout="gauss")
-            problem = pm.QuasiStatic(grid, body, basis="mpm", reset=None, controls=strict)
+            problem = pm.QuasiStatic(
+                grid, body, basis="mpm", reset=None, controls=strict, balanced_reset=False
+            )
         else:
             body = pm.Elements(box("quadrilateral", (8, 2), (4.0, 1.0)), material=MICROPOLAR)
             problem = pm.QuasiStaticFEM(body, controls=strict)

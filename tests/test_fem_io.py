@@ -273,7 +273,7 @@ def test_other_regions_are_refused(folder):
 
 def test_points_and_elements_are_not_exchanged(folder):
     grid = pm.Grid.box((0, 0), (3, 1), 0.5)
-    points = pm.QuasiStatic(grid, pm.seed(grid, bounds=((0, 0), (2, 0.5)), material=MATERIAL))
+    points = pm.QuasiStatic(grid, pm.seed(grid, bounds=((0, 0), (2, 0.5)), material=MATERIAL), **pm.PUBLISHED)
     elements = cantilever("triangle")
     pm.save_restart(points, folder / "points.h5")
     pm.save_restart(elements, folder / "elements.h5")

@@ -170,7 +170,9 @@ def test_domains_reach_cells_without_points():
     points = pm.seed(grid, material=NEO_HOOKEAN, points_per_cell=2, bounds=((0.0, 0.0), (1.0, 1.0)))
     points.x = points.x + np.array([0.2, 0.0])
     for basis, faces in (("gimpm", 1), ("mpm", 0)):
-        problem = pm.QuasiStatic(grid, points, basis=basis, ghost=pm.GhostPenalty(1.0))
+        problem = pm.QuasiStatic(
+            grid, points, basis=basis, ghost=pm.GhostPenalty(1.0), reset=1, balanced_reset=False
+        )
         problem.fix(pm.plane(x=0.0), u=0)
         system = problem._prepare()
         count = COMM.allreduce(sum(len(t.boxes.first) for t in system.terms.terms))
@@ -244,7 +246,7 @@ def test_small_cut(ghost):
         volume = np.where(x[:, 0] > 2.0, 0.5 * (end - 2.0), 0.25)
         half = np.full((len(x), 2), 0.25)
         points = pm.Points(mine(x), mine(volume), mine(half), MICROPOLAR, COMM)
-        problem = pm.QuasiStatic(grid, points, basis="mpm", ghost=ghost)
+        problem = pm.QuasiStatic(grid, points, basis="mpm", ghost=ghost, reset=1, balanced_reset=False)
         problem.fix(pm.plane(x=0.0), u=0, theta=0)
         system = problem._prepare()
         problem._set_loads(system, 0.0)

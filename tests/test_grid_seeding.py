@@ -227,7 +227,7 @@ def test_points_outside_the_grid():
     with pytest.raises(
         pm.PointsOutsideGrid, match=r"2 material point\(s\) outside the grid .*ids 3, 17"
     ) as e:
-        pm.QuasiStatic(block(), points)
+        pm.QuasiStatic(block(), points, **pm.PUBLISHED)
     assert e.value.ids == [3, 17]
 
 
@@ -236,19 +236,19 @@ def test_points_at_positions_without_meaning():
     points = pm.seed(block(), material=MICROPOLAR)
     points.x[points.id == 5] = np.nan
     with pytest.raises(pm.PointsOutsideGrid, match="ids 5"):
-        pm.QuasiStatic(block(), points)
+        pm.QuasiStatic(block(), points, **pm.PUBLISHED)
 
 
 def test_bodies_that_do_not_go_together():
     """Points of another dimension; micropolar and classical materials in one body."""
     points = pm.seed(block(3), material=MICROPOLAR)
     with pytest.raises(pm.InputError, match="points have 3 dimensions, the grid has 2"):
-        pm.QuasiStatic(block(2), points)
+        pm.QuasiStatic(block(2), points, **pm.PUBLISHED)
     with pytest.raises(pm.InputError, match="dimensions"):
         points.join(pm.seed(block(2), material=MICROPOLAR))
     points.join(pm.seed(block(3), material=HENCKY))
     with pytest.raises(pm.InputError, match="can't be mixed"):
-        pm.QuasiStatic(block(3), points)
+        pm.QuasiStatic(block(3), points, **pm.PUBLISHED)
 
 
 def test_joined_points():
@@ -281,7 +281,7 @@ def test_the_reset_grid_sees_stretched_domains():
     for basis, stretch in (("gimpm", 1.0), ("gimpm", 1.5), ("mpm", 1.5)):
         points = pm.seed(block(2), material=MICROPOLAR, bounds=((0, 0), (1, 1)))
         points.F = points.F * [[stretch], [stretch], [1.0]]
-        problem = pm.QuasiStatic(block(2), points, basis=basis)
+        problem = pm.QuasiStatic(block(2), points, basis=basis, reset=1, balanced_reset=False)
         problem.fix(lambda x: np.ones(len(x), dtype=bool), u=0, theta=0)
         list(problem.march(1))
         counts.append(problem.unknowns // 3)
@@ -409,7 +409,7 @@ def test_gmsh_model(dim):
 def test_a_body_from_a_mesh_deforms(quads):
     """A rectangle of a mesh stretches like one of a grid: the unstructured points carry the load."""
     points = pm.seed_mesh(block(2), disc_mesh(2, quads), material=MICROPOLAR, degree=3)
-    problem = pm.QuasiStatic(block(2), points, basis="mpm")
+    problem = pm.QuasiStatic(block(2), points, basis="mpm", reset=1, balanced_reset=False)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     problem.load(points.farthest((1, 0), tolerance=0.3), force=(50.0, 0.0))
     list(problem.march(1))

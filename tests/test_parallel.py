@@ -31,7 +31,7 @@ def body(dim: int, material: pm.Material = MATERIAL, **options) -> pm.QuasiStati
     grid = pm.Grid.box((-1, -3, -2)[:dim], (6, 3, 3)[:dim], 0.5 if dim == 2 else 1.0)
     lower, upper = np.full(dim, 0.12), np.array([4.3, 1.2, 1.2])[:dim]
     points = pm.seed(grid, material=material, bounds=(lower, upper))
-    problem = pm.QuasiStatic(grid, points, controls=STRICT, **options)
+    problem = pm.QuasiStatic(grid, points, controls=STRICT, **{**pm.PUBLISHED, **options})
     theta = {"theta": 0} if material.micropolar else {}
     problem.fix(pm.plane(x=0.5 if dim == 2 else 0.0), u=0, **theta)
     return problem
@@ -82,7 +82,8 @@ def two_points(dim: int = 2, **options) -> pm.QuasiStatic:
     grid = pm.Grid.box((0, 0, 0)[:dim], (2, 1, 1)[:dim], 1.0)
     points = pm.seed(grid, material=MATERIAL, points_per_cell=1)
     assert points.total == 2
-    problem = pm.QuasiStatic(grid, points, basis="mpm", controls=STRICT, **options)
+    options = {**pm.PUBLISHED, "basis": "mpm", **options}
+    problem = pm.QuasiStatic(grid, points, controls=STRICT, **options)
     problem.fix(lambda x: (x[:, 0] < 0.5) | np.any(x[:, 1:] > 0.5, axis=1), u=0, theta=0)
     force, couple = (60.0, -40.0, 20.0)[:dim], 10.0 if dim == 2 else (10.0, 20.0, -10.0)
     problem.load(points.farthest((1, 0, 0)[:dim]), force=force, couple=couple)
@@ -100,7 +101,7 @@ def two_materials() -> pm.QuasiStatic:
     points = pm.seed(grid, material=MATERIAL, bounds=((0, 0), (2, 1)))
     stiff = pm.MicropolarElastic(lam=3e4, mu=2e4, kappa=7e3, alpha=11.0, beta=13.0, gamma=17.0)
     points.join(pm.seed(grid, material=stiff, bounds=((2, 0), (4, 1))))
-    problem = pm.QuasiStatic(grid, points, controls=STRICT)
+    problem = pm.QuasiStatic(grid, points, controls=STRICT, **pm.PUBLISHED)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     problem.load(points.farthest((1, 0)), force=(1.0, -5.0))
     return problem
@@ -111,7 +112,7 @@ def splines() -> pm.QuasiStatic:
     grid = pm.Grid.box((0, -3, -2), (6, 3, 3), 1.0)
     points = pm.seed(grid, material=MATERIAL, bounds=((0, 0.2, 0.2), (4.3, 1.8, 1.8)), points_per_cell=3)
     points.x = points.X = points.x + np.array((0.0, 0.24, 0.21))
-    problem = pm.QuasiStatic(grid, points, basis="bspline", controls=STRICT)
+    problem = pm.QuasiStatic(grid, points, basis="bspline", controls=STRICT, reset=1, balanced_reset=False)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     problem.load(points.farthest((1, 0, 0)), force=(4.0, -8.0, 5.0))
     return problem
@@ -129,7 +130,9 @@ def projected_corner() -> pm.QuasiStatic:
     """Cells of two ranks that touch at a corner only, the one node that is free."""
     grid = pm.Grid.box((0, 0), (2, 2), 1.0)
     points = pm.seed(grid, lambda x: (x[:, 0] < 1) == (x[:, 1] < 1), material=MATERIAL)
-    problem = pm.QuasiStatic(grid, points, basis="mpm", assembly="projection", controls=STRICT)
+    problem = pm.QuasiStatic(
+        grid, points, basis="mpm", assembly="projection", controls=STRICT, reset=1, balanced_reset=False
+    )
     problem.fix(lambda x: np.any(x != 1.0, axis=1), u=0, theta=0)
     problem.body_load(force=(100.0, -200.0), couple=30.0)
     return problem

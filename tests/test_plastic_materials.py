@@ -190,7 +190,7 @@ def test_mistakes_in_a_users_function_are_named(function, message):
     """When the problem is made."""
     grid, points = body(pm.UserPlasticity(ELASTIC, function, {"y": 1.0}))
     with pytest.raises(pm.InputError, match=message):
-        pm.QuasiStatic(grid, points)
+        pm.QuasiStatic(grid, points, **pm.PUBLISHED)
     mesh = box("quadrilateral", (2, 1))
     elements = pm.Elements(mesh, material=pm.UserPlasticity(ELASTIC, function, {"y": 1.0}))
     with pytest.raises(pm.InputError, match=message):
@@ -199,7 +199,7 @@ def test_mistakes_in_a_users_function_are_named(function, message):
 
 def test_materials_given_after_the_problem_are_refused():
     points = pm.seed(pm.Grid.box((0, 0), (2, 1), 1.0), material=ELASTIC, points_per_cell=2)
-    problem = pm.QuasiStatic(pm.Grid.box((0, 0), (2, 1), 1.0), points)
+    problem = pm.QuasiStatic(pm.Grid.box((0, 0), (2, 1), 1.0), points, **pm.PUBLISHED)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     stiffer = pm.MicropolarElastic(**{**ELASTIC.parameters(), "lam": 2 * ELASTIC.lam})
     points.assign(points.where(lambda x: x[:, 0] > 1), stiffer)

@@ -254,7 +254,7 @@ def two_materials() -> Any:
     points = pm.seed(grid, bounds=((0.0, 0.0), (0.5, 3.0)), material=ELASTIC)
     middle = points.where(lambda x: abs(x[:, 1] - 1.45) < 0.3)
     points.assign(middle, cylinder(H=-20.0))
-    problem = pm.QuasiStatic(grid, points, controls=STRICT)
+    problem = pm.QuasiStatic(grid, points, controls=STRICT, **pm.PUBLISHED)
     problem.fix(everywhere, uy=0)
     problem.fix(pm.plane(y=0.0), ux=0)
     problem.fix(pm.plane(y=3.0), ux=0.2)
@@ -342,7 +342,7 @@ def turned(kind: str, material: Any, dim: int, reset: int | None) -> Any:
         low, high = np.full(dim, -4.0), np.full(dim, 4.0)
         grid = pm.Grid.box(low, high, 1.0)
         points = pm.seed(grid, bounds=(np.full(dim, 0.1), np.array([1.9, 0.9, 0.9])[:dim]), material=material)
-        problem = pm.QuasiStatic(grid, points, reset=reset, basis="mpm")
+        problem = pm.QuasiStatic(grid, points, reset=reset, basis="mpm", balanced_reset=False)
 
     def angle(t: float) -> Any:
         w = max(t - 1.0, 0.0) * TURN[dim]
@@ -522,7 +522,7 @@ def test_hencky_in_a_scene():
     material = cone(HENCKY)
     grid = pm.Grid.box((0.0, 0.0), (2.0, 1.0), 0.5)
     points = pm.seed(grid, bounds=((0.0, 0.0), (1.0, 1.0)), material=material)
-    problem = pm.QuasiStatic(grid, points, basis="mpm", reset=None, controls=STRICT)
+    problem = pm.QuasiStatic(grid, points, basis="mpm", reset=None, controls=STRICT, balanced_reset=False)
     problem.fix(pm.plane(x=0.0), ux=0)
     problem.fix(pm.plane(x=1.0), ux=0.02)
     problem.fix(pm.plane(y=0.0), uy=0)

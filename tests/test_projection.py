@@ -260,7 +260,7 @@ def arch(assembly: str) -> pm.QuasiStatic:
         material=MICROPOLAR,
         points_per_cell=4,
     )
-    problem = pm.QuasiStatic(grid, points, basis="mpm", assembly=assembly)
+    problem = pm.QuasiStatic(grid, points, basis="mpm", assembly=assembly, reset=1, balanced_reset=False)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     problem.load(points.farthest((1, -1, 0)), force=(0, 0, 4.0))
     return problem
@@ -291,7 +291,7 @@ def two_materials(assembly: str) -> pm.QuasiStatic:
     grid = pm.Grid.box((-1, -2), (6, 3), 1.0)
     points = pm.seed(grid, material=MICROPOLAR, bounds=((0, 0), (2, 1)))
     points.join(pm.seed(grid, material=STIFF, bounds=((2, 0), (4, 1))))
-    problem = pm.QuasiStatic(grid, points, basis="mpm", assembly=assembly)
+    problem = pm.QuasiStatic(grid, points, basis="mpm", assembly=assembly, reset=1, balanced_reset=False)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     problem.load(points.farthest((1, 0)), force=(1.0, -5.0))
     return problem

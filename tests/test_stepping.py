@@ -198,7 +198,7 @@ def test_points_that_leave_the_grid():
     """The ids of the points that left are told; their state is the last converged one, not a mixture."""
     grid = pm.Grid.box((0, 0), (4, 2), 1.0)
     points = pm.seed(grid, material=MICROPOLAR, bounds=((0, 0), (3, 2)))
-    problem = pm.QuasiStatic(grid, points, basis="mpm")
+    problem = pm.QuasiStatic(grid, points, basis="mpm", reset=1, balanced_reset=False)
     problem.fix(lambda x: np.ones(len(x), dtype=bool), ux=lambda t: 2.0 * t, uy=0, theta=0)
     done = []
     with pytest.raises(pm.PointsOutsideGrid, match=r"outside the grid.*ids") as e:
@@ -242,7 +242,7 @@ def test_reset_when_distorted(resets):
     grid = pm.Grid.box((-4, -4), (4, 4), 1.0)
     for stretch, expected in ((0.0, 1), (0.5, 3)):
         points = pm.seed(grid, material=MICROPOLAR, bounds=((0, 0), (2, 2)))
-        problem = pm.QuasiStatic(grid, points, basis="mpm", reset=pm.WhenDistorted(0.2))
+        problem = pm.QuasiStatic(grid, points, basis="mpm", reset=pm.WhenDistorted(0.2), balanced_reset=False)
 
         def move(t, x, stretch=stretch):
             return x @ (rotation(t * vector) * (1 + stretch * t) - np.eye(3))[:2, :2].T
@@ -311,7 +311,7 @@ def torsion(steps: int, turns: float, **options) -> tuple[pm.QuasiStatic, list[p
     length, angle = 6.0, 2 * np.pi * turns
     grid = pm.Grid.box((-2, -2, -1), (2, 2, 7), 1.0)
     points = pm.seed(grid, material=MICROPOLAR, bounds=((-1, -1, 0), (1, 1, length)))
-    problem = pm.QuasiStatic(grid, points, basis="mpm", **options)
+    problem = pm.QuasiStatic(grid, points, **{**pm.PUBLISHED, "basis": "mpm", **options})
     problem.fix(pm.plane(z=0.0), u=0, theta=0)
 
     def turned(t, x):
@@ -453,7 +453,14 @@ def test_predicted_stresses_save_iterations(material):
         points = pm.seed(
             grid, lambda x: (x[:, 0] < 10) & (abs(x[:, 1] - 0.5) < 0.5), material=m, points_per_cell=3
         )
-        problem = pm.QuasiStatic(grid, points, reset=None, controls=pm.Controls(force_tolerance=1e-11))
+        problem = pm.QuasiStatic(
+            grid,
+            points,
+            reset=None,
+            controls=pm.Controls(force_tolerance=1e-11),
+            basis="gimpm",
+            balanced_reset=False,
+        )
         problem.fix(pm.plane(x=0.0), u=0)
         problem.load(points.farthest((1.0, 0.0)), force=(0, -0.01 * m.mu))
         iterations.append(sum(step.iterations for step in problem.march(4)))

@@ -28,7 +28,7 @@ def points(cell, force=FORCE):
     """A cantilever of 2 x 1 m."""
     grid = pm.Grid.box((0, -4), (4, 4), cell)
     body = pm.seed(grid, bounds=((0, 0), (2, 1)), material=MATERIAL)
-    problem = pm.QuasiStatic(grid, body, basis="mpm")
+    problem = pm.QuasiStatic(grid, body, basis="mpm", reset=1, balanced_reset=False)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     end = body.farthest((1, 0))
     problem.load(end, force=(0, -force))

@@ -45,7 +45,7 @@ def block(
     )
     half = np.stack(np.meshgrid(*[0.5 * np.diff(e) for e in edges], indexing="ij"), -1).reshape(-1, dim)
     points = pm.Points(mine(centre), mine(np.prod(2 * half, axis=1)), mine(half), material, COMM)
-    return pm.QuasiStatic(pm.Grid.box((-1,) * dim, (5,) * dim, 1.0), points, **options)
+    return pm.QuasiStatic(pm.Grid.box((-1,) * dim, (5,) * dim, 1.0), points, **{**pm.PUBLISHED, **options})
 
 
 def face(low: Any, high: Any, axis: int, side: int, parts: int = 2) -> pm.Surface:
@@ -213,7 +213,9 @@ def test_face_runs_ahead_of_the_points(basis):
     low, high, ends = (0.0, 0.0), (2.0, 1.0), []
     for on_surface in (True, False):
         points = block(low, high, NEO_HOOKEAN).points
-        problem = pm.QuasiStatic(pm.Grid.box((0, 0), (5, 3), 1.0), points, basis=basis)
+        problem = pm.QuasiStatic(
+            pm.Grid.box((0, 0), (5, 3), 1.0), points, basis=basis, reset=1, balanced_reset=False
+        )
         problem.fix(pm.plane(x=0.0), ux=0)
         if on_surface:
             bottom = problem.fix_surface(face(low, high, 1, 0), normal=0)
@@ -318,7 +320,7 @@ def clamped(h: float, offset: float, surface_support: bool, stiffness: float | N
     x = x.reshape(-1, 2)
     volume, half = np.full(len(x), (2 / n) ** 2), np.full(x.shape, 1 / n)
     points = pm.Points(mine(x), mine(volume), mine(half), MICROPOLAR, COMM)
-    problem = pm.QuasiStatic(grid, points, basis="mpm")
+    problem = pm.QuasiStatic(grid, points, basis="mpm", reset=1, balanced_reset=False)
     if surface_support:
         line = pm.Surface.line((0.0, 0.5), (0.0, 0.0), 8 * round(0.5 / h))
         problem.fix_surface(line, stiffness=stiffness, rotation_stiffness=stiffness, u=0, theta=0)

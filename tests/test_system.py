@@ -276,7 +276,7 @@ def patch(
     which = np.ravel_multi_index(lattice.T, (cells * per_cell,) * dim)
     points.x = points.x + jitter[which]
     points.X, points.half_length0 = points.x.copy(), domain[which]
-    problem = pm.QuasiStatic(grid, points, basis=basis, **options)
+    problem = pm.QuasiStatic(grid, points, **{**pm.PUBLISHED, "basis": basis, **options})
     theta = {}
     if material.micropolar:
         theta["theta"] = vector if dim == 3 else vector[2]
@@ -359,7 +359,7 @@ def turned_cantilever(R: np.ndarray, basis: str, controls: pm.Controls) -> np.nd
     n = len(x)
     half = np.tile(0.25 * cell, (n, 1)) @ abs(R).T
     points = Points(share(x @ R.T), share(np.full(n, cell.prod() / 8)), share(half), MICROPOLAR, COMM)
-    problem = pm.QuasiStatic(grid, points, basis=basis, controls=controls)
+    problem = pm.QuasiStatic(grid, points, basis=basis, controls=controls, reset=1, balanced_reset=False)
     axis = "xyz"[int(np.argmax(abs(R[:, 0])))]
     problem.fix(pm.plane(**{axis: 0.0}), u=0, theta=0)
     tip = points.farthest(R @ [1.0, 0.0, 0.0])
@@ -448,7 +448,7 @@ def test_empty_space_costs_nothing(dim):
     for factor in (1, 1, 10):  # the first one fills caches
         grid = pm.Grid.box((-2 * factor,) * dim, (4 * factor,) * dim, 0.5)
         points = pm.seed(grid, material=MICROPOLAR, bounds=((0,) * dim, (1.0,) * dim))
-        list_of = pm.QuasiStatic(grid, points)
+        list_of = pm.QuasiStatic(grid, points, **pm.PUBLISHED)
         list_of.fix(pm.plane(x=0.0), u=0, theta=0)
         list_of.load(points.farthest((1, 0, 0)[:dim]), force=(0.0, 1.0, 0.0)[:dim])
         list_of._compile()

@@ -10,7 +10,7 @@ import polarmpm as pm
 def attempt(function, **options):
     grid = pm.Grid.box((0, 0), (2, 1), 0.5, COMM)
     material = pm.UserEnergy(function, {"a": 1.0}, **options)
-    return pm.QuasiStatic(grid, pm.seed(grid, material=material))
+    return pm.QuasiStatic(grid, pm.seed(grid, material=material), **pm.PUBLISHED)
 
 
 @pytest.mark.parametrize(

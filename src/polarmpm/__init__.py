@@ -13,7 +13,7 @@ from .io.restart import load as load_restart
 from .io.restart import save as save_restart
 from .materials import Hencky, Material, MicropolarElastic, NeoHookean, UserEnergy
 from .newton import Controls
-from .pointproblem import QuasiStatic
+from .pointproblem import PUBLISHED, QuasiStatic
 from .points import Points, Selection
 from .resetting import EverySteps, Never, WhenDistorted
 from .seeding import seed, seed_mesh
@@ -38,6 +38,7 @@ def __getattr__(name: str) -> Any:
 __version__ = "0.1.0"
 
 __all__ = [
+    "PUBLISHED",
     "Controls",
     "DruckerPrager",
     "Elements",

@@ -24,7 +24,7 @@ from .pointforms import CoupleForm, Kernel
 from .points import Points, Selection
 from .pointsystem import LoadedPoints, PointSystem
 from .problem import Progress
-from .resetting import ResetPolicy, make_policy
+from .resetting import ResetPolicy, WhenDistorted, make_policy
 from .seeding import check_inside
 from .surfaceproblem import SurfaceProblem
 from .weighting import check_basis
@@ -35,6 +35,9 @@ _NO_PROJECTION = {
     "tangent couples the parts and is no sum of integrals over cells",
     "bspline": "splines don't live on the cells' Lagrange space",
 }
+_DISTORTED = WhenDistorted()
+# The papers' method, for what they publish: `QuasiStatic(grid, points, **PUBLISHED)`.
+PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": False}
 _ROTATION_LIMIT = 1.0  # rad; larger increments than this get a new base after a step
 
 
@@ -63,11 +66,13 @@ class QuasiStatic(SurfaceProblem):
     Args:
         grid: background grid.
         points: the body.
-        basis: weighting functions, "gimpm" or "mpm" (T 2.3.2), or "bspline" (quadratic).
+        basis: weighting functions: "bspline" (quadratic), or "gimpm" or "mpm" (T 2.3.2). The defaults of this
+            and of the resets are the settings with the least error for their time (docs/accuracy.md); those
+            of the papers are `pm.PUBLISHED`.
         assembly: how residual and tangent are summed over the points: "direct", or (with basis="mpm") as a
             "projection" on a quadrature space, assembled by dolfinx, to the same result.
-        reset: when the grid is reset: every n steps (1: the papers' method), a policy such as
-            `WhenDistorted(0.2)`, or None for never.
+        reset: when the grid is reset: a policy such as `WhenDistorted(0.2)`, every n steps (1: the papers'
+            method), or None for never.
         balanced_reset: a reset keeps the body in equilibrium. The new basis can't balance the points'
             stresses to the last; the papers let the rest relax, which softens the body reset by reset. Here
             it is carried along as forces on the nodes until the next reset (docs/theory.md).
@@ -86,10 +91,10 @@ class QuasiStatic(SurfaceProblem):
         grid: Grid,
         points: Points,
         *,
-        basis: str = "gimpm",
+        basis: str = "bspline",
         assembly: str = "direct",
-        reset: int | ResetPolicy | None = 1,
-        balanced_reset: bool = False,
+        reset: int | ResetPolicy | None = _DISTORTED,
+        balanced_reset: bool = True,
         ghost: str | GhostPenalty | None = None,
         controls: Controls | None = None,
     ):
