@@ -240,7 +240,8 @@ def markdown(results):
     """The tables: cost, agreement, and Kratos' solvers where they were compared."""
     lines = [
         "| points a cell | code | points | iterations | steps not converged | tip (m) "
-        "| loop (CPU s) | process (CPU s) | CPU per point and iteration (µs): least, median | over Kratos': least, median |",
+        "| loop (CPU s) | process (CPU s) | CPU per point and iteration (µs): least, median "
+        "| over Kratos': least, median |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for r in summarise(results):
