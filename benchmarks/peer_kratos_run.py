@@ -62,6 +62,13 @@ def parameters(scene, run, folder):
     }
     materials = Path(folder) / "materials.json"
     materials.write_text(json.dumps({"properties": [material]}))
+    search = {
+        "search_algorithm_type": "bin_based",
+        "max_number_of_results": 1000,
+        # of cells; Kratos' own value keeps points in a cell that they have left, which shows in the path
+        "searching_tolerance": 1e-7 if run["trace"] else 1e-5,
+        "remove_entities_not_found": True,
+    }
     made_here = {"input_type": "use_input_model_part"}
     solver = {
         "solver_type": "Quasi-static",
@@ -81,6 +88,7 @@ def parameters(scene, run, folder):
         "max_iteration": scene["max_iterations"],
         "block_builder": run["builder"] == "block",
         "auxiliary_variables_list": ["NORMAL"],
+        "element_search_settings": search,
         "linear_solver_settings": {"solver_type": run["linear_solver"]} | run["linear_settings"],
     }
     root = {
@@ -177,6 +185,7 @@ def main():
         "left": analysis.body.NumberOfElements(),
         "steps": len(analysis.iterations),
         "iterations": sum(analysis.iterations),
+        "of_steps": analysis.iterations,
         "unconverged": [k + 1 for k, found in enumerate(analysis.converged) if not found],
         "tip": analysis.tip_displacement(),
         "path": analysis.path,
