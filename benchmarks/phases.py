@@ -2,7 +2,7 @@
 
 Every scene runs in a process of its own: CPU seconds by phase, microseconds a point and iteration, the whole
 against what factor and solve alone take, the start of a step against one assembly, and bytes a point apart
-from the solver. `--quick` leaves out the expensive scenes, `--scene` picks some. Writes CSV and Markdown tables.
+from the solver. `--quick` leaves out the expensive scenes, `--scene` picks some. Writes CSV and Markdown.
 """
 
 import argparse
