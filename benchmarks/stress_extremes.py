@@ -24,7 +24,7 @@ def solid(coupling=0.35, length=0.1):
     )
 
 
-def bending(basis, material, load=0.002, cells=4):
+def bending(basis, material, load=2e-4, cells=4):
     """A strip of 4 x 1 m, `cells` along, clamped at a wall and bent by a body force; in the plane, h = 4 / cells."""
     h = 4 / cells
     if basis.startswith("FEM"):
@@ -35,7 +35,7 @@ def bending(basis, material, load=0.002, cells=4):
         problem = pm.QuasiStaticFEM(pm.Elements(made, material=material, degree=int(basis[-1])))
     else:
         grid = pm.Grid.box((0, -4), (8, 8), h, COMM)
-        points = block_points((0, 0), (4 / h, 1 / h), (4, 4), material, h)
+        points = block_points((0, 0.3), (4 / h, 1 / h), (4, 4), material, h)
         problem = pm.QuasiStatic(grid, points, basis=basis, reset=None)
     problem.fix(pm.plane(x=0.0), u=0, **({"theta": 0} if material.micropolar else {}))
     problem.body_load(force=(0.0, load * YOUNG))
@@ -52,12 +52,12 @@ def work(problem):
 def reference(material, load):
     """Mean displacement of finite elements of degree 2, 64 x 16."""
     problem = bending("FEM 2", material, load, cells=64)
-    for _ in problem.march(2, progress=False):
+    for _ in problem.march(1, adaptive=True, progress=False):
         pass
     return work(problem)
 
 
-def moduli(basis, coupling, length, load=0.002, cells=4):
+def moduli(basis, coupling, length, load=2e-4, cells=4):
     """Deflection and condition at a kappa / mu and a length l (m); the error is that against the reference.
 
     Locking is measured elsewhere: here the march has to converge, and the answer be proportional to the load
@@ -65,14 +65,15 @@ def moduli(basis, coupling, length, load=0.002, cells=4):
     """
     material = solid(coupling, length)
     problem = bending(basis, material, load, cells)
-    watch = Watch(problem, 2)
+    watch = Watch(problem, 1, adaptive=True, tangents="FEM" not in basis)
     tiny = [bending(basis, material, share * load, cells) for share in (1e-4, 1e-6)]
     quick = [Watch(t, 1, tangents=False) for t in tiny]
     linear = [work(t) / s for t, s in zip(tiny, (1e-4, 1e-6), strict=True)]
     unlike = abs(linear[1] / linear[0] - 1)
     ratio = work(problem) / reference(material, load)
     measure = f"of linearity at 1e-6 of the load; deflection {ratio:.4g} of the reference"
-    passed = unlike < 1e-6 and not any(q.failure for q in quick)
+    # positions are about 4 m, so that displacements are known to 1e-15 m only
+    passed = unlike < 1e-6 + 1e-15 / min(map(abs, map(work, tiny))) and not any(q.failure for q in quick)
     case = f"{basis}, kappa/mu = {coupling:g}, l/h = {length * cells / 4:g}"
     return watch.record("moduli", case, passed, error=unlike, measure=measure)
 
@@ -95,7 +96,8 @@ def compression(basis, material, dim=2, J=0.1, steps=18, reset=1):
     expected = uniaxial_stress(material, J)
     error = max(np.abs(points.F - F).max() / J, np.abs(stress / expected[1, 1] - expected / expected[1, 1]).max())
     name = f"{type(material).__name__}, {dim}D {basis}, J = {J:g}, {'resets' if reset else 'no resets'}"
-    return watch.record("compression", name, error < 1e-9, error=error, measure="of F and stress")
+    limit = 1e-8 if material is HENCKY else 1e-9  # its logarithm is a fit, to 4e-11 of the energy
+    return watch.record("compression", name, error < limit, error=error, measure="of F and stress")
 
 
 def uniaxial_stress(material, J):
@@ -184,8 +186,7 @@ def units(dim, basis, material):
             watch, u, w = scaled(dim, basis, material, metre, pascal)
             watches.append(watch)
             found.append((u, w))
-    whole, _, _ = scaled(dim, basis, material, 1.0, 1.0), 0, 0
-    u0, w0 = whole[1], whole[2]
+    _, u0, w0 = scaled(dim, basis, material, 1.0, 1.0)
     error = max(np.abs(u - u0).max() / np.abs(u0).max() for u, _ in found)
     if material.micropolar:
         error = max(error, max(np.abs(w - w0).max() / np.abs(w0).max() for _, w in found))
