@@ -15,8 +15,6 @@ RESETS = (
 )
 
 
-
-
 def draw(number, dim, kind, single):
     """Corner and size (cells) of a block, and its points per cell, for a number.
 
@@ -72,7 +70,11 @@ def run(numbers, dim, basis, material, *, single=False, ghost=None, steps=4):
     cut = sum(w.cuts > 0 for w in watches.values())
     worst = Watch.worst(watches.values())
     name = "micropolar" if material.micropolar else "classical"
-    points = "one point a cell in some direction" if single else f"2 to {6 if dim == 2 else 3} points a cell and direction"
+    points = (
+        "one point a cell in some direction"
+        if single
+        else f"2 to {6 if dim == 2 else 3} points a cell and direction"
+    )
     case = f"{dim}D {name} {basis}" + (f" with ghost={ghost!r}" if ghost else "") + f", {points}"
     measure = f"{len(failed)} of {len(watches)} positions failed, {cut} needed smaller steps"
     if failed and len(failed) < 6:

@@ -6,7 +6,7 @@ of degree 2 on a fine mesh. Loads are small.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +73,7 @@ def work(problem, scene):
     return float(np.sum(p.volume0[:, None] * force(scene)(1.0, p.X) * p.displacement))
 
 
-@lru_cache(maxsize=None)
+@cache
 def reference(scene, nu, micropolar, cells=None):
     problem = build(scene, "FEM 2", material(nu, micropolar), cells or FINE[scene])
     for _ in problem.march(1, progress=False):
@@ -109,17 +109,34 @@ def draw(records, file: Path):
 
     figure, axes = plot.subplots(1, 2, figsize=(10, 3.8), sharey=True)
     found = {r.case: 1 - r.error for r in records if r.group == "locking" and r.error is not None}
-    names = {"mpm": "MPM", "gimpm": "GIMPM", "bspline": "B-splines", "FEM 1": "FEM, degree 1", "FEM 2": "FEM, degree 2"}
+    names = {
+        "mpm": "MPM",
+        "gimpm": "GIMPM",
+        "bspline": "B-splines",
+        "FEM 1": "FEM, degree 1",
+        "FEM 2": "FEM, degree 2",
+    }
     styles = dict(zip(METHODS, ("o-", "s--", "^-", "x:", "d-"), strict=True))
     at = np.arange(len(RATIOS))
     for axis, scene in zip(axes, SCENES, strict=True):
         for k, method in enumerate(METHODS):
             for micropolar, kind in ((False, "classical"), (True, "micropolar")):
-                values = [found.get(f"{scene}, {kind}, {method}, nu = {nu:g}, {CELLS[scene]} cells a metre") for nu in RATIOS]
+                values = [
+                    found.get(f"{scene}, {kind}, {method}, nu = {nu:g}, {CELLS[scene]} cells a metre")
+                    for nu in RATIOS
+                ]
                 if None in values:
                     continue
                 label = names[method] if not micropolar else None
-                axis.plot(at, values, styles[method], color=f"C{k}", ms=4, alpha=0.45 if micropolar else 1.0, label=label)
+                axis.plot(
+                    at,
+                    values,
+                    styles[method],
+                    color=f"C{k}",
+                    ms=4,
+                    alpha=0.45 if micropolar else 1.0,
+                    label=label,
+                )
         axis.axhline(1.0, color="k", lw=0.6)
         axis.set(xticks=at, xticklabels=[f"{nu:g}" for nu in RATIOS], xlabel="Poisson's ratio", ylim=(0, 1.1))
         axis.set_title(f"{scene}, cells of 1/{CELLS[scene]} m", fontsize=10)

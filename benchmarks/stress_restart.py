@@ -96,12 +96,12 @@ def killed_runs(folder, kills=20, resets=(1, 4), seed=0):
             march(problem)
             for name, values in digits(problem).items():
                 differing = max(differing, float(np.abs(values - expected[name]).max()))
-        measure = f"difference of any number; killed after steps {min(steps)} to {max(steps)}, {mid} while writing"
+        measure = (
+            f"difference of any number; killed after steps {min(steps)} to {max(steps)}, {mid} while writing"
+        )
         passed = not lost and differing == 0.0
         case = f"{kills // len(resets)} kills, reset every {reset} steps"
-        records.append(
-            Record("killed", case, passed, error=differing, measure="; ".join([measure, *lost]))
-        )
+        records.append(Record("killed", case, passed, error=differing, measure="; ".join([measure, *lost])))
     return records
 
 

@@ -30,9 +30,7 @@ def cantilever(basis, *, load=0.004, **options):
         load: body force in the direction of its deflection, as a share of Young's modulus over a cell.
     """
     grid = pm.Grid.box((0, -3), (8, 7), 1.0, COMM)
-    problem = pm.QuasiStatic(
-        grid, block_points((0, 0.2), (5, 1), (3, 4), MICROPOLAR), basis=basis, **options
-    )
+    problem = pm.QuasiStatic(grid, block_points((0, 0.2), (5, 1), (3, 4), MICROPOLAR), basis=basis, **options)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     problem.body_load(force=(0.0, load * YOUNG))
     return problem
@@ -73,7 +71,9 @@ def too_large(basis, resets, steps=20, factor=10, load=0.05):
     error, limit = distance(large, small), LIMITS[resets]
     number = f"{len(large.steps)} steps, {watch.cuts} cuts, against {len(small.steps)}"
     passed = not careful.failure and watch.cuts > 0 and error < limit
-    return watch.record("steps too large", f"{basis}, {resets}", passed, error=error, measure=f"{number}: {UNEQUAL}")
+    return watch.record(
+        "steps too large", f"{basis}, {resets}", passed, error=error, measure=f"{number}: {UNEQUAL}"
+    )
 
 
 def too_small(basis, resets, steps=4, factor=1000, load=0.008):
