@@ -66,6 +66,7 @@ def run(numbers, dim, basis, material, *, single=False, ghost=None, steps=4):
         kind = KINDS[number % len(KINDS)]
         problem = block(number, dim, kind, basis, material, single=single, ghost=ghost)
         watches[number] = Watch(problem, steps, adaptive=True)
+        watches[number].problem = None  # its matrices aren't needed any more
     failed = [n for n, w in watches.items() if w.failure]
     cut = sum(w.cuts > 0 for w in watches.values())
     worst = Watch.worst(watches.values())
