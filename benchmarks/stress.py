@@ -47,6 +47,7 @@ def step_cases(quick):
     """Load steps too large and too small."""
     for basis, resets in itertools.product(BASES[2:] if quick else BASES, steps.RESETS):
         yield steps.too_large(basis, resets)
+    yield steps.too_large("bspline", steps.HALF_WAY, load=0.05)
     for basis in BASES[2:] if quick else BASES:
         every = steps.RESETS if basis == "bspline" else ("no resets",)
         for resets in every:

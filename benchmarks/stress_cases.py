@@ -100,6 +100,7 @@ def clamp(problem, end, **more):
 def free_tangent(problem):
     """The tangent of the free unknowns at the last converged state, dense."""
     system = problem.system
+    system.jump(system.x)  # iterations predict stresses; here the tangent is wanted as it is
     system.evaluate(True)
     p = system.pattern
     rows = np.repeat(np.arange(len(p.indptr) - 1), np.diff(p.indptr))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from stress_cases import COMM, MICROPOLAR, YOUNG, Watch, block_points
+from stress_cases import COMM, MICROPOLAR, YOUNG, Watch, block_points, free_tangent
 
 import polarmpm as pm
 
@@ -62,7 +62,7 @@ def same_resets(problem, steps, **options):
     return after
 
 
-def too_large(basis, resets, steps=20, factor=10, load=0.05):
+def too_large(basis, resets, steps=20, factor=10, load=0.03):
     """Steps ten times too large, cut where need be, against small ones."""
     march = same_resets if resets == HALF_WAY else Watch
     small, large = (cantilever(basis, load=load, **RESETS[resets]) for _ in range(2))
@@ -70,10 +70,12 @@ def too_large(basis, resets, steps=20, factor=10, load=0.05):
     watch = march(large, steps // factor, adaptive=True, largest=1.0)
     error, limit = distance(large, small), LIMITS[resets]
     number = f"{len(large.steps)} steps, {watch.cuts} cuts, against {len(small.steps)}"
+    for name, problem in (("small", small), ("large", large)):
+        if np.linalg.eigvalsh(free_tangent(problem))[0] < 0:
+            number += f", the {name} steps end unstable"
     passed = not careful.failure and watch.cuts > 0 and error < limit
-    return watch.record(
-        "steps too large", f"{basis}, {resets}", passed, error=error, measure=f"{number}: {UNEQUAL}"
-    )
+    case = f"{basis}, {resets}, load {load:g}"
+    return watch.record("steps too large", case, passed, error=error, measure=f"{number}: {UNEQUAL}")
 
 
 def too_small(basis, resets, steps=4, factor=1000, load=0.008):
