@@ -69,6 +69,25 @@ def test_parts_of_a_path():
     np.testing.assert_allclose(stub.attempts, [0.25, 0.5, 1.0, 0.0, -1.0])
 
 
+@pytest.mark.parametrize(("begin", "to"), [(0.0, 1.0), (0.0, 0.3), (1.0, 0.0), (0.25, -2.0), (0.0, 1e-9)])
+def test_a_restarted_run_passes_the_same_factors(begin, to):
+    """From wherever it goes on, as its load steps are counted from the factor in the file."""
+    for steps in (3, 7, 30, 60, 97, 1000):
+        whole = Stub(limit=np.inf)
+        whole.progress.factor = begin
+        factors = [step.factor for step in run(whole, steps, to=to)]
+        np.testing.assert_allclose(
+            factors,
+            begin + (to - begin) * np.arange(1, steps + 1) / steps,
+            rtol=0,
+            atol=4e-15 * max(1, abs(to)),
+        )
+        for stop in range(1, steps, max(1, steps // 20)):
+            again = Stub(limit=np.inf)
+            again.progress.factor = factors[stop - 1]
+            assert [step.factor for step in run(again, steps - stop, to=to)] == factors[stop:]
+
+
 def test_equal_steps_give_up():
     """No retry without `adaptive`: the factor and the reason are told."""
     with pytest.raises(pm.NotConverged, match=r"load factor 0\.5.*\n.*too far after 3 iterations") as e:

@@ -43,7 +43,8 @@ class Controls:
     """When iterations stop.
 
     Attributes:
-        force_tolerance: on |f_R| / |f_ext + f_rct|, T (2.53).
+        force_tolerance: on |f_R| / |f_ext + f_rct|, T (2.53); couples count as forces at the distance
+            of a cell.
         energy_tolerance: on f_R . du relative to the work of the step's external forces and reactions,
             T (2.54); T's measure is in joules, this one doesn't depend on the unit of length.
         max_iterations: linear solves before the step counts as failed.

@@ -163,8 +163,6 @@ class PointSystem(LoadedPoints):
             self._fixed = np.ascontiguousarray(prescribed.fixed, dtype=np.uint8)
             native.fill(self.pattern.matrix, fixed=self._fixed)
             self.terms.bind(self.pattern.matrix, prescribed.fixed)
-            owned = prescribed.fixed[: self.nodes.owned].ravel()
-            self._fixed_diagonal = self.pattern.diagonal[owned]
             self._rows = self.pattern.rows()
             plastic = any(m is not None for m in self.mappings)
             self.solver = DirectSolver(self.pattern.petsc_matrix(), symmetric, far_from_symmetric=plastic)
@@ -208,9 +206,9 @@ class PointSystem(LoadedPoints):
 
     def solve(self, right: np.ndarray, fresh: bool) -> np.ndarray:
         if fresh:
-            values = self.pattern.values
-            at = self._fixed_diagonal[values[self._fixed_diagonal] == 0.0]
-            values[at] = 1.0
+            values, diagonal = self.pattern.values, self.pattern.diagonal
+            # prescribed unknowns, and nodes that points on a plane or a corner touch without any weight
+            values[diagonal[values[diagonal] == 0.0]] = 1.0
             with self.timer("factor"):
                 self.solver.matrix.setValuesCSR(*self._rows)
                 self.solver.matrix.assemble()

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any, Protocol
 
 from mpi4py import MPI
 
+import numpy as np
 from tqdm import tqdm
 
 from .errors import InputError, NotConverged
@@ -126,14 +128,29 @@ def _attempt(problem: Marching, factor: float, tried: list[str]) -> Step | Outco
 def _equal(problem: Marching, schedule: Schedule) -> Iterator[Step]:
     begin = problem.progress.factor
     for k in range(1, schedule.steps + 1):
-        factor = begin + (schedule.to - begin) * k / schedule.steps
-        # without the last digits a run that was restarted passes the very same factors
-        factor = schedule.to if k == schedule.steps else float(f"{factor:.13g}")
+        factor = schedule.to if k == schedule.steps else _part(begin, schedule.to, k / schedule.steps)
         tried: list[str] = []
         step = _attempt(problem, factor, tried)
         if isinstance(step, Outcome):
             raise NotConverged(factor, step.history, tried)
         yield step
+
+
+def _part(begin: float, end: float, share: float) -> float:
+    """begin + (end - begin) share, so that a run that was restarted on the way passes the very same numbers.
+
+    As a rule they are fractions of the end with a small denominator, of which rounding leaves no doubt.
+    """
+    unit = end or 1.0
+    part = begin / unit + (end / unit - begin / unit) * share
+    simple = Fraction(part).limit_denominator(_DENOMINATOR)
+    if abs(part - float(simple)) <= _FEW_DIGITS * max(1.0, abs(begin / unit)):
+        part = float(simple)
+    return unit * part
+
+
+_DENOMINATOR = 10**6  # different fractions are 1e-12 apart
+_FEW_DIGITS = 8 * float(np.finfo(float).eps)
 
 
 def _adaptive(problem: Marching, schedule: Schedule) -> Iterator[Step]:

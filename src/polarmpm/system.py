@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 from mpi4py import MPI
@@ -66,7 +67,11 @@ class NodalSystem:
         self.carried: np.ndarray = np.zeros(shape)
         self._lift: np.ndarray = np.zeros(shape)
         self._lift_forces: np.ndarray = np.zeros(shape)
-        self._pending, self._rounding = False, 0.0
+        self._pending = self._moved = False
+        self._rounding: np.ndarray | None = None
+        # a couple counts as a force at the distance of a cell, so that measures don't depend on units
+        self._cell = float(np.prod(length)) ** (1.0 / len(length))
+        self._as_force = np.array([1.0] * layout.dim + [1.0 / self._cell] * layout.rotations)
 
     # what an assembly provides --------------------------------------------------------------------
     def assemble(self, tangent: bool) -> np.ndarray:
@@ -104,7 +109,7 @@ class NodalSystem:
     def set_prescribed(self, increments: np.ndarray) -> None:
         """Target of the prescribed unknowns, as increments since the reset (nodes, block); begins a step.
         Collective."""
-        self._rounding, self._begun, self._moved = 0.0, True, False
+        self._rounding, self._begun, self._moved = None, True, False
         self.before = self.x
         self._lift = np.where(self.prescribed.fixed, increments - self.x, 0.0)
         self._pending = bool(self.comm.allreduce(bool(np.any(self._lift)), op=MPI.LOR))
@@ -117,8 +122,8 @@ class NodalSystem:
             self.residual = self.assemble(tangent) - self.carried
             if self._begun:
                 self.first, self._begun = self.residual, False
-            if tangent and self._rounding == 0.0:  # at the start: iterates that run away must not set it
-                self._rounding = self._rounding_level()
+            if tangent and self._rounding is None:  # at the start: iterates that run away must not set it
+                self._rounding = self._rounding_squares()
 
     def measures(self) -> tuple[float, float]:
         with np.errstate(over="ignore", invalid="ignore"):  # what diverges is told by the numbers
@@ -132,29 +137,47 @@ class NodalSystem:
         total = np.where(free, external, r + external)
         sums = np.array(
             [
-                np.sum((r * free) ** 2),
-                np.sum(total**2),
+                np.sum((r * free * self._as_force) ** 2),
+                np.sum((total * self._as_force) ** 2),
                 abs(np.sum((r * free) * self._last[own])),
                 np.sum(total * self.x[own]),
             ]
         )
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         out, loads = np.sqrt(sums[:2])
-        if out <= self._rounding:
+        # before the first correction loads as small as rounding are still to be felt
+        if (self._moved or loads == 0.0) and out <= self._rounding_level():
             return 0.0, 0.0
         force = out / loads if loads > 0 else np.inf
         energy = sums[2] / abs(sums[3]) if sums[3] != 0 else np.inf
         return float(force), float(energy)
 
-    def _rounding_level(self) -> float:
-        """Out-of-balance force that a relative rounding of strains and rotations makes. Collective.
+    def _rounding_squares(self) -> np.ndarray:
+        """Squares of the out-of-balance forces (N) that a relative rounding of strains makes, and of those
+        that one of rotations of a radian makes beside. Collective.
 
-        Loads so small that their strains are near rounding can't be balanced more closely than this.
+        Strains and rotations are rounded by so much of one, which the tangent's diagonal turns into forces: a
+        rotation is a strain, and a displacement one over a cell. Not so where bending stiffness is large: a
+        change of the wryness is rounded by so much of itself, and is as small as the rotations are.
         """
-        scale = np.ones(self.layout.block)  # a rotation is a strain, a displacement one over a cell
-        scale[: self.layout.dim] = self.length
-        square = self.comm.allreduce(float(np.sum((self.diagonal() * scale) ** 2)))
-        return float(_ROUNDING * np.sqrt(square))
+        diagonal, d = np.abs(self.diagonal()), self.layout.dim
+        forces = diagonal[:, :d] * self.length
+        couples = diagonal[:, d:] / self._cell
+        strains = np.minimum(couples, forces.mean(axis=1, keepdims=True))
+        squares = np.array([np.sum(forces**2) + np.sum(strains**2), np.sum(couples**2)])
+        return _ROUNDING**2 * np.asarray(self.comm.allreduce(squares))
+
+    def _rounding_level(self) -> float:
+        """Out-of-balance force (N) that rounding makes at the present increments; loads so small that their
+        strains are near rounding can't be balanced more closely than this. Collective.
+        """
+        if self._rounding is None:
+            return 0.0
+        turned = 0.0
+        if self.layout.rotations:
+            most = float(np.abs(self.x[:, self.layout.dim :]).max(initial=0.0))
+            turned = min(1.0, self.comm.allreduce(most, op=MPI.MAX))
+        return math.sqrt(self._rounding[0] + turned**2 * self._rounding[1])
 
     def advance(self, fresh: bool) -> None:
         fixed = self.prescribed.fixed
