@@ -93,7 +93,9 @@ class Interpolation:
         reached = _reached_cells(grid, groups, degree) if sources else np.zeros(0, dtype=np.int64)
         self.terms = [term for source in sources for term in source.terms(grid, reached)]
         touched, node_sets = _node_sets(grid, groups, [t.boxes.numbers(grid).ravel() for t in self.terms])
-        self.nodes = ActiveNodes.build(grid, touched, partial(node_positions, basis, grid))
+        self.nodes = ActiveNodes.build(
+            grid, touched, partial(node_positions, basis, grid), _claims(grid, groups, touched)
+        )
         # lattice -> local numbers: the owned and the ghost nodes are each in ascending order
         to_local = self.nodes.local(touched)
         self.batches = [
@@ -238,6 +240,14 @@ def _reached_cells(grid: Grid, groups: _Groups, degree: int) -> np.ndarray:
         index = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1).reshape(-1, grid.dim)
         cells.append((first[kind.ravel() == k][:, None] + index @ grid.strides).ravel())
     return np.unique(np.concatenate(cells or [first]))
+
+
+def _claims(grid: Grid, groups: _Groups, touched: np.ndarray) -> np.ndarray:
+    """How many of this rank's points have each touched node as their first one: a piece of the body that is
+    cut between cells then owns the lower corners of its cells, and no rank more nodes than its share."""
+    first = grid.node_number(groups.node.reshape(-1, grid.dim))
+    at = np.searchsorted(touched, first)
+    return np.bincount(at, np.diff(groups.first), minlength=len(touched)).astype(np.int64)
 
 
 def _node_sets(

@@ -12,6 +12,7 @@ import numpy as np
 
 from . import conditions, movinggrid, rotations
 from .conditions import Amplitude, Plane, PlaneSpec, Support
+from .conservation import Conservation, Totals
 from .errors import InputError
 from .forms import make_form
 from .ghost import Ghost, GhostPenalty, make_penalty
@@ -20,6 +21,7 @@ from .interpolation import Increments, Interpolation, Reference
 from .movinggrid import MovingPlane
 from .newton import Controls
 from .parallel import look_up, together
+from .partition import Balance, distribute
 from .pointforms import CoupleForm, Kernel
 from .points import Points, Selection
 from .pointsystem import LoadedPoints, PointSystem
@@ -74,6 +76,9 @@ class QuasiStatic(SurfaceProblem):
         ghost: stabilises cells that the body cuts slightly (T 2.3.4): None, "thesis" (a hundredth of lambda
             and of gamma, T 4.4), "light" (against the thinnest cuts only) or a `GhostPenalty`. With basis
             "gimpm" or "mpm" and assembly "direct".
+        rebalance: on several ranks, when points move to other ranks at a reset: when the most work of a rank,
+            over the mean, or the share of nodes at the borders between ranks has grown by this factor since
+            they were dealt out; None for never.
         controls: tolerances of Newton's method.
 
     Raises:
@@ -91,6 +96,7 @@ class QuasiStatic(SurfaceProblem):
         reset: int | ResetPolicy | None = 1,
         balanced_reset: bool = False,
         ghost: str | GhostPenalty | None = None,
+        rebalance: float | None = 1.1,
         controls: Controls | None = None,
     ):
         self.grid = self.initial_grid = grid
@@ -104,6 +110,8 @@ class QuasiStatic(SurfaceProblem):
         self.forms = [make_form(m, grid.dim) for m in points.materials]
         for form in self.forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
+        self.balance = Balance(grid.comm, rebalance)
+        self._conservation = Conservation(grid.comm)
         self.balanced_reset = balanced_reset
         self.ghost = make_penalty(ghost, points.materials, self.layout, basis, assembly)
         if self.ghost:
@@ -115,6 +123,8 @@ class QuasiStatic(SurfaceProblem):
         # forces and couples at the points of the last attempt and of the last converged step
         self._attempted: tuple[np.ndarray, np.ndarray] | None = None
         self._balanced: tuple[np.ndarray, np.ndarray] | None = None
+        if self.balance.due(points):
+            self._migrate()
 
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
@@ -203,6 +213,7 @@ class QuasiStatic(SurfaceProblem):
 
     def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
         system.interpolation.update_points(increments)
+        self._conservation.check(system.interpolation, system.x)
         if self.points.plastic:
             self._flow(system)
         if self._step_start is not None:
@@ -243,6 +254,9 @@ class QuasiStatic(SurfaceProblem):
             grid = movinggrid.grid_at(self._moving, self.initial_grid, p.factor)
             check_inside(grid, self.points)
             self._put_grid(grid)
+            if self.balance.due(self.points):
+                with self.timer("migration"):
+                    self._migrate()
             with self.timer("reset"):
                 interpolation = self._interpolate(None)
             self._system = self._build(interpolation)
@@ -261,6 +275,20 @@ class QuasiStatic(SurfaceProblem):
         self._stale = False
         return self._system
 
+    def _migrate(self) -> None:
+        """Deal the points out afresh, with all that is kept for each of them between steps."""
+        before = Totals.numbers(self.points, self.grid)
+        route = distribute(self.grid, self.points)
+        self.balance.dealt(self.points)
+        if route is None:
+            return
+        self._conservation.moved(before, self.points, self.grid)
+        if self._last_x is not None:
+            self._last_x = route.forward(self._last_x)
+        if self._balanced is not None:
+            self._balanced = route.forward(self._balanced[0]), route.forward(self._balanced[1])
+        self._attempted = None
+
     def _put_grid(self, grid: Grid) -> None:
         """Make it the grid; the supports' planes follow."""
         if grid is not self.grid:
@@ -272,7 +300,10 @@ class QuasiStatic(SurfaceProblem):
     def _interpolate(self, reference: Reference | None) -> Interpolation:
         for source in self._sources if reference is None else []:
             source.begin()
-        return Interpolation(self.grid, self.points, self.basis, self.forms, reference, self._sources)
+        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, self._sources)
+        self._conservation.reset(made)
+        self.balance.built(made.nodes)
+        return made
 
     def _build(self, interpolation: Interpolation) -> LoadedPoints:
         prescribed, c = self._prescribed(interpolation.nodes), self._compiled
