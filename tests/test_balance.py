@@ -203,7 +203,7 @@ def shuffle(patch: Callable[[Any, str, Any], None]) -> list[int]:
         def forward(self, rows: np.ndarray) -> np.ndarray:
             return self.route.forward(rows[self.order])
 
-    def distribute(grid: pm.Grid, points: pm.Points) -> Way:
+    def distribute(grid: pm.Grid, points: pm.Points, x: Any = None) -> Way:
         order = random.permutation(len(points))
         points.replace({name: a[order] for name, a in points.arrays().items()})
         to = random.integers(0, COMM.size, len(points))
@@ -365,7 +365,7 @@ def test_points_that_a_run_loses_stop_it(monkeypatch):
     problem = cantilever()
     march(problem, 1)
 
-    def distribute(grid: pm.Grid, points: pm.Points) -> Any:
+    def distribute(grid: pm.Grid, points: pm.Points, x: Any = None) -> Any:
         lose_a_point(points)
         return points.migrate(np.full(len(points), COMM.rank))
 
@@ -404,12 +404,89 @@ def test_limit():
     assert not partition.Balance(COMM, None).due(points)
 
 
+# restart ----------------------------------------------------------------------------------------------
+# case and step after which the state is written
+STOPS = {
+    "elastic": (lambda: cantilever(reset=5), march, 3),
+    "balanced": (lambda: cantilever(balanced_reset=True, reset=2), march, 2),
+    "plastic": (lambda: by_points(cone(H=-20.0), reset=2), march, 3),
+    "plastic-at-a-reset": (lambda: by_points(cone(H=-20.0), reset=2), march, 2),
+    "surfaces": (lambda: everything_at_once(2, reset=3), march, 2),
+    "arc-length": (arch, along, 2),
+}
+
+
+def write(case: str, folder: Path) -> dict[str, np.ndarray]:
+    """Save a run in the middle; what it comes to in the end."""
+    make, go, stop = STOPS[case]
+    problem = make()
+    go(problem, stop)
+    pm.save_restart(problem, folder / f"{case}.h5")
+    go(problem, 4 - stop)
+    return results(problem)
+
+
+def read(case: str, folder: Path) -> tuple[pm.QuasiStatic, dict[str, np.ndarray]]:
+    make, go, stop = STOPS[case]
+    problem = make()
+    pm.load_restart(problem, folder / f"{case}.h5")
+    go(problem, 4 - stop)
+    return problem, results(problem)
+
+
+@pytest.mark.parametrize("case", STOPS)
+def test_restart(case, folder, monkeypatch):
+    """As many ranks go on to the same digits (in parallel, solvers don't repeat a sum to the last one), from
+    the distribution that was written; dealt out afresh, in another order, to rounding."""
+    expected = write(case, folder)
+    same, found = read(case, folder)
+    compare(found, expected, 1e-9 if COMM.size > 1 else 1e-13)
+    assert same.points.total == len(expected["u"])
+    monkeypatch.setattr("polarmpm.io.restart._shares", lambda *_: None)
+    gone = shuffle(monkeypatch.setattr)
+    compare(read(case, folder)[1], expected)
+    assert gone
+
+
+@pytest.mark.mpi
+def test_restart_on_another_number_of_ranks(tmp_path):
+    """Written on 1, read on 2 and 3; written on 3, read on 1 and 2."""
+    for name in ("1", "3"):
+        (tmp_path / name).mkdir()
+    expected = {case: write(case, tmp_path / "1") for case in STOPS}
+    for ranks, sources in ((3, "1"), (2, "13")):
+        found = on_ranks(ranks, f"restart {tmp_path} {sources}", script=__file__)[0]
+        for source in sources:
+            for case in STOPS:
+                shares = found[source][case].pop("shares")
+                compare(found[source][case], expected[case])
+                assert min(shares) > 0.7 * np.mean(shares)
+    for case in STOPS:
+        compare(read(case, tmp_path / "3")[1], expected[case])
+
+
+def restart_on_ranks(folder: Path, sources: str) -> dict[str, Any]:
+    """Go on from the files of other numbers of ranks; write our own where there is a folder for it."""
+    out: dict[str, Any] = {source: {} for source in sources}
+    for case in STOPS:
+        for source in sources:
+            problem, found = read(case, folder / source)
+            out[source][case] = {k: v.tolist() for k, v in found.items()}
+            out[source][case]["shares"] = COMM.allgather(len(problem.points))
+        if (folder / str(COMM.size)).is_dir():
+            write(case, folder / str(COMM.size))
+    return out
+
+
 # on ranks -----------------------------------------------------------------------------------------------
 WHEREVER = ("elastic", "plastic", "arc-length")
 
 
-def solve(_: str) -> dict[str, Any]:
+def solve(what: str) -> dict[str, Any]:
     """Runs of which points go to random ranks, by case, and measures of others. Collective."""
+    if what.startswith("restart"):
+        _, folder, sources = what.split()
+        return restart_on_ranks(Path(folder), sources)
     out: dict[str, Any] = {}
     for limit in (1.1, None):
         problem = sheared(rebalance=limit)

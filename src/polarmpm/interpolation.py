@@ -22,7 +22,7 @@ from .grid import Grid
 from .materials.base import parameter_values
 from .nodalterms import TermSource
 from .nodes import ActiveNodes
-from .parallel import together
+from .parallel import Route, together
 from .pointforms import Layout, PointForm
 from .points import Points, domain_half_length
 from .weighting import Weights, node_positions, weights
@@ -41,6 +41,10 @@ class Reference:
     def of(cls, points: Points) -> Reference:
         """The points' current state."""
         return cls(points.x.copy(), points.F.copy(), points.q.copy(), points.wryness.copy())
+
+    def moved(self, route: Route) -> Reference:
+        """The same of points that have gone to other ranks. Collective."""
+        return Reference(*(route.forward(a) for a in (self.x, self.F, self.q, self.wryness)))
 
 
 @dataclass

@@ -98,15 +98,15 @@ def destinations(grid: Grid, x: np.ndarray, effort: np.ndarray) -> np.ndarray:
     return bisect(grid.comm, grid.node_index(cells), weight)[at]
 
 
-def distribute(grid: Grid, points: Points) -> Route | None:
-    """Deal the points out to the ranks by where they are. Collective.
+def distribute(grid: Grid, points: Points, x: np.ndarray | None = None) -> Route | None:
+    """Deal the points out to the ranks by where they are, or were, at x (np, d) (m). Collective.
 
     Returns:
         The way of the points, for what else is kept for each of them; None where nothing has moved.
     """
     if grid.comm.size == 1:
         return None
-    to = destinations(grid, points.x, work(points))
+    to = destinations(grid, points.x if x is None else x, work(points))
     if not grid.comm.allreduce(bool(np.any(to != grid.comm.rank)), op=MPI.LOR):
         return None
     return points.migrate(to)

@@ -275,19 +275,18 @@ class QuasiStatic(SurfaceProblem):
         self._stale = False
         return self._system
 
-    def _migrate(self) -> None:
-        """Deal the points out afresh, with all that is kept for each of them between steps."""
-        before = Totals.numbers(self.points, self.grid)
-        route = distribute(self.grid, self.points)
+    def _migrate(self, reference: Reference | None = None) -> Reference | None:
+        """Deal the points out afresh, with all that is kept for each of them between steps, or between resets
+        their reference, which is then returned for the new distribution."""
+        before, kept = Totals.numbers(self.points, self.grid), self.kept()
+        route = distribute(self.grid, self.points, None if reference is None else reference.x)
         self.balance.dealt(self.points)
         if route is None:
-            return
+            return reference
         self._conservation.moved(before, self.points, self.grid)
-        if self._last_x is not None:
-            self._last_x = route.forward(self._last_x)
-        if self._balanced is not None:
-            self._balanced = route.forward(self._balanced[0]), route.forward(self._balanced[1])
+        self._keep({name: route.forward(rows) for name, rows in kept.items()})
         self._attempted = None
+        return None if reference is None else reference.moved(route)
 
     def _put_grid(self, grid: Grid) -> None:
         """Make it the grid; the supports' planes follow."""
@@ -332,23 +331,49 @@ class QuasiStatic(SurfaceProblem):
         own = s.nodes.owned
         return s.interpolation.reference, s.nodes.lattice[:own], np.hstack([s.x[:own], s.carried[:own]])
 
+    def kept(self) -> dict[str, np.ndarray]:
+        """What is kept for each local point from step to step, beside its state: rows (np, ...) by name."""
+        out = {} if self._last_x is None else {"last_x": self._last_x}
+        if self._balanced is not None:
+            out |= {"forces": self._balanced[0], "couples": self._balanced[1]}
+        return out
+
+    def _keep(self, rows: dict[str, np.ndarray]) -> None:
+        """Put in rows such as those of `kept`."""
+        self._last_x = rows.get("last_x")
+        self._balanced = (rows["forces"], rows["couples"]) if "forces" in rows else None
+
     def restore(
-        self, progress: Progress, increments: tuple[Reference, np.ndarray, np.ndarray] | None
+        self,
+        progress: Progress,
+        increments: tuple[Reference, np.ndarray, np.ndarray] | None,
+        kept: dict[str, np.ndarray],
+        shares: np.ndarray | None,
     ) -> None:
-        """Continue from a state whose points have been put in already; see `io.restart`."""
-        self.progress, self._equilibrium, self._balanced = progress, None, None
+        """Continue from a state whose points have been put in already; see `io.restart`.
+
+        Args:
+            increments: as from `increments`.
+            kept: as from `kept`.
+            shares: how well the points are dealt out, from `Balance.state`; None: they are dealt out now.
+        """
+        self.progress, self._equilibrium, self._conservation = progress, None, Conservation(self.comm)
         self.term_works = {"ghost": progress.ghost_work}
-        self._last_x = None
+        self._keep(kept)
         if self._system is not None:
             self._system.destroy()
             self._system = None
         factor = progress.factor if increments is None else progress.reset_factor
         self._put_grid(movinggrid.grid_at(self._moving, self.initial_grid, factor))
-        if increments is None:
+        reference, lattice, values = increments or (None, None, None)
+        if shares is None:
+            reference = self._migrate(reference)
+        else:
+            self.balance.restore(shares)
+        if reference is None or lattice is None or values is None:
             progress.reset_due = True
             return
         self._compile()
-        reference, lattice, values = increments
         interpolation = self._interpolate(reference)
         self._system, self._stale = self._build(interpolation), False
         here = look_up(self.comm, lattice, values, interpolation.nodes.lattice)
