@@ -25,6 +25,7 @@ from test_surfaces import everything_at_once
 import polarmpm as pm
 from polarmpm import partition, pointproblem
 from polarmpm.conservation import Conservation, Totals
+from polarmpm.io import read_table
 
 STRICT = pm.Controls(force_tolerance=1e-12, energy_tolerance=1e-26)
 
@@ -373,6 +374,43 @@ def test_points_that_a_run_loses_stop_it(monkeypatch):
     monkeypatch.setattr(partition.Balance, "due", lambda self, points: True)
     with pytest.raises(pm.NotConserved, match="moved between ranks"):
         march(problem, 1)
+
+
+# output -----------------------------------------------------------------------------------------------
+def test_files_follow_the_points(folder, monkeypatch):
+    """ParaView's pieces hold all points of each step once, whichever ranks have them; a table's means by
+    selection don't care either."""
+    pytest.importorskip("meshio")
+    import test_io
+
+    gone = shuffle(monkeypatch.setattr)
+    problem = cantilever()
+    points, tip = problem.points, problem.points.farthest((1, 0))
+    means, states = [], [by_id(points, points.displacement)]
+    with (
+        pm.Recorder(folder / "body.pvd", problem, fields=("id", "displacement"), grid=True) as recorder,
+        pm.Table(folder / "tip.csv", tip=lambda: points.mean_displacement(tip)) as table,
+    ):
+        for step in problem.march(2, to=0.5, progress=False):
+            recorder.record(step)
+            table.record(step)
+            states.append(by_id(points, points.displacement))
+            means.append(states[-1][tip.ids].mean(axis=0))
+    assert min(gone) > 0
+    steps = test_io.read_collection(folder / "body.pvd")
+    assert [time for time, _, _ in steps] == [0.0, 0.25, 0.5]
+    for (_, parts, meshes), expected in zip(steps, states, strict=True):
+        assert parts == list(range(COMM.size))
+        np.testing.assert_array_equal(test_io.cell_values(meshes, "id"), np.arange(points.total))
+        np.testing.assert_array_equal(test_io.cell_values(meshes, "displacement")[:, :2], expected)
+    rows = read_table(folder / "tip.csv")
+    np.testing.assert_allclose(np.column_stack([rows["tip_x"], rows["tip_y"]]), means, rtol=1e-12)
+    cells = [
+        sum(len(m.cells[0].data) for m in meshes)
+        for _, _, meshes in test_io.read_collection(folder / "body_grid.pvd")
+    ]
+    occupied = problem.grid.cells_of(by_id(points, points.X))
+    assert cells[0] == cells[1] == len(np.unique(occupied, axis=0))
 
 
 # input ------------------------------------------------------------------------------------------------
