@@ -139,8 +139,6 @@ def test_points_that_yield_are_more_work():
     effort = partition.work(points)
     assert np.all(effort[points.hardening > 0] > 1)
     grid = problem.grid
-    cells = grid.node_index(np.unique(grid.cell_number(grid.cells_of(points.x))))
-    assert len(cells) or COMM.size > 1
     ranks = np.concatenate(COMM.allgather(partition.destinations(grid, points.x, effort)))
     everything = np.concatenate(COMM.allgather(effort))
     shares = np.bincount(ranks, everything, minlength=COMM.size)
@@ -212,7 +210,7 @@ def shuffle(patch: Callable[[Any, str, Any], None]) -> list[int]:
         return Way(order, points.migrate(to))
 
     patch(pointproblem, "distribute", distribute)
-    patch(partition.Balance, "due", lambda self, points: True)
+    patch(partition.Balance, "due", lambda self: True)
     return gone
 
 
@@ -371,7 +369,7 @@ def test_points_that_a_run_loses_stop_it(monkeypatch):
         return points.migrate(np.full(len(points), COMM.rank))
 
     monkeypatch.setattr(pointproblem, "distribute", distribute)
-    monkeypatch.setattr(partition.Balance, "due", lambda self, points: True)
+    monkeypatch.setattr(partition.Balance, "due", lambda self: True)
     with pytest.raises(pm.NotConserved, match="moved between ranks"):
         march(problem, 1)
 
@@ -420,26 +418,36 @@ def test_bad_limits(bad):
         cantilever(rebalance=bad)
 
 
-def test_limit():
+def test_limit(monkeypatch):
     """Due at first, then when work or ghosts have grown by the limit."""
-    problem = by_points(cone())
-    balance, points = partition.Balance(COMM, 1.2), problem.points
+    points, nodes = by_points(cone()).points, cantilever()._prepare().nodes
+    balance = partition.Balance(COMM, 1.2)
     if COMM.size == 1:
-        assert not balance.due(points)
+        balance.built(points, nodes)
+        assert not balance.due()
         return
-    assert balance.due(points)
-    balance.dealt(points)
-    assert not balance.due(points)
-    balance.shares.best_ghosts = 0.1
-    for ghosts, due in ((0.11, False), (0.13, True)):
-        balance.shares.ghosts = ghosts
-        assert balance.due(points) == due
-    balance.shares.ghosts = 0.1
-    most = COMM.allreduce(len(points), op=MPI.MAX)
-    points.hardening[:] = float(len(points) == most)  # on one rank the work grows
-    assert COMM.allreduce(int(len(points) == most)) == 1
-    assert balance.due(points)
-    assert not partition.Balance(COMM, None).due(points)
+    assert balance.due()
+    balance.dealt()
+    assert not balance.due()
+    balance.built(points, nodes)
+    assert not balance.due()
+    before = COMM.allgather(len(points) + 8 * nodes.owned)
+    assert balance.shares.work == balance.shares.best_work == max(before) / np.mean(before)
+    ghosts = COMM.allreduce(len(nodes) - nodes.owned) / nodes.total
+    assert balance.shares.ghosts == balance.shares.best_ghosts == ghosts > 0
+    for factor, due in ((1.19, False), (1.21, True), (1.0, False)):
+        balance.shares.best_ghosts = ghosts / factor
+        assert balance.due() == due
+    monkeypatch.setattr(partition, "_CELL", 0)
+    balance.dealt()
+    balance.built(points, nodes)
+    points.hardening[:] = float(COMM.rank == 0)  # on one rank the work grows
+    balance.built(points, nodes)
+    work = [n * (4 if rank == 0 else 1) for rank, n in enumerate(COMM.allgather(len(points)))]
+    assert balance.shares.work == max(work) / np.mean(work)
+    assert balance.due() == (balance.shares.work > 1.2 * balance.shares.best_work)
+    balance.limit = None
+    assert not balance.due()
 
 
 # restart ----------------------------------------------------------------------------------------------

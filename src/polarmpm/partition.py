@@ -1,7 +1,7 @@
 """Which rank has which points: recursive bisection of the cells that contain points.
 
 The ranks are halved, and the cells with them, across the longest side of their box, so that both halves get
-points in proportion. Cells of a part are ordered plane by plane across that side, within a plane row by row,
+work in proportion. Cells of a part are ordered plane by plane across that side, within a plane row by row,
 and cut between two of them: all points of a cell go to one rank, few node sets are shared, and shares differ
 by no more than a cell. No rank sees more than its own cells and sums over the ranks.
 """
@@ -22,6 +22,7 @@ from .parallel import Route
 from .points import Points
 
 _BINS = 32  # of a histogram; a cut among c cells takes log c / log 32 of them
+_CELL = 8  # work at the nodes of a cell, over that at an elastic point
 _YIELDED = 4  # work at a point that has yielded, which may do so again, over that at an elastic one
 
 
@@ -94,7 +95,7 @@ def work(points: Points) -> np.ndarray:
 def destinations(grid: Grid, x: np.ndarray, effort: np.ndarray) -> np.ndarray:
     """Ranks (n,) for points at x (n, d) (m) with work (n,), see `work`. Collective."""
     cells, at = np.unique(grid.cell_number(grid.cells_of(x)), return_inverse=True)
-    weight = np.bincount(at, effort, minlength=len(cells))
+    weight = _CELL + np.bincount(at, effort, minlength=len(cells))
     return bisect(grid.comm, grid.node_index(cells), weight)[at]
 
 
@@ -114,23 +115,22 @@ def distribute(grid: Grid, points: Points, x: np.ndarray | None = None) -> Route
 
 @dataclass
 class Shares:
-    """How well the points are dealt out.
+    """How well the points are dealt out, at the last reset; zero: not known yet.
 
     Attributes:
         work: most of a rank, over the mean.
-        ghosts: ghost nodes over active nodes, at the last reset; they grow when the ranks' pieces of a body
-            that flows mingle.
-        best_work, best_ghosts: right after the points were dealt out; zero: not known yet.
+        ghosts: ghost nodes over active nodes; they grow when the ranks' pieces of a body that flows mingle.
+        best_work, best_ghosts: at the first reset after the points were dealt out.
     """
 
-    work: float = 1.0
+    work: float = 0.0
     ghosts: float = 0.0
     best_work: float = 0.0
     best_ghosts: float = 0.0
 
 
 class Balance:
-    """Tells at a reset whether points are to be dealt out afresh. All methods are collective.
+    """Tells at a reset whether points are to be dealt out afresh.
 
     Args:
         limit: factor by which a share may grow beyond what it was after the last time; None: never.
@@ -143,31 +143,28 @@ class Balance:
         number = isinstance(limit, (int, float, np.number)) and not isinstance(limit, bool)
         if limit is not None and not (number and np.isfinite(limit) and limit > 1):
             raise InputError(f"rebalance = {limit!r}: a number greater than 1, or None")
-        self.comm, self.limit, self.shares = comm, limit, Shares()
+        self.comm, self.limit = comm, limit
+        self.shares = Shares(work=1.0)  # better ones are possible, so far as is known
 
-    def due(self, points: Points) -> bool:
+    def due(self) -> bool:
         """Whether to deal the points out."""
         if self.comm.size == 1 or self.limit is None:
             return False
         s = self.shares
-        s.work = self._work(points)
         return s.work > self.limit * s.best_work or s.ghosts > self.limit * s.best_ghosts
 
-    def dealt(self, points: Points) -> None:
-        """Take note of a new distribution."""
-        self.shares = Shares(best_work=self._work(points))
+    def dealt(self) -> None:
+        """Take note that the points have been dealt out."""
+        self.shares = Shares()
 
-    def built(self, nodes: ActiveNodes) -> None:
-        """Take note of the nodes of a reset."""
+    def built(self, points: Points, nodes: ActiveNodes) -> None:
+        """Measure the shares of a reset. Collective."""
         if self.comm.size > 1:
-            s = self.shares
-            s.ghosts = self.comm.allreduce(len(nodes) - nodes.owned) / max(nodes.total, 1)
-            s.best_ghosts = s.best_ghosts or s.ghosts
-
-    def _work(self, points: Points) -> float:
-        mine = int(work(points).sum())
-        most, everything = self.comm.allreduce(mine, op=MPI.MAX), self.comm.allreduce(mine)
-        return most * self.comm.size / max(everything, 1)
+            s, mine = self.shares, int(work(points).sum()) + _CELL * nodes.owned
+            sums = self.comm.allreduce(np.array([mine, len(nodes) - nodes.owned]))
+            s.work = self.comm.allreduce(mine, op=MPI.MAX) * self.comm.size / max(int(sums[0]), 1)
+            s.ghosts = int(sums[1]) / max(nodes.total, 1)
+            s.best_work, s.best_ghosts = s.best_work or s.work, s.best_ghosts or s.ghosts
 
     # restart --------------------------------------------------------------------------------------
     def state(self) -> np.ndarray:

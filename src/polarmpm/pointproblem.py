@@ -78,7 +78,7 @@ class QuasiStatic(SurfaceProblem):
             "gimpm" or "mpm" and assembly "direct".
         rebalance: on several ranks, when points move to other ranks at a reset: when the most work of a rank,
             over the mean, or the share of nodes at the borders between ranks has grown by this factor since
-            they were dealt out; None for never.
+            they were dealt out last; None for never.
         controls: tolerances of Newton's method.
 
     Raises:
@@ -123,7 +123,7 @@ class QuasiStatic(SurfaceProblem):
         # forces and couples at the points of the last attempt and of the last converged step
         self._attempted: tuple[np.ndarray, np.ndarray] | None = None
         self._balanced: tuple[np.ndarray, np.ndarray] | None = None
-        if self.balance.due(points):
+        if self.balance.due():
             self._migrate()
 
     # conditions -----------------------------------------------------------------------------------
@@ -254,7 +254,7 @@ class QuasiStatic(SurfaceProblem):
             grid = movinggrid.grid_at(self._moving, self.initial_grid, p.factor)
             check_inside(grid, self.points)
             self._put_grid(grid)
-            if self.balance.due(self.points):
+            if self.balance.due():
                 with self.timer("migration"):
                     self._migrate()
             with self.timer("reset"):
@@ -280,7 +280,7 @@ class QuasiStatic(SurfaceProblem):
         their reference, which is then returned for the new distribution."""
         before, kept = Totals.numbers(self.points, self.grid), self.kept()
         route = distribute(self.grid, self.points, None if reference is None else reference.x)
-        self.balance.dealt(self.points)
+        self.balance.dealt()
         if route is None:
             return reference
         self._conservation.moved(before, self.points, self.grid)
@@ -301,7 +301,7 @@ class QuasiStatic(SurfaceProblem):
             source.begin()
         made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, self._sources)
         self._conservation.reset(made)
-        self.balance.built(made.nodes)
+        self.balance.built(self.points, made.nodes)
         return made
 
     def _build(self, interpolation: Interpolation) -> LoadedPoints:
