@@ -26,6 +26,7 @@ import polarmpm as pm
 from polarmpm import partition, pointproblem
 from polarmpm.conservation import Conservation, Totals
 from polarmpm.io import read_table
+from polarmpm.parallel import Route, traffic
 
 STRICT = pm.Controls(force_tolerance=1e-12, energy_tolerance=1e-26)
 
@@ -286,6 +287,25 @@ def sheared(**options: Any) -> pm.QuasiStatic:
     return problem
 
 
+# routes -----------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("width", [(), (0,), (3, 2)])
+def test_rows_go_and_answers_come_back(width):
+    """Rows without columns, too; what goes to other ranks is counted."""
+    random = np.random.default_rng(COMM.rank)
+    to = random.integers(0, COMM.size, 20)
+    rows = (100 * COMM.rank + np.arange(20)).reshape(20, *(1,) * len(width)) * np.ones(width)
+    before = traffic.bytes, traffic.messages
+    route = Route(COMM, to)
+    found = route.forward(rows)
+    away = to[to != COMM.rank]
+    sent = traffic.bytes - before[0], traffic.messages - before[1]
+    assert sent == (len(away) * rows[0].nbytes, len(np.unique(away)) if rows.size else 0)
+    every = list(zip(COMM.allgather(to), COMM.allgather(rows), strict=True))
+    expected = np.concatenate([r[t == COMM.rank] for t, r in every])
+    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(route.backward(found + 1), rows + 1)
+
+
 # conservation -----------------------------------------------------------------------------------------
 def after_a_step() -> tuple[pm.QuasiStatic, Conservation]:
     problem = cantilever()
@@ -443,7 +463,9 @@ def test_limit(monkeypatch):
     balance.built(points, nodes)
     points.hardening[:] = float(COMM.rank == 0)  # on one rank the work grows
     balance.built(points, nodes)
-    work = [n * (4 if rank == 0 else 1) for rank, n in enumerate(COMM.allgather(len(points)))]
+    work = [
+        n * (partition._YIELDED if rank == 0 else 1) for rank, n in enumerate(COMM.allgather(len(points)))
+    ]
     assert balance.shares.work == max(work) / np.mean(work)
     assert balance.due() == (balance.shares.work > 1.2 * balance.shares.best_work)
     balance.limit = None

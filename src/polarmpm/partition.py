@@ -23,7 +23,7 @@ from .points import Points
 
 _BINS = 32  # of a histogram; a cut among c cells takes log c / log 32 of them
 _CELL = 8  # work at the nodes of a cell, over that at an elastic point
-_YIELDED = 4  # work at a point that has yielded, which may do so again, over that at an elastic one
+_YIELDED = 6  # work at a point that has yielded, which may do so again, over that at an elastic one
 
 
 def bisect(comm: MPI.Comm, index: np.ndarray, weight: np.ndarray, ranks: int | None = None) -> np.ndarray:
