@@ -9,7 +9,7 @@ import polarmpm as pm
 
 KINDS = ("anywhere", "sliver", "corner sliver", "on faces", "on corners")
 RESETS = (
-    {"reset": 1},
+    {"reset": 1, "balanced_reset": False},
     {"reset": 1, "balanced_reset": True},
     {"reset": pm.WhenDistorted(0.1), "balanced_reset": True},
 )

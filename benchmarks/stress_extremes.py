@@ -35,7 +35,7 @@ def bending(basis, material, load=2e-4, cells=4):
     else:
         grid = pm.Grid.box((0, -4), (8, 8), h, COMM)
         points = block_points((0, 0.3), (4 / h, 1 / h), (4, 4), material, h)
-        problem = pm.QuasiStatic(grid, points, basis=basis, reset=None)
+        problem = pm.QuasiStatic(grid, points, basis=basis, reset=None, balanced_reset=False)
     problem.fix(pm.plane(x=0.0), u=0, **({"theta": 0} if material.micropolar else {}))
     problem.body_load(force=(0.0, load * YOUNG))
     return problem
@@ -83,7 +83,7 @@ def compression(basis, material, dim=2, J=0.1, steps=18, reset=1):
     size = (2.0, 3.0, 2.0)[:dim]
     grid = pm.Grid.box((0,) * dim, size, 1.0, COMM)
     points = block_points((0,) * dim, size, (3,) * dim, material)
-    problem = pm.QuasiStatic(grid, points, basis=basis, reset=reset)
+    problem = pm.QuasiStatic(grid, points, basis=basis, reset=reset, balanced_reset=False)
     for axis in "xz"[: dim - 1]:
         for wall in (0.0, 2.0):
             problem.fix(pm.plane(**{axis: wall}), **{f"u{axis}": 0})
@@ -123,7 +123,7 @@ def turning(basis, material, dim=2, turns=100, per_turn=10, **options):
     size, middle = 3.0, np.full(dim, 4.0)
     grid = pm.Grid.box((0,) * dim, (8,) * dim, 1.0, COMM)
     points = block_points(middle - size / 2 + 0.1, (size,) * dim, (2,) * dim, material)
-    problem = pm.QuasiStatic(grid, points, basis=basis, **options)
+    problem = pm.QuasiStatic(grid, points, **{**pm.PUBLISHED, "basis": basis, **options})
     axis = np.array([0.0, 0.0, 1.0]) if dim == 2 else np.array([2.0, -1.0, 2.0]) / 3
 
     def displacement(t, x):
@@ -164,7 +164,7 @@ def scaled(dim, basis, material, metre, pascal):
         np.multiply(metre, (-1, -3, -2)[:dim]), np.multiply(metre, (6, 3, 3)[:dim]), metre, COMM
     )
     points = block_points(corner, (3.5, 1.0, 1.0)[:dim], (dim,) * dim, stuff, metre)
-    problem = pm.QuasiStatic(grid, points, basis=basis)
+    problem = pm.QuasiStatic(grid, points, basis=basis, reset=1, balanced_reset=False)
     theta = {"theta": 0} if stuff.micropolar else {}
     problem.fix(lambda x: x[:, 0] < 0.75 * metre, u=0, **theta)
     newton = pascal * metre ** (dim - 1)  # per metre of thickness in plane strain

@@ -30,7 +30,8 @@ def cantilever(basis, *, load=0.004, **options):
         load: body force in the direction of its deflection, as a share of Young's modulus over a cell.
     """
     grid = pm.Grid.box((0, -3), (8, 7), 1.0, COMM)
-    problem = pm.QuasiStatic(grid, block_points((0, 0.2), (5, 1), (3, 4), MICROPOLAR), basis=basis, **options)
+    options = {**pm.PUBLISHED, "basis": basis, **options}
+    problem = pm.QuasiStatic(grid, block_points((0, 0.2), (5, 1), (3, 4), MICROPOLAR), **options)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     problem.body_load(force=(0.0, load * YOUNG))
     return problem

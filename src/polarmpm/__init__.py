@@ -5,7 +5,14 @@ from typing import TYPE_CHECKING, Any
 from .conditions import plane
 from .elementproblem import QuasiStaticFEM
 from .elements import Elements, Facets
-from .errors import InputError, KernelError, NotConverged, PointsOutsideGrid, PolarMPMError
+from .errors import (
+    InputError,
+    KernelError,
+    NotConserved,
+    NotConverged,
+    PointsOutsideGrid,
+    PolarMPMError,
+)
 from .ghost import GhostPenalty
 from .grid import Grid
 from .io import Recorder, Table
@@ -53,6 +60,7 @@ __all__ = [
     "MicropolarElastic",
     "NeoHookean",
     "Never",
+    "NotConserved",
     "NotConverged",
     "Plastic",
     "Points",

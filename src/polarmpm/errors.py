@@ -50,5 +50,9 @@ class LocalFailure(PolarMPMError, RuntimeError):
     """
 
 
+class NotConserved(PolarMPMError, RuntimeError):
+    """Points were lost, or grid and points don't belong together any more; raised on all ranks alike."""
+
+
 class KernelError(PolarMPMError, RuntimeError):
     """An expression could not be turned into compiled code."""

@@ -22,7 +22,7 @@ from .grid import Grid
 from .materials.base import parameter_values
 from .nodalterms import TermSource
 from .nodes import ActiveNodes
-from .parallel import together
+from .parallel import Route, together
 from .pointforms import Layout, PointForm
 from .points import Points, domain_half_length
 from .weighting import Weights, node_positions, weights
@@ -41,6 +41,10 @@ class Reference:
     def of(cls, points: Points) -> Reference:
         """The points' current state."""
         return cls(points.x.copy(), points.F.copy(), points.q.copy(), points.wryness.copy())
+
+    def moved(self, route: Route) -> Reference:
+        """The same of points that have gone to other ranks. Collective."""
+        return Reference(*(route.forward(a) for a in (self.x, self.F, self.q, self.wryness)))
 
 
 @dataclass
@@ -95,7 +99,9 @@ class Interpolation:
         self.terms = [term for source in sources for term in source.terms(grid, reached)]
         more = [t.boxes.numbers(grid).ravel() for t in self.terms]
         touched, node_sets, first = _node_sets(grid, groups, more)
-        self.nodes = ActiveNodes.build(grid, touched, partial(node_positions, basis, grid))
+        self.nodes = ActiveNodes.build(
+            grid, touched, partial(node_positions, basis, grid), _claims(grid, groups, touched)
+        )
         node_sets = self.nodes.local(touched).astype(np.int32)[node_sets]
         self.batches = [
             self._batch(form, m, w, order, groups, (node_sets, first)) for m, form in enumerate(forms)
@@ -245,6 +251,14 @@ def _reached_cells(grid: Grid, groups: _Groups, degree: int) -> np.ndarray:
     first = grid.node_number(groups.node.reshape(-1, grid.dim))
     boxes = _boxes(grid, groups.count - degree)
     return np.unique(np.concatenate([first[:0], *((first[g][:, None] + box).ravel() for g, box in boxes)]))
+
+
+def _claims(grid: Grid, groups: _Groups, touched: np.ndarray) -> np.ndarray:
+    """How many of this rank's points have each touched node as their first one: a piece of the body that is
+    cut between cells then owns the lower corners of its cells, and no rank more nodes than its share."""
+    first = grid.node_number(groups.node.reshape(-1, grid.dim))
+    at = np.searchsorted(touched, first)
+    return np.bincount(at, np.diff(groups.first), minlength=len(touched)).astype(np.int64)
 
 
 def _node_sets(

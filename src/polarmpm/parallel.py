@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 from mpi4py import MPI
 
@@ -11,12 +12,26 @@ import numpy as np
 
 from .errors import InputError
 
+_TAG = 7361  # of messages between ranks
+
+
+@dataclass
+class Traffic:
+    """What this rank has sent to others so far."""
+
+    messages: int = 0
+    bytes: int = 0
+
+
+traffic = Traffic()
+
 
 class Route:
     """Sends row i of an array to rank `destination[i]`, and answers back. Collective.
 
     `forward` returns the received rows ordered by source rank; `backward` returns rows that answer the
-    received ones to where they came from, in the original order.
+    received ones to where they came from, in the original order. Ranks that have nothing for each other
+    exchange nothing but one number, when the route is made.
     """
 
     def __init__(self, comm: MPI.Comm, destination: np.ndarray):
@@ -27,13 +42,27 @@ class Route:
         comm.Alltoall(self.sent, self.received)
 
     def _exchange(self, rows: np.ndarray, sent: np.ndarray, received: np.ndarray) -> np.ndarray:
-        rows = np.ascontiguousarray(rows)
+        comm, rows = self.comm, np.ascontiguousarray(rows)
         out = np.empty((int(received.sum()), *rows.shape[1:]), dtype=rows.dtype)
         width = int(np.prod(rows.shape[1:], dtype=int)) * rows.itemsize
-        row = MPI.BYTE.Create_contiguous(max(width, 1)).Commit()
+        if width == 0:
+            return out
+        parts, places = (np.concatenate([[0], np.cumsum(c)]) for c in (sent, received))
+        row, requests = MPI.BYTE.Create_contiguous(width).Commit(), []
         try:
-            starts = [np.concatenate([[0], np.cumsum(c)[:-1]]).astype(np.int32) for c in (sent, received)]
-            self.comm.Alltoallv([rows, sent, starts[0], row], [out, received, starts[1], row])
+            for rank in np.flatnonzero(received):
+                part = out[places[rank] : places[rank + 1]]
+                if rank == comm.rank:
+                    part[...] = rows[parts[rank] : parts[rank + 1]]
+                else:
+                    requests.append(comm.Irecv([part, len(part), row], int(rank), _TAG))
+            for rank in np.flatnonzero(sent):
+                if rank != comm.rank:
+                    part = rows[parts[rank] : parts[rank + 1]]
+                    requests.append(comm.Isend([part, len(part), row], int(rank), _TAG))
+                    traffic.messages += 1
+                    traffic.bytes += part.nbytes
+            MPI.Request.Waitall(requests)
         finally:
             row.Free()
         return out
@@ -63,12 +92,20 @@ def look_up(comm: MPI.Comm, numbers: np.ndarray, values: np.ndarray, wanted: np.
     return ask.backward(np.where((known[at] == asked)[:, None], rows[at], 0.0))
 
 
-def lowest_ranks(comm: MPI.Comm, numbers: np.ndarray) -> np.ndarray:
-    """The lowest rank that holds each of the numbers (n,), all different on a rank. Collective."""
+def lowest_ranks(comm: MPI.Comm, numbers: np.ndarray, claims: np.ndarray | None = None) -> np.ndarray:
+    """The lowest rank that holds each of the numbers (n,), all different on a rank. Collective.
+
+    With claims (n,), whole numbers, the lowest of those whose claim is the largest.
+    """
     route = Route(comm, numbers % comm.size)
     asked = route.forward(numbers)
     source = np.repeat(np.arange(comm.size), route.received)
     unique, inverse = np.unique(asked, return_inverse=True)
+    if claims is not None:
+        claimed = route.forward(claims)
+        most = np.zeros(len(unique), dtype=np.int64)
+        np.maximum.at(most, inverse, claimed)
+        source = np.where(claimed == most[inverse], source, comm.size)
     lowest = np.full(len(unique), comm.size, dtype=np.int64)
     np.minimum.at(lowest, inverse, source)
     return route.backward(lowest[inverse])

@@ -12,6 +12,7 @@ import numpy as np
 
 from . import conditions, movinggrid, rotations
 from .conditions import Amplitude, Plane, PlaneSpec, Support
+from .conservation import Conservation, Totals
 from .errors import InputError
 from .forms import make_form
 from .ghost import Ghost, GhostPenalty, make_penalty
@@ -20,6 +21,7 @@ from .interpolation import Increments, Interpolation, Reference
 from .movinggrid import MovingPlane
 from .newton import Controls
 from .parallel import look_up, together
+from .partition import Balance, distribute
 from .pointforms import CoupleForm, Kernel
 from .points import Points, Selection
 from .pointsystem import LoadedPoints, PointSystem
@@ -79,6 +81,9 @@ class QuasiStatic(SurfaceProblem):
         ghost: stabilises cells that the body cuts slightly (T 2.3.4): None, "thesis" (a hundredth of lambda
             and of gamma, T 4.4), "light" (against the thinnest cuts only) or a `GhostPenalty`. With basis
             "gimpm" or "mpm" and assembly "direct".
+        rebalance: on several ranks, when points move to other ranks at a reset: when the most work of a rank,
+            over the mean, or the share of nodes at the borders between ranks has grown by this factor since
+            they were dealt out last; None for never.
         controls: tolerances of Newton's method.
 
     Raises:
@@ -96,6 +101,7 @@ class QuasiStatic(SurfaceProblem):
         reset: int | ResetPolicy | None = _DISTORTED,
         balanced_reset: bool = True,
         ghost: str | GhostPenalty | None = None,
+        rebalance: float | None = 1.1,
         controls: Controls | None = None,
     ):
         self.grid = self.initial_grid = grid
@@ -109,6 +115,8 @@ class QuasiStatic(SurfaceProblem):
         self.forms = [make_form(m, grid.dim) for m in points.materials]
         for form in self.forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
+        self.balance = Balance(grid.comm, rebalance)
+        self._conservation = Conservation(grid.comm)
         self.balanced_reset = balanced_reset
         self.ghost = make_penalty(ghost, points.materials, self.layout, basis, assembly)
         if self.ghost:
@@ -120,6 +128,8 @@ class QuasiStatic(SurfaceProblem):
         # forces and couples at the points of the last attempt and of the last converged step
         self._attempted: tuple[np.ndarray, np.ndarray] | None = None
         self._balanced: tuple[np.ndarray, np.ndarray] | None = None
+        if self.balance.due():
+            self._migrate()
 
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
@@ -208,6 +218,7 @@ class QuasiStatic(SurfaceProblem):
 
     def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
         system.interpolation.update_points(increments)
+        self._conservation.check(system.interpolation, system.x)
         if self.points.plastic:
             self._flow(system)
         if self._step_start is not None:
@@ -248,6 +259,9 @@ class QuasiStatic(SurfaceProblem):
             grid = movinggrid.grid_at(self._moving, self.initial_grid, p.factor)
             check_inside(grid, self.points)
             self._put_grid(grid)
+            if self.balance.due():
+                with self.timer("migration"):
+                    self._migrate()
             with self.timer("reset"):
                 interpolation = self._interpolate(None)
             self._system = self._build(interpolation)
@@ -266,6 +280,19 @@ class QuasiStatic(SurfaceProblem):
         self._stale = False
         return self._system
 
+    def _migrate(self, reference: Reference | None = None) -> Reference | None:
+        """Deal the points out afresh, with all that is kept for each of them between steps, or between resets
+        their reference, which is then returned for the new distribution."""
+        before, kept = Totals.numbers(self.points, self.grid), self.kept()
+        route = distribute(self.grid, self.points, None if reference is None else reference.x)
+        self.balance.dealt()
+        if route is None:
+            return reference
+        self._conservation.moved(before, self.points, self.grid)
+        self._keep({name: route.forward(rows) for name, rows in kept.items()})
+        self._attempted = None
+        return None if reference is None else reference.moved(route)
+
     def _put_grid(self, grid: Grid) -> None:
         """Make it the grid; the supports' planes follow."""
         if grid is not self.grid:
@@ -277,7 +304,10 @@ class QuasiStatic(SurfaceProblem):
     def _interpolate(self, reference: Reference | None) -> Interpolation:
         for source in self._sources if reference is None else []:
             source.begin()
-        return Interpolation(self.grid, self.points, self.basis, self.forms, reference, self._sources)
+        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, self._sources)
+        self._conservation.reset(made)
+        self.balance.built(self.points, made.nodes)
+        return made
 
     def _build(self, interpolation: Interpolation) -> LoadedPoints:
         prescribed, c = self._prescribed(interpolation.nodes), self._compiled
@@ -306,23 +336,49 @@ class QuasiStatic(SurfaceProblem):
         own = s.nodes.owned
         return s.interpolation.reference, s.nodes.lattice[:own], np.hstack([s.x[:own], s.carried[:own]])
 
+    def kept(self) -> dict[str, np.ndarray]:
+        """What is kept for each local point from step to step, beside its state: rows (np, ...) by name."""
+        out = {} if self._last_x is None else {"last_x": self._last_x}
+        if self._balanced is not None:
+            out |= {"forces": self._balanced[0], "couples": self._balanced[1]}
+        return out
+
+    def _keep(self, rows: dict[str, np.ndarray]) -> None:
+        """Put in rows such as those of `kept`."""
+        self._last_x = rows.get("last_x")
+        self._balanced = (rows["forces"], rows["couples"]) if "forces" in rows else None
+
     def restore(
-        self, progress: Progress, increments: tuple[Reference, np.ndarray, np.ndarray] | None
+        self,
+        progress: Progress,
+        increments: tuple[Reference, np.ndarray, np.ndarray] | None,
+        kept: dict[str, np.ndarray],
+        shares: np.ndarray | None,
     ) -> None:
-        """Continue from a state whose points have been put in already; see `io.restart`."""
-        self.progress, self._equilibrium, self._balanced = progress, None, None
+        """Continue from a state whose points have been put in already; see `io.restart`.
+
+        Args:
+            increments: as from `increments`.
+            kept: as from `kept`.
+            shares: how well the points are dealt out, from `Balance.state`; None: they are dealt out now.
+        """
+        self.progress, self._equilibrium, self._conservation = progress, None, Conservation(self.comm)
         self.term_works = {"ghost": progress.ghost_work}
-        self._last_x = None
+        self._keep(kept)
         if self._system is not None:
             self._system.destroy()
             self._system = None
         factor = progress.factor if increments is None else progress.reset_factor
         self._put_grid(movinggrid.grid_at(self._moving, self.initial_grid, factor))
-        if increments is None:
+        reference, lattice, values = increments or (None, None, None)
+        if shares is None:
+            reference = self._migrate(reference)
+        else:
+            self.balance.restore(shares)
+        if reference is None or lattice is None or values is None:
             progress.reset_due = True
             return
         self._compile()
-        reference, lattice, values = increments
         interpolation = self._interpolate(reference)
         self._system, self._stale = self._build(interpolation), False
         here = look_up(self.comm, lattice, values, interpolation.nodes.lattice)

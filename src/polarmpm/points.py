@@ -180,20 +180,15 @@ class Points:
             full = (len(arrays["id"]), *(self.dim if s == "d" else s for s in shape))
             setattr(self, name, np.ascontiguousarray(arrays[name], dtype=kind).reshape(full))
 
-    def migrate(self, destination: np.ndarray) -> None:
-        """Move each point, with all its state, to rank `destination[i]`. Collective."""
-        if self.comm.size > 1:
-            route = Route(self.comm, destination)
-            self.replace({name: route.forward(a) for name, a in self.arrays().items()})
+    def migrate(self, destination: np.ndarray) -> Route:
+        """Move each point, with all its state, to rank `destination[i]`. Collective.
 
-    def balance(self) -> None:
-        """Give every rank an equal share of the points, in the order of their ids. Collective.
-
-        Ids run along the body's longest axis, so shares are compact pieces of it.
+        Returns:
+            The way that they went, for what else is kept for each point.
         """
-        before, everything = self.comm.exscan(len(self)) or 0, self.total
-        rank = (before + np.arange(len(self))) * self.comm.size // max(everything, 1)
-        self.migrate(rank.astype(np.int64))
+        route = Route(self.comm, destination)
+        self.replace({name: route.forward(a) for name, a in self.arrays().items()})
+        return route
 
     def join(self, other: Points) -> None:
         """Add the points of another set (another material, say); their ids follow on. Collective."""

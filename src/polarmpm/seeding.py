@@ -14,6 +14,7 @@ from .errors import InputError, PointsOutsideGrid
 from .grid import Grid
 from .materials.base import Material
 from .parallel import collectively
+from .partition import distribute
 from .points import Points
 
 _CHUNK = 200_000  # candidate points tested at once
@@ -75,7 +76,7 @@ def seed(
         raise InputError(
             f"inside: none of the candidate points between {grid.origin} and {grid.upper} is in the body"
         )
-    points.balance()
+    distribute(grid, points)
     return points
 
 
@@ -162,7 +163,7 @@ def seed_mesh(grid: Grid, mesh: Any, *, material: Material, degree: int = 2) -> 
     side = volume ** (1.0 / grid.dim)
     points = Points(x, volume, np.tile(0.5 * side[:, None], (1, grid.dim)), material, grid.comm)
     check_inside(grid, points)
-    points.balance()
+    distribute(grid, points)
     return points
 
 

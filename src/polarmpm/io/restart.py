@@ -1,7 +1,8 @@
 """Restart files: all that a run needs to continue to the same digits.
 
-Material points are put back as they are. Elements are made by the script, and their state is put in by the
-original numbers of cells and quadrature points, so that any number of ranks may read it.
+Material points are put back as they are; another number of ranks than wrote the file reads equal shares of it
+and deals them out afresh. Elements are made by the script, and their state is put in by the original numbers
+of cells and quadrature points.
 A file is HDF5; ranks write their rows one after the other. It is written under a temporary name and put in
 place at the end, so the file on disc is always complete.
 """
@@ -59,6 +60,7 @@ def _arrays(problem: Any) -> dict[str, np.ndarray]:
         reference, lattice, values = between
         arrays |= {f"reference/{f.name}": getattr(reference, f.name) for f in fields(reference)}
         arrays |= {"nodes/lattice": lattice, "nodes/increments": values}
+    arrays |= {f"kept/{name}": a for name, a in problem.kept().items()}
     for name, a in problem.surface_state().items():  # the same on every rank
         arrays[f"surfaces/{name.replace('/', '.')}"] = a if problem.comm.rank == 0 else a[:0]
     return arrays
@@ -70,6 +72,8 @@ def _write_rows(path: Path, problem: Problem, arrays: dict[str, np.ndarray], fir
             file.attrs.update({"body": _kind(problem), **_header(problem)})
             for name, value in asdict(problem.progress).items():
                 file.attrs[f"progress/{name}"] = value
+            if isinstance(problem, QuasiStatic):
+                file.attrs["shares"] = problem.balance.state()
         for name, rows in arrays.items():
             if first:
                 file.create_dataset(name, data=rows, maxshape=(None, *rows.shape[1:]), chunks=True)
@@ -109,6 +113,7 @@ def load(problem: Problem, path: str | os.PathLike[str]) -> None:
             _check(problem, file, path)
             rows = _read_all(file, problem.comm)
             saved = {f.name: file.attrs[f"progress/{f.name}"].item() for f in fields(Progress)}
+            shares = _shares(file, problem.comm)
     except OSError as e:
         error = InputError(f"restart file {path} can't be read: {e}")
     except InputError as e:
@@ -118,10 +123,18 @@ def load(problem: Problem, path: str | os.PathLike[str]) -> None:
         meshstate.put(problem, rows, path)
         problem.restore(Progress(**saved))
     elif isinstance(problem, QuasiStatic):
-        _put(problem, rows, Progress(**saved))
+        _put(problem, rows, Progress(**saved), shares)
 
 
-def _put(problem: QuasiStatic, rows: dict[str, np.ndarray], progress: Progress) -> None:
+def _shares(file: h5py.File, comm: MPI.Comm) -> np.ndarray | None:
+    """How well the points are dealt out; None where other ranks wrote the file."""
+    same = "counts/points/id" in file and len(file["counts/points/id"]) == comm.size
+    return file.attrs["shares"] if same and "shares" in file.attrs else None
+
+
+def _put(
+    problem: QuasiStatic, rows: dict[str, np.ndarray], progress: Progress, shares: np.ndarray | None
+) -> None:
     between: tuple[Reference, np.ndarray, np.ndarray] | None = None
     if "nodes/lattice" in rows:
         reference = Reference(*(rows[f"reference/{f.name}"] for f in fields(Reference)))
@@ -129,7 +142,8 @@ def _put(problem: QuasiStatic, rows: dict[str, np.ndarray], progress: Progress) 
     problem.points.replace({name: rows[f"points/{name}"] for name in problem.points.fields})
     surfaces = {name[9:].replace(".", "/"): a for name, a in rows.items() if name.startswith("surfaces/")}
     problem.restore_surfaces(surfaces)
-    problem.restore(progress, between)
+    kept = {name[5:]: a for name, a in rows.items() if name.startswith("kept/")}
+    problem.restore(progress, between, kept, shares)
 
 
 def _check(problem: Problem, file: h5py.File, path: Any) -> None:
