@@ -140,8 +140,7 @@ def test_large_prescribed_rotations_of_a_classical_body(stress, bodies):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("reset", [1, None])
-@pytest.mark.parametrize("basis", ["mpm", "bspline"])
+@pytest.mark.parametrize(("basis", "reset"), [("mpm", 1), ("bspline", None)])
 def test_a_hundred_turns(stress, bodies, basis, reset):
     found = stress["extremes"].turning(basis, bodies["micropolar"], 2, 100, reset=reset)
     assert found.passed, found
