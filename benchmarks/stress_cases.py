@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, fields
-from pathlib import Path
 
 from mpi4py import MPI
 
@@ -64,14 +63,6 @@ def head() -> str:
     """The table's first two rows."""
     names = [f.name for f in fields(Record)]
     return "| " + " | ".join(names) + " |\n" + "|" + "---|" * len(names)
-
-
-def read_lines(path: Path) -> dict[str, list[str]]:
-    """Rows of an earlier table in Markdown, by group."""
-    found: dict[str, list[str]] = {}
-    for row in path.read_text().splitlines()[2:]:
-        found.setdefault(row.split("|")[1].strip(), []).append(row)
-    return found
 
 
 # a block ------------------------------------------------------------------------------------------

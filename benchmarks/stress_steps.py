@@ -75,8 +75,8 @@ def too_large(basis, resets, steps=20, factor=10, load=0.03):
         if np.linalg.eigvalsh(free_tangent(problem))[0] < 0:
             number += f", the {name} steps end unstable"
     passed = not careful.failure and watch.cuts > 0 and error < limit
-    case = f"{basis}, {resets}, load {load:g}"
-    return watch.record("steps too large", case, passed, error=error, measure=f"{number}: {UNEQUAL}")
+    case = f"too large, {basis}, {resets}, load {load:g}"
+    return watch.record("steps", case, passed, error=error, measure=f"{number}: {UNEQUAL}")
 
 
 def too_small(basis, resets, steps=4, factor=1000, load=0.008):
@@ -90,4 +90,4 @@ def too_small(basis, resets, steps=4, factor=1000, load=0.008):
         watch.look()
     error, limit = distance(many, few), LIMITS[resets]
     measure = f"{steps * factor} steps against {steps}: {UNEQUAL}"
-    return watch.record("steps too small", f"{basis}, {resets}", error < limit, error=error, measure=measure)
+    return watch.record("steps", f"too small, {basis}, {resets}", error < limit, error=error, measure=measure)

@@ -37,7 +37,8 @@ class NodalSystem:
 
     Attributes:
         x: nodal increments since the reset (nodes, block), ghosts included.
-        before: what they were before the last correction; at the start of a step the same.
+        before: what they were before the last correction; at the start of a step, and where prescribed values
+            have just been put in, the same.
         external: forces on the nodes, complete on owned rows.
         residual: internal minus external and carried forces of the last evaluation; complete on owned rows.
         first: the residual as it was when the step began.
@@ -185,6 +186,8 @@ class NodalSystem:
         if self._pending:
             step[fixed] = self._lift[fixed]
         self.add(step)
+        if self._pending:  # a large prescribed motion is no correction, from which to predict stresses
+            self.before = self.x
         self._pending = False
         self._lift[:] = 0.0
         self._lift_forces[:] = 0.0
