@@ -124,6 +124,8 @@ def check_seconds(problem: Any) -> float:
 def on_ranks(ranks: int, args: argparse.Namespace) -> dict[str, Any]:
     keep = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_", "OMPI_COMM", "PRTE_"))}
     env = {**keep, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    env.setdefault("OMPI_MCA_rmaps_base_oversubscribe", "1")
+    env.setdefault("PRTE_MCA_rmaps_default_mapping_policy", ":oversubscribe")
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder, "result.json")
         command = ["mpirun", "-n", str(ranks), sys.executable, __file__, "--worker", str(result)]
@@ -183,7 +185,9 @@ def markdown(runs: list[dict[str, Any]], rows: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--ranks", type=int, nargs="+", default=[1, 2, 4], metavar="N")
+    cores = len(os.sched_getaffinity(0))
+    default = [n for n in (1, 2, 4, 8) if n <= cores]
+    parser.add_argument("--ranks", type=int, nargs="+", default=default, metavar="N")
     parser.add_argument("--cells", type=int, default=15, help="of a side of the block")
     parser.add_argument("--per-cell", type=int, default=4, help="points in each direction of a cell")
     parser.add_argument("--steps", type=int, default=3)
