@@ -1,27 +1,69 @@
-"""Linear systems through PETSc: a direct solver that fits the tangent's symmetry."""
+"""Linear systems through PETSc: the choice of a solver; a direct one that fits the tangent's symmetry."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Protocol
 
 from petsc4py import PETSc
 
 import numpy as np
 
-from .errors import PolarMPMError
+from .errors import InputError, PolarMPMError
+
+SOLVERS = ("auto", "direct", "multigrid")
+ACCURACY = 1e-8  # residual of a linear system relative to its right-hand side, unless told otherwise
+_LARGE = 20_000  # unknowns in space from which on multigrid takes less time
 
 # Relative lift of the factored matrix' diagonal. A node set seen by a single point has fewer constraints than
 # unknowns, and its tangent is exactly singular; slivers of points' domains in a cell come close to that.
 _DIAGONAL = 1e-12
 # The lift stays out of the tangent itself: FGMRES with the lifted factor solves with the tangent, in one
 # iteration unless a mode is as weak as the lift.
-_TOLERANCE = 1e-8
 _KRYLOV_LIMIT = 60  # iterations after which the factor is given up
 _METHODS = ["definite", "symmetric", "general"]  # the last one for unsymmetric tangents only
 
 
 class SingularTangent(PolarMPMError, ArithmeticError):
     """The tangent could not be factored; the step is cut."""
+
+
+class LinearSolver(Protocol):
+    """Solves with a matrix that changes its entries now and then."""
+
+    matrix: PETSc.Mat
+    symmetric: bool
+
+    def factor(self) -> None: ...
+
+    def solve(self, rhs: np.ndarray, accuracy: float = ACCURACY) -> np.ndarray: ...
+
+    def destroy(self) -> None: ...
+
+
+def check_solver(solver: str) -> str:
+    """Raise InputError unless it is one of `SOLVERS`."""
+    if solver not in SOLVERS:
+        raise InputError(f"solver = {solver!r}: allowed are {', '.join(SOLVERS)}")
+    return solver
+
+
+def make_solver(
+    solver: str,
+    matrix: PETSc.Mat,
+    symmetric: bool,
+    far_from_symmetric: bool,
+    dim: int,
+    modes: Callable[[], np.ndarray],
+) -> LinearSolver:
+    """The solver of a name; "auto" takes the one that is faster in so many dimensions. Arguments as of
+    `multigrid.MultigridSolver`. Collective."""
+    large = dim == 3 and matrix.size[0] >= _LARGE
+    if solver == "direct" or (solver == "auto" and not large):
+        return DirectSolver(matrix, symmetric, far_from_symmetric)
+    from .multigrid import MultigridSolver  # small problems don't know of it
+
+    return MultigridSolver(matrix, symmetric, modes, far_from_symmetric)
 
 
 class DirectSolver:
@@ -56,7 +98,7 @@ class DirectSolver:
         ksp.setOperators(self.matrix, self._lifted)
         ksp.setType(PETSc.KSP.Type.FGMRES)
         ksp.setGMRESRestart(_KRYLOV_LIMIT)
-        ksp.setTolerances(rtol=_TOLERANCE, atol=0.0, divtol=1e30, max_it=_KRYLOV_LIMIT)
+        ksp.setTolerances(rtol=ACCURACY, atol=0.0, divtol=1e30, max_it=_KRYLOV_LIMIT)
         pc = ksp.getPC()
         pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
         pc.setFactorSolverType("mumps")
@@ -119,8 +161,8 @@ class DirectSolver:
         return False
 
     # solution -------------------------------------------------------------------------------------
-    def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Solve for the owned unknowns, (n,) -> (n,). Collective.
+    def solve(self, rhs: np.ndarray, accuracy: float = ACCURACY) -> np.ndarray:
+        """Solve for the owned unknowns, (n,) -> (n,), always to `ACCURACY`. Collective.
 
         Raises:
             SingularTangent: no method gave a solution.

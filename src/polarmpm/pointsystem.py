@@ -11,7 +11,7 @@ import numpy as np
 from . import native, sparsity
 from .conditions import Prescribed
 from .interpolation import Interpolation, PointBatch
-from .linear import DirectSolver
+from .linear import make_solver
 from .nodalterms import NodalTerms
 from .nodes import ActiveNodes
 from .pointforms import Kernel
@@ -151,6 +151,7 @@ class PointSystem(LoadedPoints):
         couple_kernel: Kernel | None,
         prescribed: Prescribed,
         timer: Timer,
+        solver: str = "auto",
     ):
         super().__init__(interpolation, kernels, couple_kernel, prescribed, timer)
         symmetric = self.symmetric
@@ -166,7 +167,14 @@ class PointSystem(LoadedPoints):
             self._fixed_diagonal = self.pattern.diagonal[owned]
             self._rows = self.pattern.rows()
             plastic = any(m is not None for m in self.mappings)
-            self.solver = DirectSolver(self.pattern.petsc_matrix(), symmetric, far_from_symmetric=plastic)
+            self.solver = make_solver(
+                solver,
+                self.pattern.petsc_matrix(),
+                symmetric,
+                plastic,
+                self.layout.dim,
+                self.rigid_motions,
+            )
 
     # assembly ---------------------------------------------------------------------------------------
     def assemble(self, tangent: bool) -> np.ndarray:
@@ -205,7 +213,7 @@ class PointSystem(LoadedPoints):
     def diagonal(self) -> np.ndarray:
         return self.pattern.values[self.pattern.diagonal].reshape(-1, self.layout.block)
 
-    def solve(self, right: np.ndarray, fresh: bool) -> np.ndarray:
+    def solve(self, right: np.ndarray, fresh: bool, accuracy: float) -> np.ndarray:
         if fresh:
             values = self.pattern.values
             at = self._fixed_diagonal[values[self._fixed_diagonal] == 0.0]
@@ -215,7 +223,7 @@ class PointSystem(LoadedPoints):
                 self.solver.matrix.assemble()
                 self.solver.factor()
         with self.timer("solve"):
-            return self.solver.solve(right.ravel()).reshape(right.shape)
+            return self.solver.solve(right.ravel(), accuracy).reshape(right.shape)
 
     def destroy(self) -> None:
         self.solver.destroy()
