@@ -25,7 +25,7 @@ class FormMatrix:
         fixed: prescribed unknowns (nodes, block) of this rank, bool.
         symmetric: the matrix is symmetric.
         far_from_symmetric: see `DirectSolver`.
-        solver, dim, motions: see `linear.make_solver`.
+        solver, large, hints: see `linear.make_solver`.
     """
 
     def __init__(
@@ -36,14 +36,14 @@ class FormMatrix:
         owned: int,
         far_from_symmetric: bool,
         solver: str,
-        dim: int,
-        motions: Callable[[], np.ndarray],
+        large: bool,
+        hints: Callable[[], tuple[np.ndarray, np.ndarray]],
     ):
         self.forms, self.owned, self.block = forms, owned, fixed.shape[1]
         self.matrix = _compat.create_matrix(forms[0])
         rows = np.flatnonzero(fixed[:owned].ravel())
         self._fixed = (rows + self.matrix.getOwnershipRange()[0]).astype(np.int32)
-        self.solver = make_solver(solver, self.matrix, symmetric, far_from_symmetric, dim, motions)
+        self.solver = make_solver(solver, large, self.matrix, symmetric, far_from_symmetric, hints)
         self._vector = self.matrix.createVecRight()
 
     def assemble(self, lift: np.ndarray | None) -> np.ndarray | None:
@@ -111,8 +111,8 @@ class ElementSystem(NodalSystem):
                 e.nodes.owned,
                 not forms.symmetric,
                 solver,
-                e.dim,
-                self.rigid_motions,
+                self.is_large(),
+                self.solver_hints,
             )
         self._dead_forces: np.ndarray = np.zeros_like(self.x)
 

@@ -16,13 +16,13 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from . import rotations
 from .linear import ACCURACY, DirectSolver, SingularTangent
 
 _LIMIT = 150  # iterations after which a method is given up
 _RESTART = 50  # of GMRES
 _STALE = 10  # a new hierarchy costs about as much as so many iterations
 _ROUNDS = 4  # solutions for what is left of the residual
+_LIFT = 1e-12  # of the diagonal of weak nodes, whose tangent may be exactly singular
 _FAILURES = 2  # of multigrid, after which the direct solver takes over until the next reset
 
 _PREFIX = "polarmpm_multigrid_"
@@ -38,14 +38,16 @@ _OPTIONS = {
 # Symmetric relaxation of a definite matrix has no eigenvalue beyond 1: on one rank none has to be estimated.
 _ONE_RANK = {"mg_levels_ksp_chebyshev_eigenvalues": "0.1,1.1"}
 
-Modes = Callable[[], np.ndarray]
+Hints = Callable[[], tuple[np.ndarray, np.ndarray]]
 
 
 def rigid_motions(position: np.ndarray, turned: np.ndarray, comm: MPI.Comm) -> np.ndarray:
     """Rigid motions of nodes as changes of their unknowns, (k, n, block). Collective.
 
-    Where the microrotation has been turned by exp(Dw), a further spin b changes Dw by J_l(Dw)^-1 b, with
-    J_l(w) = J_r(-w). Rotations are about the nodes' centre.
+    Where the microrotation has been turned by exp(Dw), a further spin b changes Dw by J_l(Dw)^-1 b, which is
+    b + b x Dw / 2 up to the square of Dw. So far it is linear in the nodal increments, and right at points
+    between nodes however far off nodes are that the points hardly reach. Rotations are about the nodes'
+    centre.
 
     Args:
         position: current positions (n, d) (m).
@@ -61,10 +63,88 @@ def rigid_motions(position: np.ndarray, turned: np.ndarray, comm: MPI.Comm) -> n
     for motion, spin in zip(out[d:], spins, strict=True):
         motion[:, :d] = np.cross(spin, arm)[:, :d]
         if r == 3:
-            motion[:, d:] = np.linalg.solve(rotations.right_tangent(-turned), spin[None, :, None])[:, :, 0]
+            motion[:, d:] = spin + 0.5 * np.cross(spin, turned)
         elif r:
             motion[:, d] = 1.0
     return out
+
+
+class Preconditioner:
+    """Multigrid between two corrections of weak nodes, each for what the one before leaves.
+
+    A few points in a cell leave its outer nodes motions that cost next to nothing. There are too many of them
+    for Krylov methods, and relaxation doesn't see them: each rank factors the tangent of its weak nodes.
+
+    Args:
+        matrix: with a diagonal of 1, and with its near-null space.
+        weak: unknowns of weak nodes, counted on this rank.
+    """
+
+    def __init__(self, matrix: PETSc.Mat, symmetric: bool, weak: np.ndarray):
+        self._symmetric, self._weak, comm = symmetric, None, matrix.comm
+        self.pc = hierarchy = PETSc.PC().create(comm)
+        self.pc.setOperators(matrix)
+        if comm.tompi4py().allreduce(len(weak)):
+            self.pc.setType(PETSc.PC.Type.COMPOSITE)
+            self.pc.setCompositeType(PETSc.PC.CompositeType.SYMMETRIC_MULTIPLICATIVE)
+            for kind in (PETSc.PC.Type.ASM, PETSc.PC.Type.GAMG):
+                self.pc.addCompositePCType(kind)
+            self._weak, hierarchy = self.pc.getCompositePC(0), self.pc.getCompositePC(1)
+            unknowns = PETSc.IS().createGeneral(
+                (weak + matrix.getOwnershipRange()[0]).astype(np.int32), comm=PETSc.COMM_SELF
+            )
+            self._weak.setASMLocalSubdomains(1, [unknowns])
+            self._weak.setASMOverlap(0)
+            self._weak.setOperators(matrix)
+            unknowns.destroy()
+        hierarchy.setType(PETSc.PC.Type.GAMG)
+        hierarchy.setOperators(matrix)
+        options = PETSc.Options(_PREFIX)
+        for name, value in (_OPTIONS | (_ONE_RANK if comm.size == 1 else {})).items():
+            options[name] = value
+        hierarchy.setOptionsPrefix(_PREFIX)
+        hierarchy.setFromOptions()
+        hierarchy.setUp()
+        _mend(hierarchy)
+        self.pc.setReusePreconditioner(True)  # until a new one is made
+        self.pc.setUp()
+        self.update()
+
+    def update(self) -> None:
+        """Take the weak nodes' part of the matrix as it stands; the hierarchy stays. Collective."""
+        if self._weak is None:
+            return
+        self._weak.setReusePreconditioner(False)
+        self._weak.setUp()
+        for ksp in self._weak.getASMSubKSP():
+            ksp.setType(PETSc.KSP.Type.PREONLY)
+            part = ksp.getOperators()[0]
+            part.shift(_LIFT)
+            part.setOption(PETSc.Mat.Option.SYMMETRIC, self._symmetric)
+            part.setOption(PETSc.Mat.Option.SPD, self._symmetric)
+            pc = ksp.getPC()
+            pc.setType(PETSc.PC.Type.CHOLESKY if self._symmetric else PETSc.PC.Type.LU)
+            pc.setFactorSolverType("mumps")
+            ksp.setUp()
+
+    def destroy(self) -> None:
+        """Release PETSc's objects."""
+        self.pc.destroy()
+
+
+def _mend(hierarchy: PETSc.PC) -> None:
+    """Put ones on the diagonal where coarse operators have empty rows: an aggregate of one node without
+    microrotation has fewer unknowns than there are rigid motions. Collective."""
+    for level in range(1, hierarchy.getMGLevels() - 1):
+        smoother = hierarchy.getMGSmoother(level)
+        operator = smoother.getOperators()[0]
+        diagonal = operator.getDiagonal()
+        empty = diagonal.array_r == 0.0
+        if operator.comm.tompi4py().allreduce(int(empty.sum())):
+            diagonal.array[empty] = 1.0
+            operator.setDiagonal(diagonal)
+            smoother.setType(PETSc.KSP.Type.RICHARDSON)  # bounds of eigenvalues are void
+        diagonal.destroy()
 
 
 class MultigridSolver:
@@ -75,15 +155,16 @@ class MultigridSolver:
 
     Args:
         matrix, symmetric, far_from_symmetric: see `DirectSolver`.
-        modes: rigid motions (k, owned nodes, block), zero at prescribed unknowns.
+        hints: rigid motions (k, owned nodes, block), zero at prescribed unknowns, and at which of the nodes
+            (owned nodes,) there is hardly any of the body; collective.
 
     Attributes:
         iterations: of the Krylov methods so far.
         hierarchies: built so far.
     """
 
-    def __init__(self, matrix: PETSc.Mat, symmetric: bool, modes: Modes, far_from_symmetric: bool = False):
-        self.matrix, self.symmetric, self._modes = matrix, symmetric, modes
+    def __init__(self, matrix: PETSc.Mat, symmetric: bool, hints: Hints, far_from_symmetric: bool = False):
+        self.matrix, self.symmetric, self._hints = matrix, symmetric, hints
         self.comm: MPI.Comm = matrix.comm.tompi4py()
         self.iterations = self.hierarchies = 0
         self._far = far_from_symmetric
@@ -92,6 +173,7 @@ class MultigridSolver:
         self._scale, self._rest = self.rhs.duplicate(), self.rhs.duplicate()
         self._methods: list[PETSc.KSP] = []  # that share the hierarchy, the first one is tried first
         self._method = 0
+        self._preconditioner: Preconditioner | None = None
         self._rate = 0.0  # iterations for a digit with a new hierarchy
         self._old = self._worn = False  # the hierarchy: of an earlier tangent; not worth to be kept
         self._direct: DirectSolver | None = None
@@ -115,6 +197,8 @@ class MultigridSolver:
         self._copy()
         if not self._methods:
             self._build()
+        elif self._preconditioner is not None:
+            self._preconditioner.update()
 
     def _copy(self) -> None:
         """The whole matrix, scaled as when the hierarchy was built."""
@@ -135,7 +219,7 @@ class MultigridSolver:
         self._whole.diagonalScale(self._scale, self._scale)
 
     def _build(self) -> None:
-        modes = self._modes()
+        modes, weak = self._hints()
         self._whole.setBlockSizes(modes.shape[2], modes.shape[2])
         self._whole.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
         self._whole.setOption(PETSc.Mat.Option.STRUCTURALLY_SYMMETRIC, True)
@@ -144,12 +228,12 @@ class MultigridSolver:
         self._whole.setNearNullSpace(space)
         for thing in (space, *vectors):
             thing.destroy()
-        self._methods = self._create()
+        rows = np.flatnonzero(np.repeat(weak, modes.shape[2]))
         try:
-            self._methods[0].setUp()
+            self._preconditioner = Preconditioner(self._whole, self.symmetric, rows)
         except PETSc.Error:
             return self._factor_direct()
-        self._methods[0].getPC().setReusePreconditioner(True)
+        self._methods = self._create()
         self._rate, self._old, self._worn = 0.0, False, False
         self.hierarchies += 1
 
@@ -178,15 +262,11 @@ class MultigridSolver:
         return independent
 
     def _create(self) -> list[PETSc.KSP]:
-        options = PETSc.Options(_PREFIX)
-        for name, value in (_OPTIONS | (_ONE_RANK if self.comm.size == 1 else {})).items():
-            options[name] = value
+        assert self._preconditioner is not None
         out: list[PETSc.KSP] = []
         for kind in (PETSc.KSP.Type.CG, PETSc.KSP.Type.GMRES)[0 if self.symmetric else 1 :]:
             ksp = PETSc.KSP().create(self.comm)
-            ksp.setOptionsPrefix(_PREFIX)
-            if out:
-                ksp.setPC(out[0].getPC())
+            ksp.setPC(self._preconditioner.pc)
             ksp.setOperators(self._whole)
             ksp.setType(kind)
             if kind == PETSc.KSP.Type.CG:
@@ -194,9 +274,6 @@ class MultigridSolver:
             else:
                 ksp.setPCSide(PETSc.PC.Side.RIGHT)
                 ksp.setGMRESRestart(_RESTART)
-            if not out:
-                ksp.getPC().setType(PETSc.PC.Type.GAMG)
-                ksp.getPC().setFromOptions()
             out.append(ksp)
         return out
 
@@ -222,9 +299,10 @@ class MultigridSolver:
         ksp, scale = self._methods[self._method], self._scale.array
         self.rhs.array[:] = rhs * scale
         allowed, aim, taken = accuracy * self._norm(rhs), accuracy, 0
-        self.solution.set(0.0)
+        if self._method == 0:  # else from where the method before has come to
+            self.solution.set(0.0)
         for k in range(_ROUNDS):
-            ksp.setInitialGuessNonzero(k > 0)
+            ksp.setInitialGuessNonzero(k + self._method > 0)
             ksp.setTolerances(rtol=aim, atol=0.0, divtol=1e30, max_it=_LIMIT - taken)
             try:
                 ksp.solve(self.rhs, self.solution)
@@ -277,7 +355,9 @@ class MultigridSolver:
     def _release(self) -> None:
         for ksp in self._methods:
             ksp.destroy()
-        self._methods, self._worn = [], False
+        if self._preconditioner is not None:
+            self._preconditioner.destroy()
+        self._methods, self._preconditioner, self._worn = [], None, False
 
     def destroy(self) -> None:
         """Release PETSc's objects."""

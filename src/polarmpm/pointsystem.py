@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from .returnmapping import ReturnMapping
 
 
+_WEAK = 0.03  # share of a cell; at a corner of a body that fills its cells it is an eighth
+
+
 class LoadedPoints(NodalSystem):
     """Laws and loads of the points. How their virtual work is summed is left to subclasses."""
 
@@ -63,6 +66,10 @@ class LoadedPoints(NodalSystem):
         """Whether the tangent is symmetric."""
         elastic = not any(b.form.material.plastic for b in self.interpolation.batches)
         return elastic and self.couple_kernel is None and self.terms.symmetric
+
+    def weak_nodes(self) -> np.ndarray:
+        volumes = self.interpolation.spread(self.interpolation.points.volume0[:, None])[:, 0]
+        return volumes[: self.nodes.owned] < _WEAK * np.prod(self.length)
 
     def set_loads(self, forces: np.ndarray, couples: np.ndarray) -> None:
         """Forces (np, d) and couples (np, r) at the points. Collective."""
@@ -169,11 +176,11 @@ class PointSystem(LoadedPoints):
             plastic = any(m is not None for m in self.mappings)
             self.solver = make_solver(
                 solver,
+                self.is_large(),
                 self.pattern.petsc_matrix(),
                 symmetric,
                 plastic,
-                self.layout.dim,
-                self.rigid_motions,
+                self.solver_hints,
             )
 
     # assembly ---------------------------------------------------------------------------------------

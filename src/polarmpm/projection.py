@@ -157,14 +157,16 @@ class ProjectedSystem(LoadedPoints):
                 self.cells.nodes.owned,
                 plastic,
                 solver,
-                self.layout.dim,
-                self._mesh_motions,
+                self.is_large(),
+                self._mesh_hints,
             )
 
-    def _mesh_motions(self) -> np.ndarray:
-        """Rigid motions in the mesh's order."""
-        own = self.cells.nodes.owned
-        return np.stack([self.exchange.to_mesh(motion)[:own] for motion in self.rigid_motions()])
+    def _mesh_hints(self) -> tuple[np.ndarray, np.ndarray]:
+        """Hints for the solver in the mesh's order."""
+        own, (motions, weak) = self.cells.nodes.owned, self.solver_hints()
+        whole = np.repeat(weak[:, None].astype(float), self.layout.block, axis=1)
+        on_mesh = np.stack([self.exchange.to_mesh(v)[:own] for v in (*motions, whole)])
+        return on_mesh[:-1], on_mesh[-1, :, 0] > 0.5
 
     # assembly ---------------------------------------------------------------------------------------
     def assemble(self, tangent: bool) -> np.ndarray:

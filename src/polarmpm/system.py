@@ -9,7 +9,7 @@ from mpi4py import MPI
 import numpy as np
 
 from .conditions import Prescribed
-from .linear import ACCURACY
+from .linear import ACCURACY, is_large
 from .pointforms import Layout
 from .timing import Timer
 
@@ -99,14 +99,26 @@ class NodalSystem:
         """Current positions (nodes, d) (m)."""
         return self.nodes.position + self.x[:, : self.layout.dim]
 
-    def rigid_motions(self) -> np.ndarray:
-        """Rigid motions of the body as it is now (k, owned nodes, block), zero at prescribed unknowns.
-        Collective."""
+    def is_large(self) -> bool:
+        """Whether `solver="auto"` takes multigrid. Collective."""
+        position = self.nodes.position[: self.nodes.owned]
+        ends = np.stack([position.max(axis=0, initial=-np.inf), -position.min(axis=0, initial=np.inf)])
+        self.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
+        layers = 1.0 + float((ends.sum(axis=0) / self.length).max())
+        return is_large(self.layout.dim, self.layout.block, self.nodes.total / layers)
+
+    def weak_nodes(self) -> np.ndarray:
+        """Owned nodes at which there is hardly any of the body, bool. Collective."""
+        return np.zeros(self.nodes.owned, dtype=bool)
+
+    def solver_hints(self) -> tuple[np.ndarray, np.ndarray]:
+        """What a multigrid solver wants to know: rigid motions of the body as it is now (k, owned nodes,
+        block), zero at prescribed unknowns, and the weak nodes. Collective."""
         from .multigrid import rigid_motions  # small problems don't know of it
 
         own, d = slice(0, self.nodes.owned), self.layout.dim
         motions = rigid_motions(self.positions()[own], self.x[own, d:], self.comm)
-        return np.where(self.prescribed.fixed[own], 0.0, motions)
+        return np.where(self.prescribed.fixed[own], 0.0, motions), self.weak_nodes()
 
     def carry_imbalance(self) -> None:
         """Take the present state as an equilibrium: carry along what is out of balance in it. Collective."""
