@@ -392,7 +392,7 @@ class Local:
     def pending(self) -> bool:
         return False
 
-    def advance(self, fresh: bool) -> None:
+    def advance(self, fresh: bool, accuracy: float) -> None:
         """The state doesn't change."""
 
     def retreat(self) -> bool:

@@ -16,6 +16,7 @@ from .elements import Elements, Facets
 from .elementsystem import ElementSystem
 from .errors import InputError
 from .interpolation import Increments
+from .linear import check_solver
 from .newton import Controls
 from .parallel import together
 from .problem import Problem, Progress
@@ -64,9 +65,11 @@ class QuasiStaticFEM(Problem):
     Args:
         elements: the body.
         controls: tolerances of Newton's method.
+        solver: as of `QuasiStatic`.
     """
 
-    def __init__(self, elements: Elements, *, controls: Controls | None = None):
+    def __init__(self, elements: Elements, *, controls: Controls | None = None, solver: str = "auto"):
+        self.solver = check_solver(solver)
         super().__init__(elements.comm, elements.points, elements.dim, controls)
         self.elements = elements
         self.forms = _make_forms(elements)
@@ -142,7 +145,7 @@ class QuasiStaticFEM(Problem):
             dead, varying = self._load_forms()
         if self._system is not None:
             self._system.destroy()
-        self._system = ElementSystem(self.forms, dead, varying, prescribed, self.timer)
+        self._system = ElementSystem(self.forms, dead, varying, prescribed, self.timer, self.solver)
         self._last_loads = None
         self._rebase(None)
         self._stale = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from mpi4py import MPI
@@ -12,7 +12,7 @@ import numpy as np
 from . import _compat
 from .conditions import Prescribed
 from .elementforms import ElementForms
-from .linear import DirectSolver
+from .linear import make_solver
 from .system import NodalSystem
 from .timing import Timer
 
@@ -25,6 +25,7 @@ class FormMatrix:
         fixed: prescribed unknowns (nodes, block) of this rank, bool.
         symmetric: the matrix is symmetric.
         far_from_symmetric: see `DirectSolver`.
+        solver, large, hints: see `linear.make_solver`.
     """
 
     def __init__(
@@ -33,13 +34,16 @@ class FormMatrix:
         fixed: np.ndarray,
         symmetric: bool,
         owned: int,
-        far_from_symmetric: bool = False,
+        far_from_symmetric: bool,
+        solver: str,
+        large: bool,
+        hints: Callable[[], tuple[np.ndarray, np.ndarray]],
     ):
         self.forms, self.owned, self.block = forms, owned, fixed.shape[1]
         self.matrix = _compat.create_matrix(forms[0])
         rows = np.flatnonzero(fixed[:owned].ravel())
         self._fixed = (rows + self.matrix.getOwnershipRange()[0]).astype(np.int32)
-        self.solver = DirectSolver(self.matrix, symmetric, far_from_symmetric)
+        self.solver = make_solver(solver, large, self.matrix, symmetric, far_from_symmetric, hints)
         self._vector = self.matrix.createVecRight()
 
     def assemble(self, lift: np.ndarray | None) -> np.ndarray | None:
@@ -89,6 +93,7 @@ class ElementSystem(NodalSystem):
         varying: Sequence[Any],
         prescribed: Prescribed,
         timer: Timer,
+        solver: str = "auto",
     ):
         e = forms.elements
         length = np.full(e.dim, e.cell_size)
@@ -100,7 +105,14 @@ class ElementSystem(NodalSystem):
         with timer("pattern"):
             symmetric = forms.symmetric and not varying
             self.matrix = FormMatrix(
-                tangents, prescribed.fixed, symmetric, e.nodes.owned, not forms.symmetric
+                tangents,
+                prescribed.fixed,
+                symmetric,
+                e.nodes.owned,
+                not forms.symmetric,
+                solver,
+                self.is_large(),
+                self.solver_hints,
             )
         self._dead_forces: np.ndarray = np.zeros_like(self.x)
 
@@ -149,15 +161,18 @@ class ElementSystem(NodalSystem):
                 self._lift_forces = product
         return internal - self.external
 
+    def positions(self) -> np.ndarray:
+        return super().positions() + self.forms.elements.displacement
+
     def diagonal(self) -> np.ndarray:
         return self.matrix.diagonal
 
-    def solve(self, right: np.ndarray, fresh: bool) -> np.ndarray:
+    def solve(self, right: np.ndarray, fresh: bool, accuracy: float) -> np.ndarray:
         if fresh:
             with self.timer("factor"):
                 self.matrix.solver.factor()
         with self.timer("solve"):
-            return self.matrix.solver.solve(right.ravel()).reshape(right.shape)
+            return self.matrix.solver.solve(right.ravel(), accuracy).reshape(right.shape)
 
     def destroy(self) -> None:
         self.matrix.destroy()

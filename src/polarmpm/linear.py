@@ -1,27 +1,81 @@
-"""Linear systems through PETSc: a direct solver that fits the tangent's symmetry."""
+"""Linear systems through PETSc: the choice of a solver; a direct one that fits the tangent's symmetry."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Protocol
 
 from petsc4py import PETSc
 
 import numpy as np
 
-from .errors import PolarMPMError
+from .errors import InputError, PolarMPMError
+
+SOLVERS = ("auto", "direct", "multigrid")
+ACCURACY = 1e-8  # residual of a linear system relative to its right-hand side, unless told otherwise
+# Unknowns of a node times (nodes in a layer across the body)^1.5 from which on multigrid takes less time in
+# space. It is the ratio of the operations for a factor by nested dissection to the entries of the matrix.
+_LARGE = 22_000
 
 # Relative lift of the factored matrix' diagonal. A node set seen by a single point has fewer constraints than
 # unknowns, and its tangent is exactly singular; slivers of points' domains in a cell come close to that.
 _DIAGONAL = 1e-12
 # The lift stays out of the tangent itself: FGMRES with the lifted factor solves with the tangent, in one
 # iteration unless a mode is as weak as the lift.
-_TOLERANCE = 1e-8
 _KRYLOV_LIMIT = 60  # iterations after which the factor is given up
 _METHODS = ["definite", "symmetric", "general"]  # the last one for unsymmetric tangents only
 
 
 class SingularTangent(PolarMPMError, ArithmeticError):
     """The tangent could not be factored; the step is cut."""
+
+
+class LinearSolver(Protocol):
+    """Solves with a matrix that changes its entries now and then."""
+
+    matrix: PETSc.Mat
+    symmetric: bool
+
+    def factor(self) -> None: ...
+
+    def solve(self, rhs: np.ndarray, accuracy: float = ACCURACY) -> np.ndarray: ...
+
+    def destroy(self) -> None: ...
+
+
+def check_solver(solver: str) -> str:
+    """Raise InputError unless it is one of `SOLVERS`."""
+    if solver not in SOLVERS:
+        raise InputError(f"solver = {solver!r}: allowed are {', '.join(SOLVERS)}")
+    return solver
+
+
+def is_large(dim: int, block: int, layer: float) -> bool:
+    """Whether multigrid takes less time than a factor.
+
+    Args:
+        block: unknowns of a node.
+        layer: mean number of nodes in a layer, one cell thick, across the body's longest direction. A factor
+            of a slender body is cheap, however many unknowns it has.
+    """
+    return dim == 3 and block * layer**1.5 >= _LARGE
+
+
+def make_solver(
+    solver: str,
+    large: bool,
+    matrix: PETSc.Mat,
+    symmetric: bool,
+    far_from_symmetric: bool,
+    hints: Callable[[], tuple[np.ndarray, np.ndarray]],
+) -> LinearSolver:
+    """The solver of a name; "auto" takes multigrid where the body `is_large`. Arguments as of
+    `multigrid.MultigridSolver`. Collective."""
+    if solver == "direct" or (solver == "auto" and not large):
+        return DirectSolver(matrix, symmetric, far_from_symmetric)
+    from .multigrid import MultigridSolver  # small problems don't know of it
+
+    return MultigridSolver(matrix, symmetric, hints, far_from_symmetric)
 
 
 class DirectSolver:
@@ -34,15 +88,18 @@ class DirectSolver:
       preconditions the tangent itself; where couples are too large for that, LU.
     """
 
-    def __init__(self, matrix: PETSc.Mat, symmetric: bool, far_from_symmetric: bool = False):
+    def __init__(
+        self, matrix: PETSc.Mat, symmetric: bool, far_from_symmetric: bool = False, memory: int = 0
+    ):
         """`matrix` (whole, or its upper triangle when symmetric) belongs to the solver from now on; its
         entries may change before each `factor`. Of one that is far from symmetric (plastic flow) the
-        symmetric part is no help."""
+        symmetric part is no help. `memory` (MB) that a rank may use; 0: all."""
         self.matrix, self.symmetric, self.comm = matrix, symmetric, matrix.comm.tompi4py()
         self._blocked = matrix.getType() in ("seqbaij", "mpibaij")
         self._lifted: Any = None  # made when the matrix has its entries
         self.solution, self.rhs = self.matrix.createVecs()
         self._solver: PETSc.KSP | None = None
+        self._memory = memory
         self._methods = ["general"] if far_from_symmetric else _METHODS[: 2 if symmetric else 3]
         self._method = self._methods[0]
 
@@ -56,7 +113,7 @@ class DirectSolver:
         ksp.setOperators(self.matrix, self._lifted)
         ksp.setType(PETSc.KSP.Type.FGMRES)
         ksp.setGMRESRestart(_KRYLOV_LIMIT)
-        ksp.setTolerances(rtol=_TOLERANCE, atol=0.0, divtol=1e30, max_it=_KRYLOV_LIMIT)
+        ksp.setTolerances(rtol=ACCURACY, atol=0.0, divtol=1e30, max_it=_KRYLOV_LIMIT)
         pc = ksp.getPC()
         pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
         pc.setFactorSolverType("mumps")
@@ -64,6 +121,8 @@ class DirectSolver:
         factor = pc.getFactorMatrix()
         factor.setMumpsIcntl(7, 5)  # METIS
         factor.setMumpsIcntl(14, 40)  # spare memory for pivoting, in per cent
+        if self._memory:
+            factor.setMumpsIcntl(23, self._memory)
         return ksp
 
     def _lift(self) -> None:
@@ -119,8 +178,8 @@ class DirectSolver:
         return False
 
     # solution -------------------------------------------------------------------------------------
-    def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Solve for the owned unknowns, (n,) -> (n,). Collective.
+    def solve(self, rhs: np.ndarray, accuracy: float = ACCURACY) -> np.ndarray:
+        """Solve for the owned unknowns, (n,) -> (n,), always to `ACCURACY`. Collective.
 
         Raises:
             SingularTangent: no method gave a solution.

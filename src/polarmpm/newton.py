@@ -30,11 +30,13 @@ class System(Protocol):
     def retreat(self) -> bool:
         """Take back half of the last correction; False if there is none in this step."""
 
-    def advance(self, fresh: bool) -> None:
+    def advance(self, fresh: bool, accuracy: float) -> None:
         """Solve with the last tangent and add the correction to the unknowns.
 
         Args:
             fresh: the tangent has been evaluated since the last solution, else its factor is at hand.
+            accuracy: of the correction: what the residual of the linear system may be, relative to that of
+                this one.
         """
 
 
@@ -118,7 +120,7 @@ def _iterate(system: System, controls: Controls, outcome: Outcome) -> None:
         chord = not chord and not system.pending() and _SAFETY * ratio * force < controls.force_tolerance
         if not tangent and not chord:
             system.evaluate(True)
-        system.advance(fresh=not chord)
+        system.advance(not chord, _accuracy(ratio, force, controls))
         # the next residual and ratio if both fall quadratically: is a tangent needed for what then comes?
         following = ratio**2 * force
         tangent = not chord and _SAFETY * ratio**2 * following > controls.force_tolerance
@@ -145,6 +147,16 @@ def expected_to_end(outcome: Outcome, controls: Controls) -> bool:
     return _SAFETY * _ratio(outcome) ** 2 * outcome.history[-1][0] < controls.force_tolerance
 
 
+def _accuracy(ratio: float, force: float, controls: Controls) -> float:
+    """Of a correction: what leaves the quadratic fall of the residual as it is, and no more than the last
+    correction needs (S. C. Eisenstat, H. F. Walker: Choosing the forcing terms in an inexact Newton method,
+    SIAM J. Sci. Comput. 17 (1996), 16-32)."""
+    enough = _SHARE * controls.force_tolerance / force if force > 0 else 1.0
+    return max(_FINEST, min(_COARSEST, max(_SHARE * ratio**2, enough)))
+
+
+_SHARE = 0.1  # of the residual to come that a linear solution may leave
+_COARSEST, _FINEST = 1e-3, 1e-10  # relative residuals of linear systems
 _RETREATS = 4  # corrections halved before points without stresses end the attempt
 _SAFETY = 10.0  # the change of the tangent is about twice the ratio
 

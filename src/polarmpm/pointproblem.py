@@ -18,6 +18,7 @@ from .forms import make_form
 from .ghost import Ghost, GhostPenalty, make_penalty
 from .grid import Grid
 from .interpolation import Increments, Interpolation, Reference
+from .linear import check_solver
 from .movinggrid import MovingPlane
 from .newton import Controls
 from .parallel import look_up, together
@@ -85,6 +86,9 @@ class QuasiStatic(SurfaceProblem):
             over the mean, or the share of nodes at the borders between ranks has grown by this factor since
             they were dealt out last; None for never.
         controls: tolerances of Newton's method.
+        solver: of linear systems: "direct" (MUMPS), "multigrid" (a Krylov method with algebraic multigrid:
+            less time and memory in large problems in space), or "auto", which chooses by the number of
+            unknowns.
 
     Raises:
         InputError: an argument is out of range; materials that don't go together.
@@ -103,11 +107,12 @@ class QuasiStatic(SurfaceProblem):
         ghost: str | GhostPenalty | None = None,
         rebalance: float | None = 1.1,
         controls: Controls | None = None,
+        solver: str = "auto",
     ):
         self.grid = self.initial_grid = grid
         self._moving: list[MovingPlane] = []
         self.basis, self.policy = check_basis(basis), make_policy(reset)
-        self.assembly = _check_assembly(assembly, basis)
+        self.assembly, self.solver = _check_assembly(assembly, basis), check_solver(solver)
         if points.dim != grid.dim:
             raise InputError(f"points have {points.dim} dimensions, the grid has {grid.dim}")
         check_inside(grid, points)
@@ -311,10 +316,10 @@ class QuasiStatic(SurfaceProblem):
 
     def _build(self, interpolation: Interpolation) -> LoadedPoints:
         prescribed, c = self._prescribed(interpolation.nodes), self._compiled
-        kind: type[LoadedPoints] = PointSystem
+        kind: Callable[..., LoadedPoints] = PointSystem
         if self.assembly == "projection":
             from .projection import ProjectedSystem as kind  # brings dolfinx' assembler with it
-        return kind(interpolation, c.kernels, c.couple, prescribed, self.timer)
+        return kind(interpolation, c.kernels, c.couple, prescribed, self.timer, self.solver)
 
     def _compile(self) -> None:
         c = self._compiled

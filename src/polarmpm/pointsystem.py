@@ -11,7 +11,7 @@ import numpy as np
 from . import native, sparsity
 from .conditions import Prescribed
 from .interpolation import Interpolation, PointBatch
-from .linear import DirectSolver
+from .linear import make_solver
 from .nodalterms import NodalTerms
 from .nodes import ActiveNodes
 from .pointforms import Kernel
@@ -20,6 +20,9 @@ from .timing import Timer
 
 if TYPE_CHECKING:
     from .returnmapping import ReturnMapping
+
+
+_WEAK = 0.03  # share of a cell; at a corner of a body that fills its cells it is an eighth
 
 
 class LoadedPoints(NodalSystem):
@@ -63,6 +66,10 @@ class LoadedPoints(NodalSystem):
         """Whether the tangent is symmetric."""
         elastic = not any(b.form.material.plastic for b in self.interpolation.batches)
         return elastic and self.couple_kernel is None and self.terms.symmetric
+
+    def weak_nodes(self) -> np.ndarray:
+        volumes = self.interpolation.spread(self.interpolation.points.volume0[:, None])[:, 0]
+        return volumes[: self.nodes.owned] < _WEAK * np.prod(self.length)
 
     def set_loads(self, forces: np.ndarray, couples: np.ndarray) -> None:
         """Forces (np, d) and couples (np, r) at the points. Collective."""
@@ -152,6 +159,7 @@ class PointSystem(LoadedPoints):
         couple_kernel: Kernel | None,
         prescribed: Prescribed,
         timer: Timer,
+        solver: str = "auto",
     ):
         super().__init__(interpolation, kernels, couple_kernel, prescribed, timer)
         symmetric = self.symmetric
@@ -165,7 +173,14 @@ class PointSystem(LoadedPoints):
             self.terms.bind(self.pattern.matrix, prescribed.fixed)
             self._rows = self.pattern.rows()
             plastic = any(m is not None for m in self.mappings)
-            self.solver = DirectSolver(self.pattern.petsc_matrix(), symmetric, far_from_symmetric=plastic)
+            self.solver = make_solver(
+                solver,
+                self.is_large(),
+                self.pattern.petsc_matrix(),
+                symmetric,
+                plastic,
+                self.solver_hints,
+            )
 
     # assembly ---------------------------------------------------------------------------------------
     def assemble(self, tangent: bool) -> np.ndarray:
@@ -204,7 +219,7 @@ class PointSystem(LoadedPoints):
     def diagonal(self) -> np.ndarray:
         return self.pattern.values[self.pattern.diagonal].reshape(-1, self.layout.block)
 
-    def solve(self, right: np.ndarray, fresh: bool) -> np.ndarray:
+    def solve(self, right: np.ndarray, fresh: bool, accuracy: float) -> np.ndarray:
         if fresh:
             values, diagonal = self.pattern.values, self.pattern.diagonal
             # prescribed unknowns, and nodes that points on a plane or a corner touch without any weight
@@ -214,7 +229,7 @@ class PointSystem(LoadedPoints):
                 self.solver.matrix.assemble()
                 self.solver.factor()
         with self.timer("solve"):
-            return self.solver.solve(right.ravel()).reshape(right.shape)
+            return self.solver.solve(right.ravel(), accuracy).reshape(right.shape)
 
     def destroy(self) -> None:
         self.solver.destroy()

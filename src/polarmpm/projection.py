@@ -136,6 +136,7 @@ class ProjectedSystem(LoadedPoints):
         couple_kernel: Kernel | None,
         prescribed: Prescribed,
         timer: Timer,
+        solver: str = "auto",
     ):
         super().__init__(interpolation, kernels, couple_kernel, prescribed, timer)
         rows = [b.rows for b in interpolation.batches]
@@ -150,8 +151,22 @@ class ProjectedSystem(LoadedPoints):
         with timer("pattern"):
             plastic = any(m is not None for m in self.mappings)
             self.matrix = FormMatrix(
-                [self.forms.tangent], fixed, self.symmetric, self.cells.nodes.owned, plastic
+                [self.forms.tangent],
+                fixed,
+                self.symmetric,
+                self.cells.nodes.owned,
+                plastic,
+                solver,
+                self.is_large(),
+                self._mesh_hints,
             )
+
+    def _mesh_hints(self) -> tuple[np.ndarray, np.ndarray]:
+        """Hints for the solver in the mesh's order."""
+        own, (motions, weak) = self.cells.nodes.owned, self.solver_hints()
+        whole = np.repeat(weak[:, None].astype(float), self.layout.block, axis=1)
+        on_mesh = np.stack([self.exchange.to_mesh(v)[:own] for v in (*motions, whole)])
+        return on_mesh[:-1], on_mesh[-1, :, 0] > 0.5
 
     # assembly ---------------------------------------------------------------------------------------
     def assemble(self, tangent: bool) -> np.ndarray:
@@ -193,14 +208,14 @@ class ProjectedSystem(LoadedPoints):
     def diagonal(self) -> np.ndarray:
         return self.exchange.to_points(self.matrix.diagonal)
 
-    def solve(self, right: np.ndarray, fresh: bool) -> np.ndarray:
+    def solve(self, right: np.ndarray, fresh: bool, accuracy: float) -> np.ndarray:
         own = self.cells.nodes.owned
         if fresh:
             with self.timer("factor"):
                 self.matrix.solver.factor()
         with self.timer("solve"):
             mine = self.exchange.to_mesh(right)[:own]
-            solution = self.matrix.solver.solve(mine.ravel()).reshape(mine.shape)
+            solution = self.matrix.solver.solve(mine.ravel(), accuracy).reshape(mine.shape)
             return self.exchange.to_points(solution)
 
     def destroy(self) -> None:

@@ -10,6 +10,7 @@ from mpi4py import MPI
 import numpy as np
 
 from .conditions import Prescribed
+from .linear import ACCURACY, is_large
 from .pointforms import Layout
 from .timing import Timer
 
@@ -88,8 +89,9 @@ class NodalSystem:
         """Diagonal of the tangent (owned nodes, block)."""
         raise NotImplementedError
 
-    def solve(self, right: np.ndarray, fresh: bool) -> np.ndarray:
-        """Solve with the tangent for (owned nodes, block); `fresh`: it has no factor yet. Collective."""
+    def solve(self, right: np.ndarray, fresh: bool, accuracy: float) -> np.ndarray:
+        """Solve with the tangent for (owned nodes, block); `fresh`: it has no factor yet; `accuracy`:
+        relative residual that an iterative solver may leave. Collective."""
         raise NotImplementedError
 
     def destroy(self) -> None:
@@ -100,6 +102,31 @@ class NodalSystem:
         """Whether points on the yield surface begin a step with their elastic tangent; False where there is
         no such choice."""
         return False
+
+    def positions(self) -> np.ndarray:
+        """Current positions (nodes, d) (m)."""
+        return self.nodes.position + self.x[:, : self.layout.dim]
+
+    def is_large(self) -> bool:
+        """Whether `solver="auto"` takes multigrid. Collective."""
+        position = self.nodes.position[: self.nodes.owned]
+        ends = np.stack([position.max(axis=0, initial=-np.inf), -position.min(axis=0, initial=np.inf)])
+        self.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
+        layers = 1.0 + float((ends.sum(axis=0) / self.length).max())
+        return is_large(self.layout.dim, self.layout.block, self.nodes.total / layers)
+
+    def weak_nodes(self) -> np.ndarray:
+        """Owned nodes at which there is hardly any of the body, bool. Collective."""
+        return np.zeros(self.nodes.owned, dtype=bool)
+
+    def solver_hints(self) -> tuple[np.ndarray, np.ndarray]:
+        """What a multigrid solver wants to know: rigid motions of the body as it is now (k, owned nodes,
+        block), zero at prescribed unknowns, and the weak nodes. Collective."""
+        from .multigrid import rigid_motions  # small problems don't know of it
+
+        own, d = slice(0, self.nodes.owned), self.layout.dim
+        motions = rigid_motions(self.positions()[own], self.x[own, d:], self.comm)
+        return np.where(self.prescribed.fixed[own], 0.0, motions), self.weak_nodes()
 
     def carry_imbalance(self) -> None:
         """Take the present state as an equilibrium: carry along what is out of balance in it. Collective."""
@@ -180,9 +207,9 @@ class NodalSystem:
             turned = min(1.0, self.comm.allreduce(most, op=MPI.MAX))
         return math.sqrt(self._rounding[0] + turned**2 * self._rounding[1])
 
-    def advance(self, fresh: bool) -> None:
+    def advance(self, fresh: bool, accuracy: float = ACCURACY) -> None:
         fixed = self.prescribed.fixed
-        step = self.solve_free(-(self.residual + self._lift_forces), fresh)
+        step = self.solve_free(-(self.residual + self._lift_forces), fresh, accuracy)
         if self._pending:
             step[fixed] = self._lift[fixed]
         self.add(step)
@@ -192,12 +219,12 @@ class NodalSystem:
         self._lift[:] = 0.0
         self._lift_forces[:] = 0.0
 
-    def solve_free(self, forces: np.ndarray, fresh: bool) -> np.ndarray:
+    def solve_free(self, forces: np.ndarray, fresh: bool, accuracy: float = ACCURACY) -> np.ndarray:
         """What forces (nodes, block), complete on owned rows, move with the last tangent; prescribed
         unknowns stay. Collective."""
         fixed, own = self.prescribed.fixed, self.nodes.owned
         step = np.zeros_like(self.x)
-        step[:own] = self.solve(np.where(fixed[:own], 0.0, forces[:own]), fresh)
+        step[:own] = self.solve(np.where(fixed[:own], 0.0, forces[:own]), fresh, accuracy)
         self.nodes.update_ghosts(step)
         step[fixed] = 0.0
         return step
