@@ -88,9 +88,7 @@ class DirectSolver:
       preconditions the tangent itself; where couples are too large for that, LU.
     """
 
-    def __init__(
-        self, matrix: PETSc.Mat, symmetric: bool, far_from_symmetric: bool = False, memory: int = 0
-    ):
+    def __init__(self, matrix: PETSc.Mat, symmetric: bool, far_from_symmetric: bool = False, memory: int = 0):
         """`matrix` (whole, or its upper triangle when symmetric) belongs to the solver from now on; its
         entries may change before each `factor`. Of one that is far from symmetric (plastic flow) the
         symmetric part is no help. `memory` (MB) that a rank may use; 0: all."""
