@@ -24,6 +24,7 @@ _DIAGONAL = 1e-12
 # iteration unless a mode is as weak as the lift.
 _KRYLOV_LIMIT = 60  # iterations after which the factor is given up
 _METHODS = ["definite", "symmetric", "general"]  # the last one for unsymmetric tangents only
+_SMALL = 1500  # unknowns up to which CHOLMOD, on one rank, takes less time than MUMPS
 
 
 class SingularTangent(PolarMPMError, ArithmeticError):
@@ -81,6 +82,7 @@ def make_solver(
 class DirectSolver:
     """MUMPS, with as little work as the tangent's symmetry allows.
 
+    * symmetric and small: CHOLMOD, while the tangent is definite.
     * symmetric: Cholesky-like on the upper triangle (no pivoting, fastest); when that fails, as it may far
     from
       equilibrium, LDL^T with pivoting.
@@ -99,6 +101,8 @@ class DirectSolver:
         self._solver: PETSc.KSP | None = None
         self._memory = memory
         self._methods = ["general"] if far_from_symmetric else _METHODS[: 2 if symmetric else 3]
+        if symmetric and self.comm.size == 1 and matrix.size[0] <= _SMALL:
+            self._methods = ["small", *self._methods]
         self._method = self._methods[0]
 
     # factors --------------------------------------------------------------------------------------
@@ -106,7 +110,7 @@ class DirectSolver:
         symmetric = self._method != "general"
         if symmetric:
             self._lifted.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-            self._lifted.setOption(PETSc.Mat.Option.SPD, self._method == "definite")
+            self._lifted.setOption(PETSc.Mat.Option.SPD, self._method in ("small", "definite"))
         ksp = PETSc.KSP().create(self.comm)
         ksp.setOperators(self.matrix, self._lifted)
         ksp.setType(PETSc.KSP.Type.FGMRES)
@@ -114,6 +118,9 @@ class DirectSolver:
         ksp.setTolerances(rtol=ACCURACY, atol=0.0, divtol=1e30, max_it=_KRYLOV_LIMIT)
         pc = ksp.getPC()
         pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
+        if self._method == "small":
+            pc.setFactorSolverType("cholmod")
+            return ksp
         pc.setFactorSolverType("mumps")
         pc.setFactorSetUpSolverType()
         factor = pc.getFactorMatrix()
@@ -168,7 +175,8 @@ class DirectSolver:
                 self._solver = self._create()
             pc = self._solver.getPC()
             pc.setUp()
-            if pc.getFactorMatrix().getMumpsInfog(1) >= 0:
+            # CHOLMOD raises an error where the tangent isn't definite
+            if self._method == "small" or pc.getFactorMatrix().getMumpsInfog(1) >= 0:
                 return True
         except PETSc.Error:
             pass
