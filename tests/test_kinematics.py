@@ -8,7 +8,8 @@ import ufl
 from conftest import COMM, rotation
 
 from polarmpm import _compat, kinematics, rotations
-from polarmpm.pointforms import PointSpace, compile_expressions
+from polarmpm.motion import Motion
+from polarmpm.pointforms import Layout, PointSpace, compile_expressions
 
 
 def evaluate(expression, *values: np.ndarray) -> np.ndarray:
@@ -135,3 +136,32 @@ def test_wryness_of_a_field_of_rotations():
     J = evaluate(kinematics.right_tangent, new[None])[0]
     updated = wryness(Q_old) + rotation(old).T @ J @ B @ F
     np.testing.assert_allclose(wryness(Q), updated, atol=1e-9)
+
+
+@pytest.mark.parametrize("layout", [Layout(2, 0), Layout(3, 0), Layout(2, 1), Layout(3, 3)])
+def test_motion_against_numpy(layout):
+    """Update of F, Q and Gamma by increments against quaternions and tangent maps in NumPy."""
+    rng, n, d, r = np.random.default_rng(4), 11, layout.dim, layout.rotations
+    F = np.tile(np.eye(3), (n, 1, 1))
+    F[:, :d, :d] += 0.2 * rng.standard_normal((n, d, d))
+    h, w, k = np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, 3, 3))
+    h[:, :d, :d] = rng.standard_normal((n, d, d))
+    w[:, 3 - r :] = rng.standard_normal((n, r))
+    k[:, 3 - r :, :d] = rng.standard_normal((n, r, d))
+    turn = np.zeros((n, 3))
+    turn[:, 3 - r :] = 2.0 * rng.standard_normal((n, r))
+    q, gamma = rotations.from_vector(turn), np.zeros((n, 3, 3))
+    gamma[:, 3 - r :, :d] = rng.standard_normal((n, r, d))
+    z = np.hstack([h[:, :d, :d].reshape(n, -1), w[:, 3 - r :], k[:, 3 - r :, :d].reshape(n, -1)])
+    state = (F, q, gamma) if r else (F,)
+    found = Motion(layout, COMM)(state, z)
+    back = np.swapaxes(rotations.to_tensor(q), 1, 2)
+    expected = [
+        (np.eye(3) + h) @ F,
+        rotations.multiply(rotations.from_vector(w), q),
+        gamma + back @ rotations.right_tangent(w) @ k @ F,
+    ]
+    for a, b in zip(found, expected, strict=False):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-13 * abs(b).max())
+    if r:
+        np.testing.assert_allclose(np.linalg.norm(found[1], axis=1), 1.0, rtol=0, atol=4e-16)

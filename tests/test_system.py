@@ -27,6 +27,7 @@ from polarmpm import rotations
 from polarmpm.conditions import Prescribed, make_support
 from polarmpm.fieldforms import FieldForm
 from polarmpm.interpolation import Interpolation
+from polarmpm.motion import Motion
 from polarmpm.pointforms import CoupleForm, PointForm
 from polarmpm.points import Points
 from polarmpm.pointsystem import PointSystem
@@ -157,10 +158,11 @@ def test_residual_is_the_derivative_of_the_points_energy(dim, material):
     points = scattered(dim, material)
     system = make_system(points, "gimpm")
     field, values = FieldForm(material).compile(COMM), list(material.parameters().values())
+    motion = Motion(system.layout, COMM)
 
     def energy(x):
         put(system, x)
-        system.interpolation.update_points(system.interpolation.gather(system.x))
+        system.interpolation.update_points(system.interpolation.gather(system.x), motion)
         rows = (
             field(points.F, points.q, points.wryness, np.tile(values, (len(points), 1)))
             if len(points)

@@ -13,7 +13,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 4,             /* raised with every change of a structure or signature, here and in native.py */
+    INTERFACE = 5,             /* raised with every change of a structure or signature, here and in native.py */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */
@@ -122,49 +122,7 @@ INLINE void shape(const int dim, const Batch *b, int64_t p, const int32_t *count
         for (int q = a; q < stride; ++q) s[c * stride + q] = 0.0;
 }
 
-/* z = (du/dx, w, dw/dx) of a point from nodal values x [node][block], written with a stride. */
-INLINE void gather_point(int dim, int rot, int n, int stride, const double *s, const int32_t *nodes,
-                         const double *x, double *z, int zstride)
-{
-    const int nb = dim + rot, nz = unknowns_of(dim, rot);
-    double sum[21] = {0};
-    for (int a = 0; a < n; ++a) {
-        const double *xa = x + (int64_t)nodes[a] * nb;
-        for (int i = 0; i < dim; ++i)
-            for (int j = 0; j < dim; ++j) sum[dim * i + j] += xa[i] * s[(1 + j) * stride + a];
-        for (int i = 0; i < rot; ++i) {
-            sum[dim * dim + i] += xa[dim + i] * s[a];
-            for (int j = 0; j < dim; ++j)
-                sum[dim * dim + rot + dim * i + j] += xa[dim + i] * s[(1 + j) * stride + a];
-        }
-    }
-    for (int r = 0; r < nz; ++r) z[r * zstride] = sum[r];
-}
-
 int polarmpm_interface(void) { return INTERFACE; }
-
-/* Increments at the points: z [point][nz], in the grid's frame or that of the state, and, unless NULL,
- * interpolated values [point][block]. */
-void polarmpm_gather(const Batch *b, const double *x, int32_t framed, double *z, double *value)
-{
-    const int nb = block_of(b), nz = unknowns_of(b->dim, b->rot);
-    const int stride = largest_group(b);
-    double *s = malloc(sizeof(double) * 4 * stride);
-    for (int64_t g = 0; g < b->ngroups; ++g) {
-        const int n = nodes_of(b, g);
-        const int32_t *nodes = b->nodes + b->node_first[g];
-        for (int64_t p = b->first[g]; p < b->first[g + 1]; ++p) {
-            shape(b->dim, b, p, b->count + g * b->dim, framed ? b->state + p * b->nstate : NULL, stride, s);
-            gather_point(b->dim, b->rot, n, stride, s, nodes, x, z + p * nz, 1);
-            for (int i = 0; value && i < nb; ++i) {
-                double sum = 0.0;
-                for (int a = 0; a < n; ++a) sum += s[a] * x[(int64_t)nodes[a] * nb + i];
-                value[p * nb + i] = sum;
-            }
-        }
-    }
-    free(s);
-}
 
 /* Nodal sums of point values: out[node][c] += S f[point][c]. */
 void polarmpm_spread(const Batch *b, const double *f, int32_t nc, double *out)
@@ -234,15 +192,16 @@ INLINE double dot(const int nv, const vec *a, const vec *b)
     return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
-/* z = (du/dx, w, dw/dx) of a point from its group's nodal values, into one lane. */
-INLINE void interpolate(const int dim, const int rot, int nv, int sv, const vec *s, const vec *x, double *z)
+/* z = (du/dx, w, dw/dx) of a point from its group's nodal values, written with a step. */
+INLINE void interpolate(const int dim, const int rot, int nv, int sv, const vec *s, const vec *x, double *z,
+                        const int step)
 {
     for (int i = 0; i < dim; ++i)
-        for (int j = 0; j < dim; ++j) z[(dim * i + j) * LANES] = dot(nv, x + i * sv, s + (1 + j) * sv);
+        for (int j = 0; j < dim; ++j) z[(dim * i + j) * step] = dot(nv, x + i * sv, s + (1 + j) * sv);
     for (int i = 0; i < rot; ++i) {
-        z[(dim * dim + i) * LANES] = dot(nv, x + (dim + i) * sv, s);
+        z[(dim * dim + i) * step] = dot(nv, x + (dim + i) * sv, s);
         for (int j = 0; j < dim; ++j)
-            z[(dim * dim + rot + dim * i + j) * LANES] = dot(nv, x + (dim + i) * sv, s + (1 + j) * sv);
+            z[(dim * dim + rot + dim * i + j) * step] = dot(nv, x + (dim + i) * sv, s + (1 + j) * sv);
     }
 }
 
@@ -268,8 +227,8 @@ INLINE int evaluate(const int dim, const int rot, const Batch *b, const Law *law
         }
         vec *s = w->shapes + (int64_t)l * 4 * sv;
         shape(dim, b, p, b->count + *group * dim, b->state + p * ns, sv * WIDTH, (double *)s);
-        interpolate(dim, rot, nv, sv, s, w->x, w->in + l);
-        if (law->before) interpolate(dim, rot, nv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l);
+        interpolate(dim, rot, nv, sv, s, w->x, w->in + l, LANES);
+        if (law->before) interpolate(dim, rot, nv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l, LANES);
         for (int k = 0; k < ns; ++k) w->in[(nz + k) * LANES + l] = b->state[p * ns + k];
         if (law->couple) {
             const int32_t row = law->couple_of[p];
@@ -336,6 +295,42 @@ static void free_work(Work *w)
 {
     free(w->in), free(w->out), free(w->cin), free(w->cout), free(w->A);
     free(w->shapes), free(w->x), free(w->before), free(w->f), free(w->K), free(w->at);
+}
+
+INLINE void gather(const int dim, const int rot, const Batch *b, const double *x, int32_t framed, double *z,
+                   double *value, Work *w)
+{
+    const int nb = dim + rot, nz = unknowns_of(dim, rot), sv = w->sv;
+    for (int64_t g = 0; g < b->ngroups; ++g) {
+        const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH;
+        gather_group(nb, n, sv, b->nodes + b->node_first[g], x, w->x);
+        for (int64_t p = b->first[g]; p < b->first[g + 1]; ++p) {
+            const double *frame = framed ? b->state + p * b->nstate : NULL;
+            shape(dim, b, p, b->count + g * dim, frame, sv * WIDTH, (double *)w->shapes);
+            interpolate(dim, rot, nv, sv, w->shapes, w->x, z + p * nz, 1);
+            for (int i = 0; value && i < nb; ++i) value[p * nb + i] = dot(nv, w->x + i * sv, w->shapes);
+        }
+    }
+}
+
+/* Increments at the points: z [point][nz], in the grid's frame or that of the state, and, unless NULL,
+ * interpolated values [point][block]. Returns nonzero when memory ran out. */
+FAST int polarmpm_gather(const Batch *b, const double *x, int32_t framed, double *z, double *value)
+{
+    Work w;
+    const int failed = create_work(b, 0, 0, &w);
+    if (failed) {
+    } else if (b->dim == 3 && b->rot == 3) {
+        gather(3, 3, b, x, framed, z, value, &w);
+    } else if (b->dim == 3) {
+        gather(3, 0, b, x, framed, z, value, &w);
+    } else if (b->rot == 1) {
+        gather(2, 1, b, x, framed, z, value, &w);
+    } else {
+        gather(2, 0, b, x, framed, z, value, &w);
+    }
+    free_work(&w);
+    return failed;
 }
 
 /* Points l .. end of these lanes, all of group g: their work into the group's sums. */

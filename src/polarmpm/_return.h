@@ -193,17 +193,23 @@ int polarmpm_return(const Return *R, int64_t npoints, const double *inputs, int3
     return failed;
 }
 
-/* A kernel for rows of inputs [row][nin] -> [row][nout]. Returns nonzero without memory. */
-int polarmpm_evaluate(kernel_t kernel, int64_t rows, int32_t nin, int32_t nout, const double *inputs, double *outputs)
+/* A kernel for rows of inputs, given in blocks of columns [row][width], -> [row][nout]. Returns nonzero without
+ * memory. */
+int polarmpm_evaluate(kernel_t kernel, int64_t rows, int32_t blocks, const int32_t *width, const double *const *block,
+                      int32_t nout, double *outputs)
 {
+    int nin = 0;
+    for (int b = 0; b < blocks; ++b) nin += width[b];
     double *in = vectors((size_t)nin * LANES), *out = vectors((size_t)nout * LANES);
     const int failed = !(in && out);
     for (int64_t start = 0; start < rows && !failed; start += LANES) {
         const int lanes = (int)(rows - start < LANES ? rows - start : LANES);
-        for (int l = 0; l < LANES; ++l) {
-            const double *row = inputs + (start + (l < lanes ? l : lanes - 1)) * nin;
-            for (int k = 0; k < nin; ++k) in[k * LANES + l] = row[k];
-        }
+        double *to = in;
+        for (int b = 0; b < blocks; to += width[b++] * LANES)
+            for (int l = 0; l < LANES; ++l) {
+                const double *row = block[b] + (start + (l < lanes ? l : lanes - 1)) * width[b];
+                for (int k = 0; k < width[b]; ++k) to[k * LANES + l] = row[k];
+            }
         kernel(in, out);
         for (int l = 0; l < lanes; ++l)
             for (int k = 0; k < nout; ++k) outputs[(start + l) * nout + k] = out[k * LANES + l];

@@ -16,10 +16,11 @@ from mpi4py import MPI
 
 import numpy as np
 
-from . import native, rotations
+from . import native
 from .aggregation import supporting_cells
 from .grid import Grid
 from .materials.base import parameter_values
+from .motion import Motion
 from .nodalterms import TermSource
 from .nodes import ActiveNodes
 from .parallel import Route, together
@@ -163,7 +164,7 @@ class Interpolation:
         nz, ns = self.layout.unknowns, form.state_size
         out = np.empty((len(batch.rows), form.inputs))
         z = np.empty((len(batch.rows), nz))
-        native.library().polarmpm_gather(ctypes.byref(b), x.ctypes.data, 1, z.ctypes.data, None)
+        _gather(b, x, 1, z, None)
         out[:, :nz], out[:, nz : nz + ns], out[:, nz + ns :] = z, b.kept["state"], b.kept["param"]
         return out
 
@@ -174,9 +175,7 @@ class Interpolation:
         z, value = np.zeros((n, self.layout.unknowns)), np.zeros((n, self.layout.block))
         for b in self.batches:
             zb, vb = np.empty((len(b.rows), z.shape[1])), np.empty((len(b.rows), value.shape[1]))
-            native.library().polarmpm_gather(
-                ctypes.byref(b.batch), x.ctypes.data, 0, zb.ctypes.data, vb.ctypes.data
-            )
+            _gather(b.batch, x, 0, zb, vb)
             z[b.rows], value[b.rows] = zb, vb
         return Increments(value, z[:, : d * d].reshape(n, d, d), z[:, d * d + r :].reshape(n, r, d))
 
@@ -192,23 +191,22 @@ class Interpolation:
         self.nodes.add_to_owners(out)
         return out
 
-    def update_points(self, inc: Increments) -> None:
-        """Set the points' current state from their increments since the reset, T 3.4.5."""
-        p, ref, d = self.points, self.reference, self.layout.dim
+    def update_points(self, inc: Increments, motion: Motion) -> None:
+        """Set the points' current state from their increments since the reset."""
+        p, ref, d, n = self.points, self.reference, self.layout.dim, len(self.points)
         p.x = ref.x + inc.value[:, :d]
-        step = np.tile(np.eye(3), (len(p), 1, 1))
-        step[:, :d, :d] += inc.gradient
-        p.F = step @ ref.F
-        if self.layout.rotations:
-            w: np.ndarray = np.zeros((len(p), 3))
-            gw: np.ndarray = np.zeros((len(p), 3, 3))
-            if d == 3:
-                w, gw = inc.value[:, d:], inc.rotation_gradient
-            else:
-                w[:, 2], gw[:, 2, :2] = inc.value[:, d], inc.rotation_gradient[:, 0]
-            p.q = rotations.normalise(rotations.multiply(rotations.from_vector(w), ref.q))
-            back = np.swapaxes(rotations.to_tensor(ref.q), 1, 2)
-            p.wryness = ref.wryness + back @ rotations.right_tangent(w) @ gw @ ref.F
+        z = np.concatenate([inc.gradient.reshape(n, d * d), inc.value[:, d:]], axis=1)
+        if not self.layout.rotations:
+            (p.F,) = motion((ref.F,), z)
+            return
+        z = np.concatenate([z, inc.rotation_gradient.reshape(n, self.layout.rotations * d)], axis=1)
+        p.F, p.q, p.wryness = motion((ref.F, ref.q, ref.wryness), z)
+
+
+def _gather(batch: native.Batch, x: np.ndarray, framed: int, z: np.ndarray, value: np.ndarray | None) -> None:
+    to = None if value is None else value.ctypes.data
+    if native.library().polarmpm_gather(ctypes.byref(batch), x.ctypes.data, framed, z.ctypes.data, to):
+        raise MemoryError("no memory to interpolate nodal values")
 
 
 @dataclass

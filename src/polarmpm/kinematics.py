@@ -62,6 +62,20 @@ def quaternion_tensor(q: Any) -> Any:
     return (2 * q[0] * q[0] - 1) * ufl.Identity(3) + 2 * ufl.outer(v, v) + 2 * q[0] * hat(v)
 
 
+def exp_quaternion(w: Any) -> list[Any]:
+    """Components of the unit quaternion of a rotation vector w (three components), T (3.170)."""
+    s = ufl.dot(w, w) / 4
+    half = (1 - s * _t_minus_sin(s)) / 2
+    return [1 - s * _one_minus_cos(s), *(half * w[i] for i in range(3))]
+
+
+def quaternion_product(a: Any, b: Any) -> list[Any]:
+    """Components of the product of two quaternions: first the rotation b, then a. T (3.167)."""
+    u, v = (ufl.as_vector(list(q[1:])) for q in (a, b))
+    vector = a[0] * v + b[0] * u + ufl.cross(u, v)
+    return [a[0] * b[0] - ufl.dot(u, v), *(vector[i] for i in range(3))]
+
+
 def plane_exp_map(w: Any) -> Any:
     """Rotation tensor of an in-plane rotation by the angle w about the third axis."""
     s = w * w

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 4  # the same number as in _native.c
+INTERFACE = 5  # the same number as in _native.c
 
 _I32, _I64, _PTR = ctypes.c_int32, ctypes.c_int64, ctypes.c_void_p
 
@@ -114,9 +114,9 @@ def library() -> ctypes.CDLL:
     lib.polarmpm_moments.argtypes = [_PTR, _PTR, _PTR, _I32, _PTR, _PTR]
     lib.polarmpm_project.argtypes = [_I64, _I32, _I32, _PTR, _PTR, _PTR, _PTR]
     lib.polarmpm_return.argtypes = [_PTR, _I64, _PTR, _I32, _PTR, _PTR, _PTR, _PTR]
-    lib.polarmpm_evaluate.argtypes = [_PTR, _I64, _I32, _I32, _PTR, _PTR]
-    for name in ("assemble", "moments", "return", "evaluate"):
+    lib.polarmpm_evaluate.argtypes = [_PTR, _I64, _I32, _PTR, _PTR, _I32, _PTR]
+    for name in ("gather", "assemble", "moments", "return", "evaluate"):
         getattr(lib, f"polarmpm_{name}").restype = ctypes.c_int
-    for name in ("gather", "spread", "couple_nodes", "project"):
+    for name in ("spread", "couple_nodes", "project"):
         getattr(lib, f"polarmpm_{name}").restype = None
     return lib

@@ -68,16 +68,29 @@ class Kernel:
 
     def __call__(self, *columns: np.ndarray) -> np.ndarray:
         """Evaluate for all rows, (n, outputs). The sums over points call the code from C."""
-        flat = [c.reshape(len(c), int(np.prod(c.shape[1:]))) for c in columns]  # also of no rows
-        rows = np.concatenate(flat, axis=1, dtype=float)
-        if rows.shape[1] != self.inputs:
-            raise ValueError(f"kernel has {self.inputs} inputs, {rows.shape[1]} are given")
-        rows, out = np.ascontiguousarray(rows), np.empty((len(rows), self.outputs))
+        rows = len(columns[0])
+        flat = [np.ascontiguousarray(c, dtype=float).reshape(rows, _width(c)) for c in columns]
+        widths = np.array([c.shape[1] for c in flat], dtype=np.int32)
+        if widths.sum() != self.inputs:
+            raise ValueError(f"kernel has {self.inputs} inputs, {widths.sum()} are given")
+        blocks = np.array([c.ctypes.data for c in flat], dtype=np.uintp)
+        out = np.empty((rows, self.outputs))
         if native.library().polarmpm_evaluate(
-            self.address, len(rows), self.inputs, self.outputs, rows.ctypes.data, out.ctypes.data
+            self.address,
+            rows,
+            len(flat),
+            widths.ctypes.data,
+            blocks.ctypes.data,
+            self.outputs,
+            out.ctypes.data,
         ):
             raise MemoryError("no memory to evaluate a kernel")
         return out
+
+
+def _width(columns: np.ndarray) -> int:
+    """Numbers in a row, also where there are no rows."""
+    return int(np.prod(columns.shape[1:]))
 
 
 @dataclass

@@ -19,6 +19,7 @@ from .ghost import Ghost, GhostPenalty, make_penalty
 from .grid import Grid
 from .interpolation import Increments, Interpolation, Reference
 from .linear import check_solver
+from .motion import Motion
 from .movinggrid import MovingPlane
 from .newton import Controls
 from .parallel import look_up, together
@@ -48,6 +49,7 @@ _ROTATION_LIMIT = 1.0  # rad; larger increments than this get a new base after a
 class _Compiled:
     kernels: list[tuple[Kernel, Kernel]] = field(default_factory=list)
     couple: Kernel | None = None
+    motion: Motion | None = None
 
 
 def _check_assembly(assembly: str, basis: str) -> str:
@@ -222,7 +224,8 @@ class QuasiStatic(SurfaceProblem):
         return f"{inverted} material point(s) turned inside out" if inverted else ""
 
     def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
-        system.interpolation.update_points(increments)
+        assert self._compiled.motion is not None
+        system.interpolation.update_points(increments, self._compiled.motion)
         self._conservation.check(system.interpolation, system.x)
         if self.points.plastic:
             self._flow(system)
@@ -326,6 +329,7 @@ class QuasiStatic(SurfaceProblem):
         with self.timer("compile"):
             if not c.kernels:
                 c.kernels = [form.compile(self.comm) for form in self.forms]
+                c.motion = Motion(self.layout, self.comm)
             unsymmetric = self.layout.rotations == 3 and any(load.couple for load in self.loads)
             if unsymmetric and c.couple is None:
                 c.couple = CoupleForm().compile(self.comm)
