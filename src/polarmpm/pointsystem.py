@@ -171,7 +171,6 @@ class PointSystem(LoadedPoints):
             self._fixed = np.ascontiguousarray(prescribed.fixed, dtype=np.uint8)
             native.fill(self.pattern.matrix, fixed=self._fixed)
             self.terms.bind(self.pattern.matrix, prescribed.fixed)
-            self._rows = self.pattern.rows()
             plastic = any(m is not None for m in self.mappings)
             self.solver = make_solver(
                 solver,
@@ -225,8 +224,7 @@ class PointSystem(LoadedPoints):
             # prescribed unknowns, and nodes that points on a plane or a corner touch without any weight
             values[diagonal[values[diagonal] == 0.0]] = 1.0
             with self.timer("factor"):
-                self.solver.matrix.setValuesCSR(*self._rows)
-                self.solver.matrix.assemble()
+                self.pattern.put(self.solver.matrix)
                 self.solver.factor()
         with self.timer("solve"):
             return self.solver.solve(right.ravel(), accuracy).reshape(right.shape)

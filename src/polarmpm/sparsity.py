@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 from petsc4py import PETSc
 
@@ -53,6 +54,20 @@ class Pattern:
         create = PETSc.Mat().createSBAIJ if self.symmetric else PETSc.Mat().createAIJ
         return create(((local, total), (local, total)), 1, csr=self.rows(), comm=self.nodes.grid.comm)
 
+    def put(self, matrix: PETSc.Mat) -> None:
+        """Write the entries into a matrix that `petsc_matrix` has made. Collective."""
+        pointers, columns, entries = self.rows()
+        if self.nodes.grid.comm.size > 1 or PETSc.ScalarType != entries.dtype:  # rows are kept in two parts
+            matrix.setValuesCSR(pointers, columns, entries)
+        else:  # one copy instead of a search for each entry
+            kind, address = ("SBAIJ" if self.symmetric else "AIJ"), ctypes.c_void_p()
+            call = [ctypes.c_void_p(matrix.handle), ctypes.byref(address)]
+            if getattr(_petsc(), f"MatSeq{kind}GetArray")(*call):
+                raise MemoryError("the matrix doesn't give its entries")
+            ctypes.memmove(address, entries.ctypes.data, entries.nbytes)
+            getattr(_petsc(), f"MatSeq{kind}RestoreArray")(*call)
+        matrix.assemble()
+
     def collect(self) -> None:
         """Add the rows of ghost nodes to their owners' rows. Collective."""
         if self.route is None or self.ghost_order is None or self.received_at is None:
@@ -60,6 +75,12 @@ class Pattern:
         received = self.route.forward(self.values[self.owned_entries :][self.ghost_order])
         ok = self.received_at >= 0
         np.add.at(self.values, self.received_at[ok], received[ok])
+
+
+@cache
+def _petsc() -> ctypes.CDLL:
+    """PETSc's own functions, for what petsc4py has none."""
+    return ctypes.CDLL(PETSc.__file__)
 
 
 def build(
