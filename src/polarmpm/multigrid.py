@@ -25,18 +25,18 @@ _ROUNDS = 4  # solutions for what is left of the residual
 _LIFT = 1e-12  # of the diagonal of weak nodes, whose tangent may be exactly singular
 _FAILURES = 2  # of multigrid, after which the direct solver takes over until the next reset
 
-_PREFIX = "polarmpm_multigrid_"
-_OPTIONS = {
+_PREFIX, _FINEST = "polarmpm_multigrid_", "polarmpm_finest_"
+_HIERARCHY = {
     "pc_gamg_type": "agg",
     "pc_gamg_agg_nsmooths": 1,
     "pc_gamg_threshold": 0.0,
     "mg_levels_ksp_type": "chebyshev",
-    "mg_levels_ksp_max_it": 1,
-    "mg_levels_pc_type": "sor",
-    "mg_levels_esteig_ksp_type": "cg",
+    "mg_levels_ksp_max_it": 2,
+    "mg_levels_pc_type": "jacobi",
 }
+_RELAXATION = {"ksp_max_it": 1, "pc_type": "sor", "esteig_ksp_type": "cg"}
 # Symmetric relaxation of a definite matrix has no eigenvalue beyond 1: on one rank none has to be estimated.
-_ONE_RANK = {"mg_levels_ksp_chebyshev_eigenvalues": "0.1,1.1"}
+_ONE_RANK = {"ksp_chebyshev_eigenvalues": "0.1,1.1"}
 
 Hints = Callable[[], tuple[np.ndarray, np.ndarray]]
 
@@ -99,16 +99,25 @@ class Preconditioner:
             unknowns.destroy()
         hierarchy.setType(PETSc.PC.Type.GAMG)
         hierarchy.setOperators(matrix)
-        options = PETSc.Options(_PREFIX)
-        for name, value in (_OPTIONS | (_ONE_RANK if comm.size == 1 else {})).items():
-            options[name] = value
+        _put_options(_PREFIX, _HIERARCHY)
         hierarchy.setOptionsPrefix(_PREFIX)
         hierarchy.setFromOptions()
         hierarchy.setUp()
-        _mend(hierarchy)
+        levels = hierarchy.getMGLevels()
+        if levels > 1:
+            self._relax_by_rows(hierarchy.getMGSmoother(levels - 1))
         self.pc.setReusePreconditioner(True)  # until a new one is made
         self.pc.setUp()
         self.update()
+
+    def _relax_by_rows(self, finest: PETSc.KSP) -> None:
+        """Small cuts and short lengths ask for more than a diagonal on the finest level. Coarse operators may
+        have empty rows, where a node without microrotation is an aggregate: there it's the diagonal."""
+        _put_options(_FINEST, _RELAXATION | (_ONE_RANK if finest.comm.size == 1 else {}))
+        finest.setOptionsPrefix(_FINEST)
+        for kind in (PETSc.KSP.Type.RICHARDSON, PETSc.KSP.Type.CHEBYSHEV):  # forget bounds of eigenvalues
+            finest.setType(kind)
+        finest.setFromOptions()
 
     def update(self) -> None:
         """Take the weak nodes' part of the matrix as it stands; the hierarchy stays. Collective."""
@@ -132,19 +141,10 @@ class Preconditioner:
         self.pc.destroy()
 
 
-def _mend(hierarchy: PETSc.PC) -> None:
-    """Put ones on the diagonal where coarse operators have empty rows: an aggregate of one node without
-    microrotation has fewer unknowns than there are rigid motions. Collective."""
-    for level in range(1, hierarchy.getMGLevels() - 1):
-        smoother = hierarchy.getMGSmoother(level)
-        operator = smoother.getOperators()[0]
-        diagonal = operator.getDiagonal()
-        empty = diagonal.array_r == 0.0
-        if operator.comm.tompi4py().allreduce(int(empty.sum())):
-            diagonal.array[empty] = 1.0
-            operator.setDiagonal(diagonal)
-            smoother.setType(PETSc.KSP.Type.RICHARDSON)  # bounds of eigenvalues are void
-        diagonal.destroy()
+def _put_options(prefix: str, values: dict[str, Any]) -> None:
+    options = PETSc.Options(prefix)
+    for name, value in values.items():
+        options[name] = value
 
 
 class MultigridSolver:
