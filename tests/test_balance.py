@@ -127,6 +127,14 @@ def test_more_ranks_than_cells():
     assert np.all((found >= 0) & (found < 64))
 
 
+def test_ranks_without_cells_near_the_cut():
+    """The search for a cut narrows down to cells of one rank: the others go on with nothing to add."""
+    every = cells_of((4000, 1), (0, 0))
+    here = np.array_split(every, COMM.size)[COMM.rank]
+    found = partition.bisect(COMM, here, np.ones(len(here), dtype=np.int64), 3)
+    assert np.array_equal(COMM.allreduce(np.bincount(found, minlength=3)), [1333, 1333, 1334])
+
+
 def test_nobody_has_points():
     empty = np.zeros((0, 3), dtype=np.int64)
     assert len(partition.bisect(COMM, empty, np.zeros(0, dtype=np.int64), 5)) == 0

@@ -214,7 +214,7 @@ class QuasiStaticFEM(Problem):
         nodes = e.cell_nodes[: len(e.body.owned_cells)]
         of_cells = self.points.volume0.reshape(len(nodes), -1).sum(axis=1)
         share = np.repeat(of_cells / nodes.shape[1], nodes.shape[1])
-        total = np.bincount(nodes.ravel(), share, minlength=len(e.nodes))
+        total = np.bincount(nodes.ravel(), share, minlength=len(e.nodes)).astype(float)  # also of no elements
         out = np.tile(total[:, None], (1, self.layout.block))  # what the mesh's vectors hold
         e.nodes.add_to_owners(out)
         return out[:, 0]

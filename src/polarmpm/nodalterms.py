@@ -152,7 +152,8 @@ class NodalTerms:
     def _scatter(self, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
         block = values.shape[2]
         at = (rows[:, :, None] * block + np.arange(block)).ravel()
-        return np.bincount(at, values.ravel(), minlength=len(self.nodes) * block).reshape(-1, block)
+        sums = np.bincount(at, values.ravel(), minlength=len(self.nodes) * block)
+        return sums.astype(float).reshape(-1, block)  # of nothing at all they are whole numbers
 
     def forces(self, x: np.ndarray, external: bool) -> np.ndarray:
         """Sum (nodes, b) of the forces that count as external, or of the others, on this rank."""

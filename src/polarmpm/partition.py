@@ -74,7 +74,8 @@ def _cuts(
         width = -(-(high - low) // _BINS)
         within = (key >= low[part]) & (key < high[part])
         bins = part[within] * _BINS + (key[within] - low[part[within]]) // width[part[within]]
-        sums = np.bincount(bins, weight[within], minlength=parts * _BINS)
+        # of nothing at all bincount makes whole numbers
+        sums = np.bincount(bins, weight[within], minlength=parts * _BINS).astype(float)
         comm.Allreduce(MPI.IN_PLACE, sums)
         to = below[:, None] + np.cumsum(sums.reshape(parts, _BINS), axis=1)
         if first:
