@@ -85,7 +85,8 @@ def build(code, per_cell):
     controls = pm.Controls(force_tolerance=SCENE["tolerance"], max_iterations=SCENE["max_iterations"])
     kind = GoesOn if code == CLASSICAL else pm.QuasiStatic
     ghost = "thesis" if code == GHOST else None
-    problem = kind(grid, points, basis="mpm", controls=controls, ghost=ghost)
+    published = {**pm.PUBLISHED, "basis": "mpm"}
+    problem = kind(grid, points, controls=controls, ghost=ghost, **published)
     problem.fix(pm.plane(x=0.0), u=0, **({"theta": 0} if code == POLAR else {}))
     tip = points.farthest((1, 0))
     problem.load(tip, force=(0, -SCENE["force"]))
