@@ -80,11 +80,15 @@ def one_by_one(index: np.ndarray, weight: np.ndarray, ranks: int) -> np.ndarray:
 @pytest.mark.parametrize("ranks", [2, 3, 7, 64])
 @pytest.mark.parametrize("body", BODIES)
 def test_bisection_is_that_of_sorting_everything(body, ranks):
-    """Cells spread over the ranks at random, some on several of them, get what a sort of all gives."""
+    """Cells spread over the ranks at random, some on several of them, or in slices, get what a sort of all
+    gives."""
     index = BODIES[body]
     random = np.random.default_rng(3)
     weight = random.integers(1, 9, len(index))
     expected = one_by_one(index, weight, ranks)
+    slices = np.arange(len(index)) * COMM.size // len(index)
+    mine = slices == COMM.rank
+    np.testing.assert_array_equal(partition.bisect(COMM, index[mine], weight[mine], ranks), expected[mine])
     holder = random.integers(0, COMM.size, len(index))
     mine = holder == COMM.rank
     shared = np.arange(len(index)) % 5 == 0  # of these every rank has a part of the work
@@ -259,7 +263,9 @@ def test_points_that_move_take_everything_along(case, monkeypatch):
     go(expected, 4)
     gone = shuffle(monkeypatch.setattr)
     problem = make()
+    problem.rows["id"] = problem.points.id.copy()
     go(problem, 4)
+    np.testing.assert_array_equal(problem.rows["id"], problem.points.id)
     resets = {"every-third": 2, "surfaces": 2}.get(case, 4)
     assert len(gone) == resets + 1
     assert min(gone) > 0
@@ -501,6 +507,7 @@ def write(case: str, folder: Path) -> dict[str, np.ndarray]:
     """Save a run in the middle; what it comes to in the end."""
     make, go, stop = STOPS[case]
     problem = make()
+    problem.rows["id"] = problem.points.id.copy()
     go(problem, stop)
     pm.save_restart(problem, folder / f"{case}.h5")
     go(problem, 4 - stop)
@@ -511,7 +518,9 @@ def read(case: str, folder: Path) -> tuple[pm.QuasiStatic, dict[str, np.ndarray]
     make, go, stop = STOPS[case]
     problem = make()
     pm.load_restart(problem, folder / f"{case}.h5")
+    np.testing.assert_array_equal(problem.rows["id"], problem.points.id)
     go(problem, 4 - stop)
+    np.testing.assert_array_equal(problem.rows["id"], problem.points.id)
     return problem, results(problem)
 
 
