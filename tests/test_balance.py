@@ -86,8 +86,9 @@ def test_bisection_is_that_of_sorting_everything(body, ranks):
     random = np.random.default_rng(3)
     weight = random.integers(1, 9, len(index))
     expected = one_by_one(index, weight, ranks)
-    slices = np.arange(len(index)) * COMM.size // len(index)
-    mine = slices == COMM.rank
+    longest = int(np.argmax(np.ptp(index, axis=0)))
+    place = np.argsort(np.argsort(index[:, longest], kind="stable")) / len(index)
+    mine = (COMM.size * place**0.25).astype(int) == COMM.rank  # the first rank has next to nothing
     np.testing.assert_array_equal(partition.bisect(COMM, index[mine], weight[mine], ranks), expected[mine])
     holder = random.integers(0, COMM.size, len(index))
     mine = holder == COMM.rank
@@ -96,6 +97,15 @@ def test_bisection_is_that_of_sorting_everything(body, ranks):
     part = np.where(shared, weight // COMM.size + (mine * (weight % COMM.size)), weight)
     found = partition.bisect(COMM, index[here], part[here], ranks)
     np.testing.assert_array_equal(found, expected[here])
+
+
+def test_ranks_agree_where_to_cut():
+    """Also those that have nothing near the cut, or nothing at all."""
+    key = np.arange(1000 if COMM.rank == COMM.size - 1 else 0)
+    cut = partition._cuts(
+        COMM, np.zeros(len(key), int), key, np.full(len(key), 3), np.array([1000]), np.array([0.37])
+    )
+    assert [int(c[0]) for c in COMM.allgather(cut)] == [370] * COMM.size
 
 
 @pytest.mark.parametrize("ranks", [2, 3, 7, 16])
