@@ -31,13 +31,18 @@ def build(args):
 class Twist:
     """Angle about the axis of every local point, followed step by step so that it doesn't wrap."""
 
-    def __init__(self, points):
-        self.points, self.angle = points, np.zeros(len(points))
+    def __init__(self, problem):
+        self.problem = problem
+        problem.rows["angle"] = np.zeros(len(problem.points))  # goes with points that move between ranks
+
+    @property
+    def angle(self):
+        return self.problem.rows["angle"]
 
     def update(self):
-        half = np.arctan2(self.points.q[:, 1], self.points.q[:, 0])
-        change = 2 * half - self.angle
-        self.angle += change - 4 * np.pi * np.round(change / (4 * np.pi))
+        q = self.problem.points.q
+        change = 2 * np.arctan2(q[:, 1], q[:, 0]) - self.angle
+        self.problem.rows["angle"] += change - 4 * np.pi * np.round(change / (4 * np.pi))
 
 
 def main(argv=None):
@@ -52,7 +57,7 @@ def main(argv=None):
         more={"--moment": {"type": float, "default": 3.2e7, "help": "end moment (N m)"}},
     )
     problem, tip = build(args)
-    points, twist = problem.points, Twist(problem.points)
+    points, twist = problem.points, Twist(problem)
     folder = demo.output_folder(args, problem.comm)
     turns, lengths = [0.0], [LENGTH]
     with (

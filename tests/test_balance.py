@@ -80,11 +80,16 @@ def one_by_one(index: np.ndarray, weight: np.ndarray, ranks: int) -> np.ndarray:
 @pytest.mark.parametrize("ranks", [2, 3, 7, 64])
 @pytest.mark.parametrize("body", BODIES)
 def test_bisection_is_that_of_sorting_everything(body, ranks):
-    """Cells spread over the ranks at random, some on several of them, get what a sort of all gives."""
+    """Cells spread over the ranks at random, some on several of them, or in slices, get what a sort of all
+    gives."""
     index = BODIES[body]
     random = np.random.default_rng(3)
     weight = random.integers(1, 9, len(index))
     expected = one_by_one(index, weight, ranks)
+    longest = int(np.argmax(np.ptp(index, axis=0)))
+    place = np.argsort(np.argsort(index[:, longest], kind="stable")) / len(index)
+    mine = (COMM.size * place**0.25).astype(int) == COMM.rank  # the first rank has next to nothing
+    np.testing.assert_array_equal(partition.bisect(COMM, index[mine], weight[mine], ranks), expected[mine])
     holder = random.integers(0, COMM.size, len(index))
     mine = holder == COMM.rank
     shared = np.arange(len(index)) % 5 == 0  # of these every rank has a part of the work
@@ -92,6 +97,15 @@ def test_bisection_is_that_of_sorting_everything(body, ranks):
     part = np.where(shared, weight // COMM.size + (mine * (weight % COMM.size)), weight)
     found = partition.bisect(COMM, index[here], part[here], ranks)
     np.testing.assert_array_equal(found, expected[here])
+
+
+def test_ranks_agree_where_to_cut():
+    """Also those that have nothing near the cut, or nothing at all."""
+    key = np.arange(1000 if COMM.rank == COMM.size - 1 else 0)
+    cut = partition._cuts(
+        COMM, np.zeros(len(key), int), key, np.full(len(key), 3), np.array([1000]), np.array([0.37])
+    )
+    assert [int(c[0]) for c in COMM.allgather(cut)] == [370] * COMM.size
 
 
 @pytest.mark.parametrize("ranks", [2, 3, 7, 16])
@@ -259,7 +273,9 @@ def test_points_that_move_take_everything_along(case, monkeypatch):
     go(expected, 4)
     gone = shuffle(monkeypatch.setattr)
     problem = make()
+    problem.rows["id"] = problem.points.id.copy()
     go(problem, 4)
+    np.testing.assert_array_equal(problem.rows["id"], problem.points.id)
     resets = {"every-third": 2, "surfaces": 2}.get(case, 4)
     assert len(gone) == resets + 1
     assert min(gone) > 0
@@ -501,6 +517,7 @@ def write(case: str, folder: Path) -> dict[str, np.ndarray]:
     """Save a run in the middle; what it comes to in the end."""
     make, go, stop = STOPS[case]
     problem = make()
+    problem.rows["id"] = problem.points.id.copy()
     go(problem, stop)
     pm.save_restart(problem, folder / f"{case}.h5")
     go(problem, 4 - stop)
@@ -511,7 +528,9 @@ def read(case: str, folder: Path) -> tuple[pm.QuasiStatic, dict[str, np.ndarray]
     make, go, stop = STOPS[case]
     problem = make()
     pm.load_restart(problem, folder / f"{case}.h5")
+    np.testing.assert_array_equal(problem.rows["id"], problem.points.id)
     go(problem, 4 - stop)
+    np.testing.assert_array_equal(problem.rows["id"], problem.points.id)
     return problem, results(problem)
 
 

@@ -67,6 +67,8 @@ class QuasiStatic(SurfaceProblem):
     Attributes:
         grid: the background grid as of the last reset.
         initial_grid: the grid that was given; moving planes (see `plane`) stretch it.
+        rows: arrays (np, ...) of the script's own by name, one row a local point. They follow the points when
+            these move to other ranks at a reset, and into restart files.
 
     Args:
         grid: background grid.
@@ -124,6 +126,7 @@ class QuasiStatic(SurfaceProblem):
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
         self.balance = Balance(grid.comm, rebalance)
         self._conservation = Conservation(grid.comm)
+        self.rows: dict[str, np.ndarray] = {}
         self.balanced_reset = balanced_reset
         self.ghost = make_penalty(ghost, points.materials, self.layout, basis, assembly)
         if self.ghost:
@@ -347,13 +350,16 @@ class QuasiStatic(SurfaceProblem):
 
     def kept(self) -> dict[str, np.ndarray]:
         """What is kept for each local point from step to step, beside its state: rows (np, ...) by name."""
-        out = {} if self._last_x is None else {"last_x": self._last_x}
+        out = {f"rows.{name}": a for name, a in self.rows.items()}
+        if self._last_x is not None:
+            out["last_x"] = self._last_x
         if self._balanced is not None:
             out |= {"forces": self._balanced[0], "couples": self._balanced[1]}
         return out
 
     def _keep(self, rows: dict[str, np.ndarray]) -> None:
         """Put in rows such as those of `kept`."""
+        self.rows = {name[5:]: a for name, a in rows.items() if name.startswith("rows.")}
         self._last_x = rows.get("last_x")
         self._balanced = (rows["forces"], rows["couples"]) if "forces" in rows else None
 
