@@ -54,14 +54,15 @@ def test_same_answer_as_the_direct_solver(material, options):
 
 @pytest.mark.parametrize(("metre", "pascal"), [(1e-9, 1e12), (1e3, 1e-6)])
 def test_units_do_not_matter(metre, pascal):
-    """The same block in other units takes the same iterations to the same answer."""
+    """The same block in other units: the same answer, in about as many iterations (how accurately a correction
+    is solved for is told by forces and couples together)."""
     found = []
     for units in ({}, {"metre": metre, "pascal": pascal}):
         problem = block("multigrid", controls=pm.Controls(force_tolerance=3e-11), **units)
         list(problem.march(1))
         found.append((by_id(problem.points, problem.points.displacement), problem.system.solver.iterations))
     np.testing.assert_allclose(found[1][0] / metre, found[0][0], rtol=0, atol=1e-8 * abs(found[0][0]).max())
-    assert abs(found[1][1] - found[0][1]) <= 2
+    assert found[1][1] < 1.5 * found[0][1]
 
 
 def test_dead_couples_in_space():
