@@ -15,6 +15,8 @@ export MPLBACKEND="${MPLBACKEND:-agg}"
 # to cores, because two runs at the same time would be pinned to the same ones.
 export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
 export OMPI_MCA_rmaps_base_oversubscribe=1 PRTE_MCA_rmaps_default_mapping_policy=:oversubscribe
+# ranks that wait let others work: tests run beside each other
+export OMPI_MCA_mpi_yield_when_idle=1
 export OMPI_MCA_hwloc_base_binding_policy=none PRTE_MCA_hwloc_default_binding_policy=none
 
 # dolfinx reads the time that a process waits for another one's JIT compile from here (written by setup.sh).

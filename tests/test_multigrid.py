@@ -54,8 +54,8 @@ def test_same_answer_as_the_direct_solver(material, options):
 
 @pytest.mark.parametrize(("metre", "pascal"), [(1e-9, 1e12), (1e3, 1e-6)])
 def test_units_do_not_matter(metre, pascal):
-    """The same block in other units: the same answer, in about as many iterations (how accurately a correction
-    is solved for is told by forces and couples together)."""
+    """The same block in other units: the same answer, in about as many iterations (what a correction's error
+    is measured by adds forces and couples)."""
     found = []
     for units in ({}, {"metre": metre, "pascal": pascal}):
         problem = block("multigrid", controls=pm.Controls(force_tolerance=3e-11), **units)
