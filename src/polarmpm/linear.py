@@ -13,9 +13,9 @@ from .errors import InputError, PolarMPMError
 
 SOLVERS = ("auto", "direct", "multigrid")
 ACCURACY = 1e-8  # residual of a linear system relative to its right-hand side, unless told otherwise
-# Unknowns of a node times (nodes in a layer across the body)^1.5 from which on multigrid takes less time in
-# space. It is the ratio of the operations for a factor by nested dissection to the entries of the matrix.
-_LARGE = 22_000
+# Nodes in a layer across the body from which on multigrid takes less time in space: their power 1.5 measures
+# the operations of a factor by nested dissection for each entry of the matrix.
+_LARGE = 360
 
 # Relative lift of the factored matrix' diagonal. A node set seen by a single point has fewer constraints than
 # unknowns, and its tangent is exactly singular; slivers of points' domains in a cell come close to that.
@@ -24,6 +24,10 @@ _DIAGONAL = 1e-12
 # iteration unless a mode is as weak as the lift.
 _KRYLOV_LIMIT = 60  # iterations after which the factor is given up
 _METHODS = ["definite", "symmetric", "general"]  # the last one for unsymmetric tangents only
+# Operations for a factor per entry of it, which is to say per part of a solution: from here on a factor of an
+# earlier tangent is worth its iterations, of which it may take a few before it's given up.
+_KEEP, _OLD, _OLD_LIMIT = 500.0, 8, 25
+_STRICTER = 0.01  # GMRES measures forces, which in bending tell too little
 _SMALL = 1500  # unknowns up to which CHOLMOD, on one rank, takes less time than MUMPS
 
 
@@ -51,15 +55,11 @@ def check_solver(solver: str) -> str:
     return solver
 
 
-def is_large(dim: int, block: int, layer: float) -> bool:
-    """Whether multigrid takes less time than a factor.
-
-    Args:
-        block: unknowns of a node.
-        layer: mean number of nodes in a layer, one cell thick, across the body's longest direction. A factor
-            of a slender body is cheap, however many unknowns it has.
-    """
-    return dim == 3 and block * layer**1.5 >= _LARGE
+def is_large(dim: int, layer: float) -> bool:
+    """Whether multigrid takes less time than a factor. `layer`: mean number of nodes in a layer, one cell
+    thick, across the body's longest direction; a factor of a slender body is cheap, however many unknowns
+    it has."""
+    return dim == 3 and layer >= _LARGE
 
 
 def make_solver(
@@ -88,6 +88,8 @@ class DirectSolver:
       equilibrium, LDL^T with pivoting.
     * unsymmetric (dead couples in three dimensions): the symmetric part is factored, at half the memory, and
       preconditions the tangent itself; where couples are too large for that, LU.
+
+    Where a factor costs much more than a solution, it serves following tangents as a preconditioner.
     """
 
     def __init__(self, matrix: PETSc.Mat, symmetric: bool, far_from_symmetric: bool = False, memory: int = 0):
@@ -100,6 +102,8 @@ class DirectSolver:
         self.solution, self.rhs = self.matrix.createVecs()
         self._solver: PETSc.KSP | None = None
         self._memory = memory
+        self._conjugate: PETSc.KSP | None = None  # gradients, for tangents that a factor isn't of
+        self._kept = self._old = False  # the factor: is worth to be kept; is of an earlier tangent
         self._methods = ["general"] if far_from_symmetric else _METHODS[: 2 if symmetric else 3]
         if symmetric and self.comm.size == 1 and matrix.size[0] <= _SMALL:
             self._methods = ["small", *self._methods]
@@ -158,8 +162,23 @@ class DirectSolver:
         """
         if not np.isfinite(self.matrix.norm()):
             raise SingularTangent("the tangent has entries that are not finite")
+        self._old = self._kept and self._solver is not None
+        if not self._old:
+            self._factor()
+
+    def _factor(self) -> None:
+        self._kept = self._old = False
         while not self._try():
             self._fall_back("the tangent is singular")
+        self._kept = self._worth_keeping()
+
+    def _worth_keeping(self) -> bool:
+        assert self._solver is not None
+        if self._method == "small":
+            return False
+        factor = self._solver.getPC().getFactorMatrix()
+        entries = factor.getMumpsInfog(29)  # millions where it's negative
+        return bool(factor.getMumpsRinfog(3) > _KEEP * max(entries, -1e6 * entries))
 
     def _fall_back(self, message: str) -> None:
         following = self._methods.index(self._method) + 1
@@ -185,12 +204,17 @@ class DirectSolver:
 
     # solution -------------------------------------------------------------------------------------
     def solve(self, rhs: np.ndarray, accuracy: float = ACCURACY) -> np.ndarray:
-        """Solve for the owned unknowns, (n,) -> (n,), always to `ACCURACY`. Collective.
+        """Solve for the owned unknowns, (n,) -> (n,): with a factor of this tangent to `ACCURACY`, with an
+        older one to `accuracy`. Collective.
 
         Raises:
             SingularTangent: no method gave a solution.
         """
         self.rhs.array[:] = rhs
+        if self._old:
+            if self._solve_with_old(accuracy):
+                return self.solution.array.copy()
+            self._factor()
         while True:
             assert self._solver is not None
             self._solver.solve(self.rhs, self.solution)
@@ -198,12 +222,33 @@ class DirectSolver:
                 return self.solution.array.copy()
             self._release_solver()
             self._fall_back("the linear system could not be solved")
-            self.factor()
+            self._factor()
+
+    def _solve_with_old(self, accuracy: float) -> bool:
+        """Whether an earlier tangent's factor leads to a solution."""
+        assert self._solver is not None
+        ksp = self._solver
+        if self.symmetric and self._method == "definite":
+            if self._conjugate is None:
+                self._conjugate = PETSc.KSP().create(self.comm)
+                self._conjugate.setPC(ksp.getPC())
+                self._conjugate.setOperators(self.matrix, self._lifted)
+                self._conjugate.setType(PETSc.KSP.Type.CG)
+                self._conjugate.setNormType(PETSc.KSP.NormType.NATURAL)
+            ksp = self._conjugate
+        else:
+            accuracy *= _STRICTER
+        ksp.setTolerances(rtol=accuracy, atol=0.0, divtol=1e30, max_it=_OLD_LIMIT)
+        ksp.solve(self.rhs, self.solution)
+        self._kept = ksp.getIterationNumber() <= _OLD
+        self._solver.setTolerances(rtol=ACCURACY, max_it=_KRYLOV_LIMIT)
+        return bool(ksp.getConvergedReason() > 0)
 
     def _release_solver(self) -> None:
-        if self._solver is not None:
-            self._solver.destroy()
-            self._solver = None
+        for ksp in (self._conjugate, self._solver):
+            if ksp is not None:
+                ksp.destroy()
+        self._conjugate = self._solver = None
 
     def destroy(self) -> None:
         """Release PETSc's objects."""

@@ -8,6 +8,7 @@ Rows and columns are scaled by the diagonal, so that neither units nor small cut
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -23,6 +24,7 @@ _RESTART = 50  # of GMRES
 _STALE = 10  # a new hierarchy costs about as much as so many iterations
 _ROUNDS = 4  # solutions for what is left of the residual
 _LIFT = 1e-12  # of the diagonal of weak nodes, whose tangent may be exactly singular
+_MEMORY = 0.8  # of what is free, for a factor where multigrid fails
 _FAILURES = 2  # of multigrid, after which the direct solver takes over until the next reset
 
 _PREFIX, _FINEST = "polarmpm_multigrid_", "polarmpm_finest_"
@@ -147,6 +149,16 @@ def _put_options(prefix: str, values: dict[str, Any]) -> None:
         options[name] = value
 
 
+def _free_memory(comm: MPI.Comm) -> int:
+    """Memory (MB) that a rank may take, if all ranks share the machine's; 0 where that isn't told. A factor
+    that doesn't fit is to fail, not to be killed with the process. Collective."""
+    free = 0
+    if os.path.exists("/proc/meminfo"):
+        with open("/proc/meminfo") as lines:
+            free = next((int(line.split()[1]) // 1024 for line in lines if "MemAvailable" in line), 0)
+    return int(comm.allreduce(int(_MEMORY * free / comm.size), op=MPI.MIN))
+
+
 class MultigridSolver:
     """Conjugate gradients with multigrid; GMRES where the tangent isn't positive definite or not symmetric;
     the direct solver where that fails.
@@ -161,6 +173,7 @@ class MultigridSolver:
     Attributes:
         iterations: of the Krylov methods so far.
         hierarchies: built so far.
+        failures: tangents that were left to the direct solver.
     """
 
     def __init__(self, matrix: PETSc.Mat, symmetric: bool, hints: Hints, far_from_symmetric: bool = False):
@@ -177,7 +190,7 @@ class MultigridSolver:
         self._rate = 0.0  # iterations for a digit with a new hierarchy
         self._old = self._worn = False  # the hierarchy: of an earlier tangent; not worth to be kept
         self._direct: DirectSolver | None = None
-        self._failures, self._to_direct = 0, False
+        self.failures, self._to_direct = 0, False
 
     # hierarchy ------------------------------------------------------------------------------------
     def factor(self) -> None:
@@ -188,7 +201,7 @@ class MultigridSolver:
         """
         if not np.isfinite(self.matrix.norm()):
             raise SingularTangent("the tangent has entries that are not finite")
-        self._to_direct = self._failures >= _FAILURES
+        self._to_direct = self.failures >= _FAILURES
         if self._to_direct:
             return self._factor_direct()
         self._method, self._old = 0, bool(self._methods)
@@ -345,11 +358,14 @@ class MultigridSolver:
 
     def _factor_direct(self) -> None:
         if not self._to_direct:
-            self._failures, self._to_direct = self._failures + 1, True
+            self.failures, self._to_direct = self.failures + 1, True
         self._release()
         if self._direct is None:
-            self._direct = DirectSolver(self.matrix, self.symmetric, self._far)
-        self._direct.factor()
+            self._direct = DirectSolver(self.matrix, self.symmetric, self._far, _free_memory(self.comm))
+        try:
+            self._direct.factor()
+        except SingularTangent as e:
+            raise SingularTangent(f"multigrid fails, and in the memory that is free {e}") from e
 
     # memory ---------------------------------------------------------------------------------------
     def _release(self) -> None:

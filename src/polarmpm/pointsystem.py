@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .returnmapping import ReturnMapping
 
 
-_WEAK = 0.03  # share of a cell; at a corner of a body that fills its cells it is an eighth
+_WEAK = 0.2  # share of a cell: nodes beyond edges of the body, and beyond faces that hardly enter a cell
 
 
 class LoadedPoints(NodalSystem):
