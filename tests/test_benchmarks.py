@@ -109,7 +109,7 @@ def test_torsion_past_a_full_turn_and_restart(tmp_path):
     demo = demo_module("torsion")
     args = argparse.Namespace(cell=0.25, points_per_cell=2, basis="gimpm", moment=3.2e7)
     problem, tip = demo.build(args)
-    twist, turns = demo.Twist(problem.points), []
+    twist, turns = demo.Twist(problem), []
     for step in problem.march(50):
         twist.update()
         turns.append(float(problem.points.mean(twist.angle, tip)) / (2 * np.pi))
