@@ -181,7 +181,7 @@ def resistance(system: Any, motions: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("dim", "of"), [(2, MICROPOLAR), (3, MICROPOLAR), (2, HENCKY), (3, HENCKY)])
 def test_rigid_motions_of_a_free_body_meet_no_resistance(dim, of):
     system = free_body(dim, of)
-    motions, weak = system.solver_hints()
+    motions, weak, _ = system.solver_hints()
     assert motions.shape == (3 if dim == 2 else 6, system.nodes.owned, system.layout.block)
     assert weak.shape == (system.nodes.owned,)
     assert resistance(system, motions).max() < 1e-14
@@ -210,7 +210,7 @@ def test_rigid_motions_of_a_turned_body():
 
 def test_rigid_motions_stop_at_supports():
     system = tangent(block(3, solver="multigrid")[0])
-    motions, _ = system.solver_hints()
+    motions, *_ = system.solver_hints()
     assert not motions[:, system.prescribed.fixed[: system.nodes.owned]].any()
 
 
@@ -343,7 +343,7 @@ def test_unknown_solvers_are_refused(solver):
 def test_the_choice_goes_by_the_section(monkeypatch):
     """Many nodes in a layer across the body, in space."""
     assert not is_large(2, 1e6)
-    assert not is_large(3, 300.0)
+    assert not is_large(3, 250.0)
     assert is_large(3, 400.0)
     problem, _ = block(3)
     problem._prepare()

@@ -37,7 +37,7 @@ class FormMatrix:
         far_from_symmetric: bool,
         solver: str,
         large: bool,
-        hints: Callable[[], tuple[np.ndarray, np.ndarray]],
+        hints: Callable[[], tuple[np.ndarray, np.ndarray, np.ndarray]],
     ):
         self.forms, self.owned, self.block = forms, owned, fixed.shape[1]
         self.matrix = _compat.create_matrix(forms[0])

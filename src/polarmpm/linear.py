@@ -15,7 +15,7 @@ SOLVERS = ("auto", "direct", "multigrid")
 ACCURACY = 1e-8  # residual of a linear system relative to its right-hand side, unless told otherwise
 # Nodes in a layer across the body from which on multigrid takes less time in space: their power 1.5 measures
 # the operations of a factor by nested dissection for each entry of the matrix.
-_LARGE = 360
+_LARGE = 300
 
 # Relative lift of the factored matrix' diagonal. A node set seen by a single point has fewer constraints than
 # unknowns, and its tangent is exactly singular; slivers of points' domains in a cell come close to that.
@@ -68,7 +68,7 @@ def make_solver(
     matrix: PETSc.Mat,
     symmetric: bool,
     far_from_symmetric: bool,
-    hints: Callable[[], tuple[np.ndarray, np.ndarray]],
+    hints: Callable[[], tuple[np.ndarray, np.ndarray, np.ndarray]],
 ) -> LinearSolver:
     """The solver of a name; "auto" takes multigrid where the body `is_large`. Arguments as of
     `multigrid.MultigridSolver`. Collective."""

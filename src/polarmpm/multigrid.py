@@ -40,7 +40,7 @@ _RELAXATION = {"ksp_max_it": 1, "pc_type": "sor", "esteig_ksp_type": "cg"}
 # Symmetric relaxation of a definite matrix has no eigenvalue beyond 1: on one rank none has to be estimated.
 _ONE_RANK = {"ksp_chebyshev_eigenvalues": "0.1,1.1"}
 
-Hints = Callable[[], tuple[np.ndarray, np.ndarray]]
+Hints = Callable[[], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
 def rigid_motions(position: np.ndarray, turned: np.ndarray, comm: MPI.Comm) -> np.ndarray:
@@ -167,8 +167,9 @@ class MultigridSolver:
 
     Args:
         matrix, symmetric, far_from_symmetric: see `DirectSolver`.
-        hints: rigid motions (k, owned nodes, block), zero at prescribed unknowns, and at which of the nodes
-            (owned nodes,) there is hardly any of the body; collective.
+        hints: rigid motions (k, owned nodes, block), zero at prescribed unknowns; at which of the nodes
+            (owned nodes,) there is hardly any of the body; by which factors (block,) the right-hand side's
+            components count as forces. Collective.
 
     Attributes:
         iterations: of the Krylov methods so far.
@@ -187,6 +188,7 @@ class MultigridSolver:
         self._methods: list[PETSc.KSP] = []  # that share the hierarchy, the first one is tried first
         self._method = 0
         self._preconditioner: Preconditioner | None = None
+        self._as_force: np.ndarray = np.ones(1)
         self._rate = 0.0  # iterations for a digit with a new hierarchy
         self._old = self._worn = False  # the hierarchy: of an earlier tangent; not worth to be kept
         self._direct: DirectSolver | None = None
@@ -232,7 +234,7 @@ class MultigridSolver:
         self._whole.diagonalScale(self._scale, self._scale)
 
     def _build(self) -> None:
-        modes, weak = self._hints()
+        modes, weak, self._as_force = self._hints()
         self._whole.setBlockSizes(modes.shape[2], modes.shape[2])
         self._whole.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
         self._whole.setOption(PETSc.Mat.Option.STRUCTURALLY_SYMMETRIC, True)
@@ -334,7 +336,8 @@ class MultigridSolver:
         return False
 
     def _norm(self, owned: np.ndarray) -> float:
-        return math.sqrt(self.comm.allreduce(float(owned @ owned)))
+        forces = owned.reshape(-1, len(self._as_force)) * self._as_force
+        return math.sqrt(self.comm.allreduce(float(np.vdot(forces, forces))))
 
     def _judge(self, taken: int, aim: float) -> None:
         """Whether the hierarchy is still worth to be kept."""

@@ -161,12 +161,12 @@ class ProjectedSystem(LoadedPoints):
                 self._mesh_hints,
             )
 
-    def _mesh_hints(self) -> tuple[np.ndarray, np.ndarray]:
+    def _mesh_hints(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Hints for the solver in the mesh's order."""
-        own, (motions, weak) = self.cells.nodes.owned, self.solver_hints()
+        own, (motions, weak, as_force) = self.cells.nodes.owned, self.solver_hints()
         whole = np.repeat(weak[:, None].astype(float), self.layout.block, axis=1)
         on_mesh = np.stack([self.exchange.to_mesh(v)[:own] for v in (*motions, whole)])
-        return on_mesh[:-1], on_mesh[-1, :, 0] > 0.5
+        return on_mesh[:-1], on_mesh[-1, :, 0] > 0.5, as_force
 
     # assembly ---------------------------------------------------------------------------------------
     def assemble(self, tangent: bool) -> np.ndarray:

@@ -119,14 +119,16 @@ class NodalSystem:
         """Owned nodes at which there is hardly any of the body, bool. Collective."""
         return np.zeros(self.nodes.owned, dtype=bool)
 
-    def solver_hints(self) -> tuple[np.ndarray, np.ndarray]:
+    def solver_hints(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What a multigrid solver wants to know: rigid motions of the body as it is now (k, owned nodes,
-        block), zero at prescribed unknowns, and the weak nodes. Collective."""
+        block), zero at prescribed unknowns; the weak nodes; by which factors (block,) the residual's
+        components count as forces. Collective."""
         from .multigrid import rigid_motions  # small problems don't know of it
 
         own, d = slice(0, self.nodes.owned), self.layout.dim
         motions = rigid_motions(self.positions()[own], self.x[own, d:], self.comm)
-        return np.where(self.prescribed.fixed[own], 0.0, motions), self.weak_nodes()
+        motions = np.where(self.prescribed.fixed[own], 0.0, motions)
+        return motions, self.weak_nodes(), self._as_force
 
     def carry_imbalance(self) -> None:
         """Take the present state as an equilibrium: carry along what is out of balance in it. Collective."""
