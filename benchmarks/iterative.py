@@ -62,7 +62,7 @@ def build(cells, basis, cut, length, solver, seed=0):
         points = pm.seed(grid, material=material(length), points_per_cell=2, bounds=bounds)
         points.x = points.X = points.x + np.array((0.3, 0.6, 0.0) if cut == OFF else (0.0, 0.0, 0.0))
         foot = 0.01
-    problem = pm.QuasiStatic(grid, points, basis=basis, solver=solver)
+    problem = pm.QuasiStatic(grid, points, **{**pm.PUBLISHED, "basis": basis}, solver=solver)
     problem.fix(lambda x: x[:, 2] <= foot, u=0, theta=0)
     top = points.farthest((0, 0, 1))
     problem.load(top, force=E * cells**2 * np.array([0.005, 0.0, 0.01]))
