@@ -305,6 +305,19 @@ def test_indefinite_tangents_are_solved(share, direct):
     solver.destroy()
 
 
+def test_a_factor_that_takes_too_much_memory_is_refused():
+    """Where multigrid fails in a large problem; it would be killed with the process."""
+    system = tangent(block(7, solver="direct")[0])
+    solved(system)
+    factor = DirectSolver(system.solver.matrix, True, memory=1)
+    with pytest.raises(SingularTangent):
+        factor.factor()
+    factor = DirectSolver(system.solver.matrix, True, memory=4000)
+    factor.factor()
+    right = system.solver.rhs.array.copy()
+    assert left(factor, factor.solve(right), right) < 1e-7
+
+
 def test_an_old_hierarchy_is_replaced_when_it_is_worn():
     """The tangent changes beyond recognition, and back."""
     system = tangent(block(4, solver="multigrid")[0])
