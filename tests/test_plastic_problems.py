@@ -540,6 +540,22 @@ def test_hencky_in_a_scene():
     np.testing.assert_allclose(points.hardening, multiplier, rtol=1e-7)
 
 
+def test_elastic_material_beside_one_that_could_yield():
+    """Finite elements of both have the answer of an elastic body while nothing yields."""
+    answers = []
+    for other in (None, pm.VonMises(ELASTIC, k=1e9, l_p=1.0)):
+        body = pm.Elements(box("quadrilateral", (8, 2), (4.0, 1.0)), material=ELASTIC)
+        if other is not None:
+            body.points.assign(body.points.where(lambda x: x[:, 0] > 2.0), other)
+        problem = pm.QuasiStaticFEM(body, controls=STRICT)
+        problem.fix(pm.plane(x=0.0), u=0, theta=0)
+        problem.body_load(force=(0, -20.0))
+        list(problem.march(2))
+        answers.append(body.mean_displacement())
+    assert abs(answers[0][1]) > 0.1
+    np.testing.assert_allclose(answers[1], answers[0], rtol=1e-9)
+
+
 if __name__ == "__main__":
     result = failing() if sys.argv[1] == "failing" else solve(sys.argv[1])
     Path(sys.argv[2], f"{COMM.rank}.json").write_text(json.dumps(result))

@@ -100,9 +100,8 @@ class Interpolation:
         self.terms = [term for source in sources for term in source.terms(grid, reached)]
         more = [t.boxes.numbers(grid).ravel() for t in self.terms]
         touched, node_sets, first = _node_sets(grid, groups, more)
-        self.nodes = ActiveNodes.build(
-            grid, touched, partial(node_positions, basis, grid), _claims(grid, groups, touched)
-        )
+        claims = _claims(grid, groups, touched) if grid.comm.size > 1 else None
+        self.nodes = ActiveNodes.build(grid, touched, partial(node_positions, basis, grid), claims)
         node_sets = self.nodes.local(touched).astype(np.int32)[node_sets]
         self.batches = [
             self._batch(form, m, w, order, groups, (node_sets, first)) for m, form in enumerate(forms)

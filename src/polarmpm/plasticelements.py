@@ -120,7 +120,9 @@ class PlasticElementForms(ElementForms):
     def _evaluate(self, k: int, inputs: np.ndarray, tangent: bool) -> tuple[np.ndarray, np.ndarray]:
         """s (n, nz) and moduli (n, nz, nz) of a material's points."""
         nz = self.layout.unknowns
-        out = self._kernels[k][tangent](inputs)
+        # no correction before: an elastic material beside plastic ones has the tangent itself
+        predicts = tangent and self._point_forms[k].predicts
+        out = self._kernels[k][tangent](inputs, *([inputs[:, :nz]] if predicts else []))
         s, a = out[:, :nz], np.zeros((len(inputs) if tangent else 0, nz, nz))
         if tangent:
             i, j = np.triu_indices(nz)
