@@ -91,3 +91,10 @@ def test_no_points():
     assert rotations.to_tensor(rotations.normalise(q)).shape == (0, 3, 3)
     assert rotations.to_vector(q).shape == rotations.relative_vector(w, w).shape == (0, 3)
     assert rotations.right_tangent(w).shape == (0, 3, 3)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_determinant(dim):
+    a = np.random.default_rng(dim).normal(size=(50, dim, dim))
+    a[0, 0] = a[0, 1]  # singular
+    np.testing.assert_allclose(rotations.determinant(a), np.linalg.det(a), rtol=1e-12, atol=1e-14)

@@ -13,7 +13,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 5,             /* raised with every change of a structure or signature, here and in native.py */
+    INTERFACE = 6,             /* raised with every change of a structure or signature, here and in native.py */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */
@@ -156,6 +156,18 @@ void polarmpm_couple_nodes(const Batch *b, int32_t reach, uint8_t *mark)
                 mark[(int64_t)nodes[a] * codes + code] = 1;
             }
     }
+}
+
+/* Columns of the scalar rows of block rows: nodes' block columns cols[first[I]..first[I + 1]], ascending, in symmetric
+ * matrices from the diagonal on. */
+void polarmpm_scalar_columns(int64_t nodes, const int64_t *first, const int64_t *cols, int32_t block,
+                             int32_t symmetric, int32_t *out)
+{
+    for (int64_t node = 0; node < nodes; ++node)
+        for (int i = 0; i < block; ++i)
+            for (int64_t k = first[node]; k < first[node + 1]; ++k)
+                for (int j = symmetric && k == first[node] ? i : 0; j < block; ++j)
+                    *out++ = (int32_t)(cols[k] * block + j);
 }
 
 #include "_scatter.h"
@@ -369,7 +381,7 @@ INLINE void assemble(const int dim, const int rot, const Batch *b, const Law *la
             for (int a = 0; a < n; ++a)
                 for (int i = 0; i < nb; ++i)
                     force[(int64_t)nodes[a] * nb + i] += ((const double *)w->f)[i * w->sv * WIDTH + a];
-            if (M) flush_matrix(b, M, g, nb, n, (n + WIDTH - 1) / WIDTH, (const double *)w->K, w->at, rhs);
+            if (M) flush_matrix(b, M, g, nb, n, (n + WIDTH - 1) / WIDTH, (double *)w->K, w->at, rhs);
         }
     }
 }

@@ -2,20 +2,22 @@
 
 /* B^T A B of P points of a group, added to its dense matrix K[node][i][k][nv]; the first points of a group overwrite
  * what an earlier group has left. s holds their values and gradients, [P][4][sv] vectors; A is [P][nz][nz].
- * With several points at once an entry of K is read and written once for all of them. */
+ * With several points at once an entry of K is read and written once for all of them. Of a symmetric matrix blocks
+ * right of the diagonal are summed, and where both nodes are of one vector only entries with i <= k (`mirror`). */
 INLINE void add_tangent(const int dim, const int rot, int nv, int symmetric, const int P, int first, int n,
                         const double *A, const vec *s, int sv, vec *K)
 {
     const int nb = dim + rot, d2 = dim * dim, nz = unknowns_of(dim, rot);
     for (int k = 0; k < nb; ++k)
         for (int v = 0; v < nv; ++v) {
-            const int end = symmetric && n > (v + 1) * WIDTH ? (v + 1) * WIDTH : n;
+            const int left = v * WIDTH, right = n > left + WIDTH ? left + WIDTH : n;
+            const int rows = symmetric && !v ? (k < dim ? dim * (k + 1) : d2 + rot + dim * (k - dim + 1)) : nz;
             vec T[MANY][21];  /* column k of A B for the nodes of vector v */
             for (int q = 0; q < P; ++q) {
                 const vec *sq = s + q * 4 * sv + v;
                 const double *column = A + q * nz * nz + (k < dim ? dim * k : d2 + rot + dim * (k - dim));
                 const double *value = A + q * nz * nz + d2 + k - dim;
-                for (int r = 0; r < nz; ++r) {
+                for (int r = 0; r < rows; ++r) {
                     vec sum = column[r * nz] * sq[sv];
                     for (int j = 1; j < dim; ++j) sum += column[r * nz + j] * sq[(1 + j) * sv];
                     if (k >= dim) sum += value[r * nz] * sq[0];
@@ -24,6 +26,7 @@ INLINE void add_tangent(const int dim, const int rot, int nv, int symmetric, con
             }
             for (int i = 0; i < nb; ++i) {
                 const int row = i < dim ? dim * i : d2 + rot + dim * (i - dim);
+                const int end = !symmetric ? n : i > k ? left : right;
                 for (int a = 0; a < end; ++a) {
                     vec *out = K + ((a * nb + i) * nb + k) * nv + v;
                     vec sum = first ? (vec){0} : *out;
@@ -101,14 +104,25 @@ static void put_constrained(const Matrix *M, int nb, Place at, int diagonal, con
     }
 }
 
+/* What `add_tangent` has left out of a symmetric matrix: entries with i > j of nodes of the same vector. */
+INLINE void mirror(const int nb, int n, int64_t cols, double *K)
+{
+    for (int q = 1; q < n; ++q)
+        for (int a = q - q % WIDTH; a < q; ++a)
+            for (int i = 1; i < nb; ++i)
+                for (int j = 0; j < i; ++j)
+                    K[((a * nb + i) * nb + j) * cols + q] = K[((q * nb + j) * nb + i) * cols + a];
+}
+
 /* The group's dense matrix into the sparse rows; entry (i, j) of the pair (a, q) stands at
  * K[((a nb + i) nb + j) cols + q]. */
-INLINE void flush_matrix(const Batch *b, const Matrix *M, int64_t g, const int nb, int n, int nv, const double *K,
-                         Place *at, double *rhs)
+INLINE void flush_matrix(const Batch *b, const Matrix *M, int64_t g, const int nb, int n, int nv, double *K, Place *at,
+                         double *rhs)
 {
     const int32_t *c = b->count + g * b->dim, *nodes = b->nodes + b->node_first[g];
     const int64_t cols = (int64_t)nv * WIDTH;
     int constrained = 0;
+    if (M->symmetric) mirror(nb, n, cols, K);
     for (int a = 0; a < n; ++a)
         for (int i = 0; i < nb; ++i) constrained |= M->fixed[(int64_t)nodes[a] * nb + i];
     for (int a = 0; a < n; ++a) {

@@ -232,7 +232,7 @@ class QuasiStaticFEM(Problem):
 
     def _fault(self, increments: Increments) -> str:
         d = self.layout.dim
-        bad = np.linalg.det(self.points.F[:, :d, :d] + increments.gradient) <= 0
+        bad = rotations.determinant(self.points.F[:, :d, :d] + increments.gradient) <= 0
         cells = np.unique(self.points.id[bad] // len(self.elements.reference_points))
         inverted = np.unique(np.concatenate(self.comm.allgather(cells)))
         if not len(inverted):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, Protocol
 
 from petsc4py import PETSc
@@ -69,11 +70,12 @@ def make_solver(
     symmetric: bool,
     far_from_symmetric: bool,
     hints: Callable[[], tuple[np.ndarray, np.ndarray, np.ndarray]],
+    stored: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> LinearSolver:
     """The solver of a name; "auto" takes multigrid where the body `is_large`. Arguments as of
-    `multigrid.MultigridSolver`. Collective."""
+    `multigrid.MultigridSolver` and `DirectSolver`. Collective."""
     if solver == "direct" or (solver == "auto" and not large):
-        return DirectSolver(matrix, symmetric, far_from_symmetric)
+        return DirectSolver(matrix, symmetric, far_from_symmetric, stored=stored)
     from .multigrid import MultigridSolver  # small problems don't know of it
 
     return MultigridSolver(matrix, symmetric, hints, far_from_symmetric)
@@ -92,13 +94,23 @@ class DirectSolver:
     Where a factor costs much more than a solution, it serves following tangents as a preconditioner.
     """
 
-    def __init__(self, matrix: PETSc.Mat, symmetric: bool, far_from_symmetric: bool = False, memory: int = 0):
+    def __init__(
+        self,
+        matrix: PETSc.Mat,
+        symmetric: bool,
+        far_from_symmetric: bool = False,
+        memory: int = 0,
+        stored: tuple[np.ndarray, np.ndarray] | None = None,
+    ):
         """`matrix` (whole, or its upper triangle when symmetric) belongs to the solver from now on; its
         entries may change before each `factor`. Of one that is far from symmetric (plastic flow) the
-        symmetric part is no help. `memory` (MB) that a rank may use; 0: all."""
+        symmetric part is no help. `memory` (MB) that a rank may use; 0: all. `stored`: the entries that
+        the matrix uses, and where those of the diagonal are, if it's so."""
         self.matrix, self.symmetric, self.comm = matrix, symmetric, matrix.comm.tompi4py()
         self._blocked = matrix.getType() in ("seqbaij", "mpibaij")
-        self._lifted: Any = None  # made when the matrix has its entries
+        # what is factored: the matrix itself for a while, or a copy, made when the matrix has its entries
+        self._alone, self._stored = symmetric and not self._blocked, stored
+        self._lifted: Any = matrix if self._alone else None
         self.solution, self.rhs = self.matrix.createVecs()
         self._solver: PETSc.KSP | None = None
         self._memory = memory
@@ -134,8 +146,34 @@ class DirectSolver:
             factor.setMumpsIcntl(23, self._memory)
         return ksp
 
-    def _lift(self) -> None:
-        """The matrix to factor: the tangent's symmetric part (or the tangent) with a lifted diagonal."""
+    @contextmanager
+    def _lift(self) -> Iterator[None]:
+        """Give the matrix to factor, the tangent's symmetric part (or the tangent), a lifted diagonal; the
+        tangent itself has it for a while only."""
+        if self._alone and self._stored is not None:
+            entries, at = self._stored
+            kept = entries[at]
+            entries[at] = (1.0 + _DIAGONAL) * kept
+            try:
+                yield
+            finally:
+                entries[at] = kept
+            return
+        if not self._alone:
+            self._copy()
+        diagonal = self._lifted.getDiagonal()
+        lifted = diagonal.copy()
+        lifted.scale(1.0 + _DIAGONAL)
+        self._lifted.setDiagonal(lifted)
+        try:
+            yield
+        finally:
+            if self._alone:
+                self._lifted.setDiagonal(diagonal)
+            lifted.destroy()
+            diagonal.destroy()
+
+    def _copy(self) -> None:
         same = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
         if self._lifted is None:
             self._lifted = PETSc.Mat() if self._blocked else self.matrix.duplicate()
@@ -149,10 +187,6 @@ class DirectSolver:
             self._lifted.axpy(1.0, transposed, structure=same)
             self._lifted.scale(0.5)
             transposed.destroy()
-        diagonal = self._lifted.getDiagonal()
-        diagonal.scale(1.0 + _DIAGONAL)
-        self._lifted.setDiagonal(diagonal)
-        diagonal.destroy()
 
     def factor(self) -> None:
         """Factor the matrix as it stands. Collective.
@@ -189,14 +223,16 @@ class DirectSolver:
 
     def _try(self) -> bool:
         try:
-            self._lift()
-            if self._solver is None:
-                self._solver = self._create()
-            pc = self._solver.getPC()
-            pc.setUp()
-            # CHOLMOD raises an error where the tangent isn't definite
-            if self._method == "small" or pc.getFactorMatrix().getMumpsInfog(1) >= 0:
-                return True
+            with self._lift():
+                if self._solver is None:
+                    self._solver = self._create()
+                pc = self._solver.getPC()
+                pc.setReusePreconditioner(False)
+                pc.setUp()
+                pc.setReusePreconditioner(True)  # the diagonal will change, not the factor
+                # CHOLMOD raises an error where the tangent isn't definite
+                if self._method == "small" or pc.getFactorMatrix().getMumpsInfog(1) >= 0:
+                    return True
         except PETSc.Error:
             pass
         self._release_solver()
@@ -253,6 +289,6 @@ class DirectSolver:
     def destroy(self) -> None:
         """Release PETSc's objects."""
         self._release_solver()
-        for thing in (self._lifted, self.matrix, self.rhs, self.solution):
+        for thing in (None if self._alone else self._lifted, self.matrix, self.rhs, self.solution):
             if thing is not None:
                 thing.destroy()

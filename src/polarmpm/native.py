@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 5  # the same number as in _native.c
+INTERFACE = 6  # the same number as in _native.c
 
 _I32, _I64, _PTR = ctypes.c_int32, ctypes.c_int64, ctypes.c_void_p
 
@@ -110,6 +110,7 @@ def library() -> ctypes.CDLL:
     lib.polarmpm_gather.argtypes = [_PTR, _PTR, _I32, _PTR, _PTR]
     lib.polarmpm_spread.argtypes = [_PTR, _PTR, _I32, _PTR]
     lib.polarmpm_couple_nodes.argtypes = [_PTR, _I32, _PTR]
+    lib.polarmpm_scalar_columns.argtypes = [_I64, _PTR, _PTR, _I32, _I32, _PTR]
     lib.polarmpm_assemble.argtypes = [_PTR] * 6
     lib.polarmpm_moments.argtypes = [_PTR, _PTR, _PTR, _I32, _PTR, _PTR]
     lib.polarmpm_project.argtypes = [_I64, _I32, _I32, _PTR, _PTR, _PTR, _PTR]
@@ -117,6 +118,6 @@ def library() -> ctypes.CDLL:
     lib.polarmpm_evaluate.argtypes = [_PTR, _I64, _I32, _PTR, _PTR, _I32, _PTR]
     for name in ("gather", "assemble", "moments", "return", "evaluate"):
         getattr(lib, f"polarmpm_{name}").restype = ctypes.c_int
-    for name in ("spread", "couple_nodes", "project"):
+    for name in ("spread", "couple_nodes", "scalar_columns", "project"):
         getattr(lib, f"polarmpm_{name}").restype = None
     return lib

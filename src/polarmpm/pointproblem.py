@@ -222,7 +222,7 @@ class QuasiStatic(SurfaceProblem):
         return system.interpolation.gather(system.x)
 
     def _fault(self, increments: Increments) -> str:
-        bad = np.linalg.det(np.eye(self.grid.dim) + increments.gradient) <= 0
+        bad = rotations.determinant(np.eye(self.grid.dim) + increments.gradient) <= 0
         inverted = self.comm.allreduce(int(np.sum(bad)))
         return f"{inverted} material point(s) turned inside out" if inverted else ""
 

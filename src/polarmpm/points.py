@@ -129,7 +129,7 @@ class Points:
     @property
     def volume(self) -> np.ndarray:
         """Current volume V0 J (m^3), scalar."""
-        return self.volume0 * np.linalg.det(self.F)
+        return self.volume0 * rotations.determinant(self.F)
 
     @property
     def stretch(self) -> np.ndarray:

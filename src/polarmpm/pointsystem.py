@@ -179,6 +179,7 @@ class PointSystem(LoadedPoints):
                 symmetric,
                 plastic,
                 self.solver_hints,
+                (self.pattern.values, self.pattern.diagonal) if self.pattern.shared else None,
             )
 
     # assembly ---------------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 from petsc4py import PETSc
 
@@ -44,29 +43,34 @@ class Pattern:
     def owned_entries(self) -> int:
         return int(self.indptr[-1])
 
-    def rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pointers, columns and entries of the owned rows as PETSc wants them; the entries are a view."""
-        return self.indptr.astype(np.int32), self.indices, self.values[: self.owned_entries]
-
     def petsc_matrix(self) -> PETSc.Mat:
-        """Matrix of the owned rows, with the pattern's present entries."""
+        """Matrix of the owned rows; on one rank it uses the arrays of the pattern."""
+        comm, kind = self.nodes.grid.comm, ("SBAIJ" if self.symmetric else "AIJ")
         local, total = self.nodes.owned * self.block, self.nodes.total * self.block
-        create = PETSc.Mat().createSBAIJ if self.symmetric else PETSc.Mat().createAIJ
-        return create(((local, total), (local, total)), 1, csr=self.rows(), comm=self.nodes.grid.comm)
+        sizes = ((local, total), (local, total))
+        rows = self.indptr.astype(np.int32), self.indices, self.values[: self.owned_entries]
+        if not self.shared:
+            return getattr(PETSc.Mat(), f"create{kind}")(sizes, 1, csr=rows, comm=comm)
+        matrix = PETSc.Mat().create(comm)
+        matrix.setSizes(sizes)
+        _use_arrays(matrix, kind, rows)
+        matrix.setAttr("rows", rows)  # to live as long
+        return matrix
+
+    @property
+    def shared(self) -> bool:
+        """Whether the matrix uses the entries of the pattern: on several ranks it keeps rows in two parts."""
+        types = PETSc.ScalarType == self.values.dtype and PETSc.IntType == self.indices.dtype
+        return bool(self.nodes.grid.comm.size == 1 and types)
 
     def put(self, matrix: PETSc.Mat) -> None:
-        """Write the entries into a matrix that `petsc_matrix` has made. Collective."""
-        pointers, columns, entries = self.rows()
-        if self.nodes.grid.comm.size > 1 or PETSc.ScalarType != entries.dtype:  # rows are kept in two parts
-            matrix.setValuesCSR(pointers, columns, entries)
-        else:  # one copy instead of a search for each entry
-            kind, address = ("SBAIJ" if self.symmetric else "AIJ"), ctypes.c_void_p()
-            call = [ctypes.c_void_p(matrix.handle), ctypes.byref(address)]
-            if getattr(_petsc(), f"MatSeq{kind}GetArray")(*call):
-                raise MemoryError("the matrix doesn't give its entries")
-            ctypes.memmove(address, entries.ctypes.data, entries.nbytes)
-            getattr(_petsc(), f"MatSeq{kind}RestoreArray")(*call)
+        """Let the matrix that `petsc_matrix` has made have the entries as they are now. Collective."""
+        if not self.shared:
+            matrix.setValuesCSR(
+                self.indptr.astype(np.int32), self.indices, self.values[: self.owned_entries]
+            )
         matrix.assemble()
+        matrix.stateIncrease()
 
     def collect(self) -> None:
         """Add the rows of ghost nodes to their owners' rows. Collective."""
@@ -77,10 +81,18 @@ class Pattern:
         np.add.at(self.values, self.received_at[ok], received[ok])
 
 
-@cache
-def _petsc() -> ctypes.CDLL:
-    """PETSc's own functions, for what petsc4py has none."""
-    return ctypes.CDLL(PETSc.__file__)
+def _use_arrays(matrix: PETSc.Mat, kind: str, rows: tuple[np.ndarray, ...]) -> None:
+    """Make an empty matrix on one rank one whose pointers, columns and entries are `rows`."""
+    petsc = ctypes.CDLL(PETSc.__file__)  # petsc4py does this for AIJ alone
+    handle, comm, made = (ctypes.c_void_p(h) for h in (matrix.handle, 0, 0))
+    sizes = [ctypes.c_int32(n) for n in matrix.getLocalSize()]
+    if kind == "SBAIJ":
+        sizes = [ctypes.c_int32(1), *sizes]
+    failed = petsc.PetscObjectGetComm(handle, ctypes.byref(comm)) or getattr(
+        petsc, f"MatCreateSeq{kind}WithArrays"
+    )(comm, *sizes, *(ctypes.c_void_p(a.ctypes.data) for a in rows), ctypes.byref(made))
+    if failed or petsc.MatHeaderReplace(handle, ctypes.byref(made)):
+        raise MemoryError("PETSc can't make a matrix of arrays")
 
 
 def build(
@@ -175,17 +187,16 @@ def _scalar_rows(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Scalar row pointers and columns of block rows with ascending block columns, the diagonal first."""
     nodes = len(first) - 1
-    width = np.diff(first) * block
-    lengths = np.repeat(width, block).reshape(nodes, block)
+    lengths = np.repeat(np.diff(first) * block, block).reshape(nodes, block)
     if symmetric:
         lengths = lengths - np.arange(block)
     indptr = np.concatenate([[0], np.cumsum(lengths.ravel())])
-    expanded = (cols[:, None] * block + np.arange(block)).ravel()  # scalar columns of each node, untrimmed
-    row_first = np.repeat(first[:-1] * block, block)
-    if symmetric:
-        row_first = row_first + np.tile(np.arange(block), nodes)
-    source = np.arange(int(indptr[-1])) + np.repeat(row_first - indptr[:-1], np.diff(indptr))
-    return indptr, expanded[source].astype(np.int32)
+    columns = np.empty(int(indptr[-1]), dtype=np.int32)
+    first, cols = np.ascontiguousarray(first, dtype=np.int64), np.ascontiguousarray(cols, dtype=np.int64)
+    native.library().polarmpm_scalar_columns(
+        nodes, first.ctypes.data, cols.ctypes.data, block, int(symmetric), columns.ctypes.data
+    )
+    return indptr, columns
 
 
 def _diagonal(

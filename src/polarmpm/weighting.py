@@ -71,9 +71,9 @@ def weights(
     """
     if check_basis(basis) == "bspline":
         return _spline_weights(grid, x, grid.cells_of(x) if cells is None else cells)
-    xi, cell = grid.local(x), np.array(grid.cell)
     if basis == "mpm":
-        half_length = np.zeros_like(half_length)
+        return _tent_weights(grid, x)
+    xi, cell = grid.local(x), np.array(grid.cell)
     half = _without_slivers(xi, half_length / cell)
     low, high = snap(xi - half), snap(xi + half)
     inner = np.array(grid.shape)
@@ -82,9 +82,7 @@ def weights(
     first = np.floor(low).astype(np.int64)
     first = np.where((high <= low) & (first >= inner), inner - 1, first)
     last = np.maximum(np.ceil(high).astype(np.int64), first + 1)
-    beyond = (first < -MARGIN) | (last > inner + MARGIN)
-    if np.any(beyond):
-        raise InputError(f"point domains reach more than {MARGIN} cells beyond the grid")
+    _check_margin(grid, first, last)
     count = (last - first + 1).astype(np.int32)
     slots = int(count.max(initial=2))
     table = np.zeros((len(x), grid.dim, 2, slots))
@@ -100,6 +98,24 @@ def weights(
         table[:, :, 1, k] -= part / cell
         table[:, :, 1, k + 1] += part / cell
     return Weights(first, count, table)
+
+
+def _check_margin(grid: Grid, first: np.ndarray, last: np.ndarray) -> None:
+    if np.any(first < -MARGIN) or np.any(last > np.array(grid.shape) + MARGIN):
+        raise InputError(f"point domains reach more than {MARGIN} cells beyond the grid")
+
+
+def _tent_weights(grid: Grid, x: np.ndarray) -> Weights:
+    """The tent functions at x (n, d). A point on a plane is in the cell above, but for the grid's last one."""
+    xi, inner = snap(grid.local(x)), np.array(grid.shape)
+    first = np.floor(xi).astype(np.int64)
+    first = np.where(first >= inner, inner - 1, first)
+    _check_margin(grid, first, first + 1)
+    table = np.empty((*x.shape, 2, 2))
+    table[:, :, 0, 1] = xi - first
+    table[:, :, 0, 0] = 1.0 - table[:, :, 0, 1]
+    table[:, :, 1, 0], table[:, :, 1, 1] = -1.0 / np.array(grid.cell), 1.0 / np.array(grid.cell)
+    return Weights(first, np.full(x.shape, 2, dtype=np.int32), table)
 
 
 def _spline_weights(grid: Grid, x: np.ndarray, first: np.ndarray) -> Weights:
