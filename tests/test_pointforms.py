@@ -298,6 +298,26 @@ def test_same_numbers_as_ffcx(dim, material, monkeypatch):
     np.testing.assert_allclose(full(out[:, n:], n), matrix, rtol=0, atol=1e-12 * abs(matrix).max())
 
 
+@pytest.mark.parametrize("material", [MICROPOLAR, NEO_HOOKEAN], ids=["micropolar", "neo-hookean"])
+def test_kernels_are_found_again(material, monkeypatch):
+    """Whatever else was made in UFL before, one compiled kernel serves all forms of a material."""
+    names: list[str] = []
+    find = pointforms.jit.library
+
+    def library(key, source, comm):
+        names.append(key)
+        return find(key, source, comm)
+
+    monkeypatch.setattr(pointforms.jit, "library", library)
+    for _ in range(2):
+        form = PointForm(material, 3)
+        form.compile(COMM)
+        form.compile_energy(COMM)
+        ufl.variable(form.space.coefficient(3)), ufl.indices(3)
+    assert len(names) == 4
+    assert names[:2] == names[2:]
+
+
 def test_constants_of_an_energy_are_part_of_its_kernel():
     """Two energies that differ only in a number written into them don't share a cached kernel."""
     results = []

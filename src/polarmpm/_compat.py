@@ -46,9 +46,12 @@ def point_domain() -> Any:
 def expression_signature(expr: Any, terminals: dict[Any, int]) -> str:
     """Signature of an expression that does not depend on running numbers of UFL objects."""
     from ufl.algorithms.signature import compute_expression_signature
+    from ufl.corealg.traversal import traverse_unique_terminals
 
+    # newer UFL takes labels of variables by their running numbers unless it's told others
+    labels = (t for t in traverse_unique_terminals(expr) if isinstance(t, ufl.classes.Label))
     try:
-        return compute_expression_signature(expr, terminals)
+        return compute_expression_signature(expr, {**terminals, **{t: k for k, t in enumerate(labels)}})
     except KeyError as e:
         raise KernelError(f"{e.args[0]} is not an input of this kernel") from None
 
