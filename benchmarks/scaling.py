@@ -1,10 +1,10 @@
-"""Strong scaling: one elastic block on 1, 2 and more ranks, phase by phase.
+"""Strong scaling: an elastic block of 216 000 points on 1, 2 and more ranks, phase by phase.
 
-A block of 15^3 cells with 4^3 micropolar GIMPM points each (216 000) is bent and pulled in load steps with a
-reset each; from the second step on domains cross the grid's planes. Each number of ranks has an mpirun of its
-own, one thread a rank. A phase lasts until its slowest rank is done; sent bytes are what this package sends
-(PETSc's and MUMPS' own messages aren't seen). `python3 benchmarks/scaling.py` does all; results are written
-after each number of ranks.
+A block of micropolar GIMPM points is bent and pulled in load steps with a reset each; from the second step on
+domains cross the grid's planes. With 30^3 cells of 2^3 points multigrid solves, with 15^3 cells of 4^3 points
+MUMPS does. Each number of ranks has an mpirun of its own, one thread a rank. A phase lasts until its slowest
+rank is done; sent bytes are what this package sends (PETSc's and MUMPS' own messages aren't seen).
+`python3 benchmarks/scaling.py` does all; results are written after each run.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ from typing import Any
 
 HERE = Path(__file__).parent
 PHASES = ("assembly", "factor", "solve", "reset", "pattern", "migration", "update", "conditions")
+BLOCKS = {"multigrid": (30, 2), "direct": (15, 4)}  # cells of a side, points in each direction of a cell
 COLUMNS = (
+    "solver",
     "ranks",
     "phase",
     "wall_s",
@@ -98,6 +100,7 @@ def run(cells: int, per_cell: int, steps: int) -> dict[str, Any]:
         else {}
     )
     return {
+        "solver": "multigrid" if problem.system.is_large() else "direct",
         "ranks": comm.size,
         "points": comm.allreduce(len(points)),
         "unknowns": problem.unknowns,
@@ -121,7 +124,7 @@ def check_seconds(problem: Any) -> float:
 
 
 # all of them ------------------------------------------------------------------------------------------
-def on_ranks(ranks: int, args: argparse.Namespace) -> dict[str, Any]:
+def on_ranks(ranks: int, cells: int, per_cell: int, steps: int) -> dict[str, Any]:
     keep = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_", "OMPI_COMM", "PRTE_"))}
     env = {**keep, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     env.setdefault("OMPI_MCA_rmaps_base_oversubscribe", "1")
@@ -129,8 +132,7 @@ def on_ranks(ranks: int, args: argparse.Namespace) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder, "result.json")
         command = ["mpirun", "-n", str(ranks), sys.executable, __file__, "--worker", str(result)]
-        for name in ("cells", "per_cell", "steps"):
-            command += [f"--{name.replace('_', '-')}", str(getattr(args, name))]
+        command += [str(n) for n in (cells, per_cell, steps)]
         subprocess.run(command, env=env, check=True, stdin=subprocess.DEVNULL)
         return json.loads(result.read_text())
 
@@ -143,7 +145,17 @@ def table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
             if phase in found["phases"]:
                 wall, cpu, sent, messages = found["phases"][phase]
                 before = first.get(phase, [float("nan")] * 4)
-                values = (found["ranks"], phase, wall, cpu, sent, messages, before[0] / wall, before[1] / cpu)
+                values = (
+                    found["solver"],
+                    found["ranks"],
+                    phase,
+                    wall,
+                    cpu,
+                    sent,
+                    messages,
+                    before[0] / wall,
+                    before[1] / cpu,
+                )
                 rows.append(dict(zip(COLUMNS, values, strict=True)))
     return rows
 
@@ -151,9 +163,10 @@ def table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def markdown(runs: list[dict[str, Any]], rows: list[dict[str, Any]]) -> str:
     head = runs[0]
     out = [
-        f"{head['points']} points, {head['unknowns']} unknowns, {head['steps']} load steps with a reset "
-        f"each, {head['iterations']} iterations. Seconds of the slowest rank, on the wall and of CPU; in "
-        f"brackets how many times as fast as on {head['ranks']} rank(s).",
+        f"{head['solver'].capitalize()}: {head['points']} points, {head['unknowns']} unknowns, "
+        f"{head['steps']} load steps with a reset each, {head['iterations']} iterations. Seconds of the "
+        "slowest rank, on the wall and of CPU; in brackets how many times as fast as on "
+        f"{head['ranks']} rank(s).",
         "",
         "| phase | " + " | ".join(f"{r['ranks']} rank(s), wall | CPU | sent (MB)" for r in runs) + " |",
         "|---" * (1 + 3 * len(runs)) + "|",
@@ -184,33 +197,31 @@ def markdown(runs: list[dict[str, Any]], rows: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    cores = len(os.sched_getaffinity(0))
-    default = [n for n in (1, 2, 4, 8) if n <= cores]
-    parser.add_argument("--ranks", type=int, nargs="+", default=default, metavar="N")
-    parser.add_argument("--cells", type=int, default=15, help="of a side of the block")
-    parser.add_argument("--per-cell", type=int, default=4, help="points in each direction of a cell")
-    parser.add_argument("--steps", type=int, default=3)
-    parser.add_argument("--output", type=Path, default=HERE / "results", metavar="DIR")
-    parser.add_argument("--worker", type=Path, help=argparse.SUPPRESS)
-    args = parser.parse_args()
-    if args.worker:
-        found = run(args.cells, args.per_cell, args.steps)
+    if sys.argv[1:2] == ["--worker"]:
+        found = run(*map(int, sys.argv[3:]))
         if found["shares"]:
-            args.worker.write_text(json.dumps(found))
+            Path(sys.argv[2]).write_text(json.dumps(found))
         return
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--ranks", type=int, nargs="+", default=[1, 2, 4], metavar="N")
+    parser.add_argument("--block", nargs="+", choices=BLOCKS, default=list(BLOCKS))
+    parser.add_argument("--steps", type=int, default=2)
+    parser.add_argument("--output", type=Path, default=HERE / "results", metavar="DIR")
+    args = parser.parse_args()
     args.output.mkdir(parents=True, exist_ok=True)
-    runs: list[dict[str, Any]] = []
-    for ranks in args.ranks:
-        runs.append(on_ranks(ranks, args))
-        rows = table(runs)
-        with (args.output / "scaling.csv").open("w", newline="") as file:
-            writer = csv.DictWriter(file, COLUMNS)
-            writer.writeheader()
-            writer.writerows(rows)
-        text = markdown(runs, rows)
-        (args.output / "scaling.md").write_text(text)
-        print(text, flush=True)
+    runs: dict[str, list[dict[str, Any]]] = {}
+    for block in args.block:
+        for ranks in args.ranks:
+            runs.setdefault(block, []).append(on_ranks(ranks, *BLOCKS[block], args.steps))
+            rows = {name: table(found) for name, found in runs.items()}
+            with (args.output / "scaling.csv").open("w", newline="") as file:
+                writer = csv.DictWriter(file, COLUMNS)
+                writer.writeheader()
+                for name in rows:
+                    writer.writerows(rows[name])
+            text = "\n".join(markdown(runs[name], rows[name]) for name in runs)
+            (args.output / "scaling.md").write_text(text)
+            print(markdown(runs[block], rows[block]), flush=True)
 
 
 if __name__ == "__main__":

@@ -36,9 +36,9 @@ _HIERARCHY = {
     "mg_levels_ksp_max_it": 2,
     "mg_levels_pc_type": "jacobi",
 }
-_RELAXATION = {"ksp_max_it": 1, "pc_type": "sor", "esteig_ksp_type": "cg"}
+_RELAXATION = {"ksp_max_it": 1, "pc_type": "sor"}
 # Symmetric relaxation of a definite matrix has no eigenvalue beyond 1: on one rank none has to be estimated.
-_ONE_RANK = {"ksp_chebyshev_eigenvalues": "0.1,1.1"}
+_ONE_RANK, _RANKS = {"ksp_chebyshev_eigenvalues": "0.1,1.1"}, {"esteig_ksp_type": "cg"}
 
 Hints = Callable[[], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
@@ -115,7 +115,7 @@ class Preconditioner:
     def _relax_by_rows(self, finest: PETSc.KSP) -> None:
         """Small cuts and short lengths ask for more than a diagonal on the finest level. Coarse operators may
         have empty rows, where a node without microrotation is an aggregate: there it's the diagonal."""
-        _put_options(_FINEST, _RELAXATION | (_ONE_RANK if finest.comm.size == 1 else {}))
+        _put_options(_FINEST, _RELAXATION | (_ONE_RANK if finest.comm.size == 1 else _RANKS))
         finest.setOptionsPrefix(_FINEST)
         for kind in (PETSc.KSP.Type.RICHARDSON, PETSc.KSP.Type.CHEBYSHEV):  # forget bounds of eigenvalues
             finest.setType(kind)

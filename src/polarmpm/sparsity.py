@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 from petsc4py import PETSc
 
@@ -66,9 +67,7 @@ class Pattern:
     def put(self, matrix: PETSc.Mat) -> None:
         """Let the matrix that `petsc_matrix` has made have the entries as they are now. Collective."""
         if not self.shared:
-            matrix.setValuesCSR(
-                self.indptr.astype(np.int32), self.indices, self.values[: self.owned_entries]
-            )
+            matrix.setValuesCSR(self.indptr.astype(np.int32), self.indices, self.values[: self.owned_entries])
         matrix.assemble()
         matrix.stateIncrease()
 
@@ -81,9 +80,15 @@ class Pattern:
         np.add.at(self.values, self.received_at[ok], received[ok])
 
 
+@cache
+def _petsc() -> ctypes.CDLL:
+    """PETSc's own functions, for what petsc4py has none."""
+    return ctypes.CDLL(PETSc.__file__)
+
+
 def _use_arrays(matrix: PETSc.Mat, kind: str, rows: tuple[np.ndarray, ...]) -> None:
     """Make an empty matrix on one rank one whose pointers, columns and entries are `rows`."""
-    petsc = ctypes.CDLL(PETSc.__file__)  # petsc4py does this for AIJ alone
+    petsc = _petsc()
     handle, comm, made = (ctypes.c_void_p(h) for h in (matrix.handle, 0, 0))
     sizes = [ctypes.c_int32(n) for n in matrix.getLocalSize()]
     if kind == "SBAIJ":

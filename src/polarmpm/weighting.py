@@ -106,7 +106,7 @@ def _check_margin(grid: Grid, first: np.ndarray, last: np.ndarray) -> None:
 
 
 def _tent_weights(grid: Grid, x: np.ndarray) -> Weights:
-    """The tent functions at x (n, d). A point on a plane is in the cell above, but for the grid's last one."""
+    """The tent functions at x (n, d). A point on a plane is in the cell above, but for the grid's last."""
     xi, inner = snap(grid.local(x)), np.array(grid.shape)
     first = np.floor(xi).astype(np.int64)
     first = np.where(first >= inner, inner - 1, first)
