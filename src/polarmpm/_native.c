@@ -13,7 +13,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 6,             /* raised with every change of a structure or signature, here and in native.py */
+    INTERFACE = 7,             /* raised with every change of a structure or signature, here and in native.py */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */
@@ -46,6 +46,7 @@ typedef struct {
 
 typedef struct {
     int32_t symmetric;         /* upper triangle only */
+    int32_t half;              /* only pairs of a node and a later one of its group are summed */
     int32_t reach;             /* largest lattice distance of coupled nodes */
     const int32_t *place;      /* [node][(2 reach + 1)^dim] block column in the node's row, -1: none */
     const int64_t *row_start;  /* [node * block + i] address of block column 0 */
@@ -357,7 +358,7 @@ INLINE void add_points(const int dim, const int rot, const Batch *b, const Law *
     }
     for (int P; M && l < end; l += P) {
         P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
-        add_tangents(dim, rot, nv, M->symmetric, P, start + l == b->first[g], n, w->A + l * nz * nz,
+        add_tangents(dim, rot, nv, M->half, P, start + l == b->first[g], n, w->A + l * nz * nz,
                      w->shapes + l * 4 * sv, sv, w->K);
     }
 }
@@ -407,6 +408,19 @@ FAST int polarmpm_assemble(const Batch *b, const Law *law, const Matrix *M, cons
     }
     free_work(&w);
     return failed;
+}
+
+/* The other half of symmetric sums whose rows are whole. Pairs: local nodes, and block columns of (row, col) and of
+ * (col, row) in their rows; each node with itself, too. */
+void polarmpm_mirror(const Matrix *M, int32_t nb, int64_t pairs, const int32_t *row, const int32_t *col,
+                     const int32_t *there, const int32_t *back)
+{
+    for (int64_t p = 0; p < pairs; ++p)
+        for (int i = 0; i < nb; ++i) {
+            const double *from = M->values + M->row_start[(int64_t)row[p] * nb + i] + (int64_t)there[p] * nb;
+            for (int j = row[p] == col[p] ? i + 1 : 0; j < nb; ++j)
+                M->values[M->row_start[(int64_t)col[p] * nb + j] + (int64_t)back[p] * nb + i] = from[j];
+        }
 }
 
 #include "_moments.h"

@@ -92,13 +92,13 @@ static void put_constrained(const Matrix *M, int nb, Place at, int diagonal, con
     const int64_t row = (int64_t)at.row * nb, col = (int64_t)at.col * nb;
     for (int i = 0; i < nb; ++i) {
         double *out = M->values + M->row_start[row + i] + at.column;
-        for (int j = diagonal && M->symmetric ? i : 0; j < nb; ++j) {
+        for (int j = diagonal && M->half ? i : 0; j < nb; ++j) {
             const double value = K[i * istep + j * jstep];
             const int ri = M->fixed[row + i], cj = M->fixed[col + j];
             if (!(ri | cj) || (diagonal && i == j)) out[j] += value;
             if (M->lift && ri != cj) {
                 if (cj) rhs[row + i] += value * M->lift[col + j];
-                else if (M->symmetric) rhs[col + j] += value * M->lift[row + i];
+                else if (M->half) rhs[col + j] += value * M->lift[row + i];
             }
         }
     }
@@ -122,12 +122,12 @@ INLINE void flush_matrix(const Batch *b, const Matrix *M, int64_t g, const int n
     const int32_t *c = b->count + g * b->dim, *nodes = b->nodes + b->node_first[g];
     const int64_t cols = (int64_t)nv * WIDTH;
     int constrained = 0;
-    if (M->symmetric) mirror(nb, n, cols, K);
+    if (M->half) mirror(nb, n, cols, K);
     for (int a = 0; a < n; ++a)
         for (int i = 0; i < nb; ++i) constrained |= M->fixed[(int64_t)nodes[a] * nb + i];
     for (int a = 0; a < n; ++a) {
         const double *Ka = K + (int64_t)a * nb * nb * cols;
-        const int begin = M->symmetric ? a : 0;
+        const int begin = M->half ? a : 0;
         int swapped = 0;
         for (int q = begin; q < n; ++q) {
             at[q] = place_of(b, M, nodes, c, a, q, nb);
@@ -141,7 +141,7 @@ INLINE void flush_matrix(const Batch *b, const Matrix *M, int64_t g, const int n
         }
         for (int i = 0; i < nb; ++i) {
             double *out = M->values + M->row_start[(int64_t)nodes[a] * nb + i];
-            for (int j = M->symmetric ? i : 0; j < nb; ++j) out[at[a].column + j] += Ka[(i * nb + j) * cols + a];
+            for (int j = M->half ? i : 0; j < nb; ++j) out[at[a].column + j] += Ka[(i * nb + j) * cols + a];
             for (int q = begin; q < n; ++q) {
                 if (q == a) continue;
                 double *block = out + at[q].column;

@@ -63,6 +63,11 @@ def is_large(dim: int, layer: float) -> bool:
     return dim == 3 and layer >= _LARGE
 
 
+def takes_multigrid(solver: str, large: bool) -> bool:
+    """Whether a solver's name stands for multigrid in a system that `is_large` or isn't."""
+    return solver == "multigrid" or (solver == "auto" and large)
+
+
 def make_solver(
     solver: str,
     large: bool,
@@ -74,7 +79,7 @@ def make_solver(
 ) -> LinearSolver:
     """The solver of a name; "auto" takes multigrid where the body `is_large`. Arguments as of
     `multigrid.MultigridSolver` and `DirectSolver`. Collective."""
-    if solver == "direct" or (solver == "auto" and not large):
+    if not takes_multigrid(solver, large):
         return DirectSolver(matrix, symmetric, far_from_symmetric, stored=stored)
     from .multigrid import MultigridSolver  # small problems don't know of it
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 6  # the same number as in _native.c
+INTERFACE = 7  # the same number as in _native.c
 
 _I32, _I64, _PTR = ctypes.c_int32, ctypes.c_int64, ctypes.c_void_p
 
@@ -41,6 +41,7 @@ class Matrix(ctypes.Structure):
 
     _fields_ = [
         ("symmetric", _I32),
+        ("half", _I32),
         ("reach", _I32),
         ("place", _PTR),
         ("row_start", _PTR),
@@ -112,12 +113,13 @@ def library() -> ctypes.CDLL:
     lib.polarmpm_couple_nodes.argtypes = [_PTR, _I32, _PTR]
     lib.polarmpm_scalar_columns.argtypes = [_I64, _PTR, _PTR, _I32, _I32, _PTR]
     lib.polarmpm_assemble.argtypes = [_PTR] * 6
+    lib.polarmpm_mirror.argtypes = [_PTR, _I32, _I64, _PTR, _PTR, _PTR, _PTR]
     lib.polarmpm_moments.argtypes = [_PTR, _PTR, _PTR, _I32, _PTR, _PTR]
     lib.polarmpm_project.argtypes = [_I64, _I32, _I32, _PTR, _PTR, _PTR, _PTR]
     lib.polarmpm_return.argtypes = [_PTR, _I64, _PTR, _I32, _PTR, _PTR, _PTR, _PTR]
     lib.polarmpm_evaluate.argtypes = [_PTR, _I64, _I32, _PTR, _PTR, _I32, _PTR]
     for name in ("gather", "assemble", "moments", "return", "evaluate"):
         getattr(lib, f"polarmpm_{name}").restype = ctypes.c_int
-    for name in ("spread", "couple_nodes", "scalar_columns", "project"):
+    for name in ("spread", "couple_nodes", "scalar_columns", "mirror", "project"):
         getattr(lib, f"polarmpm_{name}").restype = None
     return lib

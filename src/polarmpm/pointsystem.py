@@ -11,7 +11,7 @@ import numpy as np
 from . import native, sparsity
 from .conditions import Prescribed
 from .interpolation import Interpolation, PointBatch
-from .linear import make_solver
+from .linear import make_solver, takes_multigrid
 from .nodalterms import NodalTerms
 from .nodes import ActiveNodes
 from .pointforms import Kernel
@@ -165,8 +165,11 @@ class PointSystem(LoadedPoints):
         symmetric = self.symmetric
         batches = [b.batch for b in interpolation.batches] + self.terms.batches()
         with timer("pattern"):
+            large = self.is_large()
+            # multigrid wants whole rows, which PETSc gets from a half only slowly on several ranks
+            whole = self.comm.size > 1 and takes_multigrid(solver, large)
             self.pattern = sparsity.build(
-                self.nodes, batches, self.layout.block, symmetric, interpolation.reach
+                self.nodes, batches, self.layout.block, symmetric, interpolation.reach, whole
             )
             self._fixed = np.ascontiguousarray(prescribed.fixed, dtype=np.uint8)
             native.fill(self.pattern.matrix, fixed=self._fixed)
@@ -174,7 +177,7 @@ class PointSystem(LoadedPoints):
             plastic = any(m is not None for m in self.mappings)
             self.solver = make_solver(
                 solver,
-                self.is_large(),
+                large,
                 self.pattern.petsc_matrix(),
                 symmetric,
                 plastic,
@@ -195,6 +198,7 @@ class PointSystem(LoadedPoints):
         if len(self.terms):
             internal += self._term_forces()
         if tangent:
+            self.pattern.mirror()
             self.terms.add_tangents(self.x, self.pattern.values)
             self.pattern.collect()
             if self._pending:

@@ -39,6 +39,7 @@ class Pattern:
     route: Route | None = None
     ghost_order: np.ndarray | None = None  # entries of each ghost block in the buffer
     received_at: np.ndarray | None = None  # where entries of received blocks go; -1: nowhere
+    halves: tuple[np.ndarray, ...] | None = None  # pairs of nodes, and their blocks in either's rows
 
     @property
     def owned_entries(self) -> int:
@@ -61,23 +62,44 @@ class Pattern:
     @property
     def shared(self) -> bool:
         """Whether the matrix uses the entries of the pattern: on several ranks it keeps rows in two parts."""
-        types = PETSc.ScalarType == self.values.dtype and PETSc.IntType == self.indices.dtype
-        return bool(self.nodes.grid.comm.size == 1 and types)
+        return self.nodes.grid.comm.size == 1 and self._usual
+
+    @property
+    def _usual(self) -> bool:
+        """Whether PETSc's numbers are those of the arrays."""
+        return bool(PETSc.ScalarType == self.values.dtype and PETSc.IntType == self.indices.dtype)
 
     def put(self, matrix: PETSc.Mat) -> None:
         """Let the matrix that `petsc_matrix` has made have the entries as they are now. Collective."""
-        if not self.shared:
-            matrix.setValuesCSR(self.indptr.astype(np.int32), self.indices, self.values[: self.owned_entries])
+        if matrix.getType() == "mpiaij" and self._usual:
+            # what setValuesCSR does, without a search for each entry
+            arguments = map(ctypes.c_void_p, (matrix.handle, self.values.ctypes.data))
+            if _petsc().MatUpdateMPIAIJWithArray(*arguments):
+                raise MemoryError("the matrix doesn't take the entries")
+        elif not self.shared:
+            rows = self.indptr.astype(np.int32), self.indices
+            matrix.setValuesCSR(*rows, self.values[: self.owned_entries])
         matrix.assemble()
         matrix.stateIncrease()
+
+    def mirror(self) -> None:
+        """Complete whole rows by the half of the symmetric sums that hasn't been made."""
+        if self.halves is not None:
+            pairs, arrays = len(self.halves[0]), [a.ctypes.data for a in self.halves]
+            native.library().polarmpm_mirror(ctypes.byref(self.matrix), self.block, pairs, *arrays)
 
     def collect(self) -> None:
         """Add the rows of ghost nodes to their owners' rows. Collective."""
         if self.route is None or self.ghost_order is None or self.received_at is None:
             return
         received = self.route.forward(self.values[self.owned_entries :][self.ghost_order])
-        ok = self.received_at >= 0
-        np.add.at(self.values, self.received_at[ok], received[ok])
+        for part in np.split(np.arange(len(received)), np.cumsum(self.route.received)[:-1]):
+            if len(part):  # of one rank, which sends an entry once: no need for the slower np.add.at
+                rows = slice(part[0], part[-1] + 1)
+                at, entries = self.received_at[rows].ravel(), received[rows].ravel()
+                if self.symmetric:
+                    at, entries = at[at >= 0], entries[at >= 0]
+                self.values[at] += entries
 
 
 @cache
@@ -101,12 +123,21 @@ def _use_arrays(matrix: PETSc.Mat, kind: str, rows: tuple[np.ndarray, ...]) -> N
 
 
 def build(
-    nodes: ActiveNodes, batches: Sequence[native.Batch], block: int, symmetric: bool, reach: int
+    nodes: ActiveNodes,
+    batches: Sequence[native.Batch],
+    block: int,
+    symmetric: bool,
+    reach: int,
+    whole: bool = False,
 ) -> Pattern:
     """Pattern of the node sets of all batches. Collective.
 
-    `reach` is the largest lattice distance of two nodes of one set.
+    Args:
+        symmetric: the sums over the points are; rows hold their upper triangle only, unless `whole`. Then
+            `Pattern.mirror` has to be called once they are made.
+        reach: the largest lattice distance of two nodes of one set.
     """
+    half, symmetric = symmetric, symmetric and not whole
     grid, side = nodes.grid, 2 * reach + 1
     codes = side**grid.dim
     mark = np.zeros((len(nodes), codes), dtype=np.uint8)
@@ -125,12 +156,19 @@ def build(
         route = Route(grid.comm, nodes.owner[row[~mine]])
         sent = np.stack([nodes.number[row[~mine]], nodes.number[col[~mine]]], axis=1)
         ghost_pairs = route.forward(sent)
-        pairs = np.unique(np.concatenate([pairs, ghost_pairs]), axis=0)
-    else:
-        pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    return _assemble_pattern(
+        pairs = np.concatenate([pairs, ghost_pairs])
+    total = max(nodes.total, 1)
+    pairs = np.stack(np.divmod(np.unique(pairs[:, 0] * total + pairs[:, 1]), total), axis=1)
+    pattern = _assemble_pattern(
         nodes, block, symmetric, reach, codes, (row, code, col, mine), pairs, route, ghost_pairs
     )
+    native.fill(pattern.matrix, half=int(half))
+    if half and whole:
+        later = code >= codes // 2  # in the order of a group's nodes, or the same node
+        row, code, col = (a[later].astype(np.int32) for a in (row, code, col))
+        place = pattern.matrix.kept["place"]
+        pattern.halves = row, col, place[row, code], place[col, codes - 1 - code]
+    return pattern
 
 
 def _assemble_pattern(
