@@ -60,8 +60,10 @@ def scattered(
     return points
 
 
-def make_system(points: Points, basis: str, *, full: bool = False, supports=()) -> PointSystem:
-    """The system of points on a grid of unit cells; `full` asks for unsymmetric storage."""
+def make_system(
+    points: Points, basis: str, *, full: bool = False, supports=(), solver: str = "auto"
+) -> PointSystem:
+    """The system of points on a grid of unit cells; `full` asks for an unsymmetric tangent."""
     grid = pm.Grid.box((-2,) * points.dim, (4,) * points.dim, 1.0)
     forms = [PointForm(m, points.dim) for m in points.materials]
     interpolation = Interpolation(grid, points, basis, forms)
@@ -71,7 +73,8 @@ def make_system(points: Points, basis: str, *, full: bool = False, supports=()) 
     ]
     kernels = [form.compile(COMM) for form in forms]
     couple = CoupleForm().compile(COMM) if full else None
-    return PointSystem(interpolation, kernels, couple, Prescribed(interpolation.nodes, made, layout), Timer())
+    prescribed = Prescribed(interpolation.nodes, made, layout)
+    return PointSystem(interpolation, kernels, couple, prescribed, Timer(), solver)
 
 
 def size_of(system: PointSystem) -> int:
@@ -207,16 +210,28 @@ def test_symmetric_storage_is_the_upper_triangle(basis):
     np.testing.assert_allclose(k, k.T, rtol=0, atol=1e-14 * abs(k).max())
 
 
+@pytest.mark.parametrize("basis", ["gimpm", "bspline"])
+def test_whole_rows_of_symmetric_sums(basis):
+    """Multigrid on several ranks gets whole rows: half of them is summed, the rest is its mirror image."""
+    points = scattered(3, MICROPOLAR)
+    half, whole = make_system(points, basis), make_system(points, basis, solver="multigrid")
+    assert whole.pattern.symmetric == (COMM.size == 1)
+    x = random_increment(half)
+    k = tangent_at(half, x)
+    np.testing.assert_allclose(tangent_at(whole, x), k, rtol=0, atol=1e-14 * abs(k).max())
+
+
+@pytest.mark.parametrize("solver", ["auto", "multigrid"])
 @pytest.mark.parametrize("full", [False, True])
 @pytest.mark.parametrize("dim", [2, 3])
-def test_prescribed_increments_load_the_free_unknowns(dim, full):
+def test_prescribed_increments_load_the_free_unknowns(dim, full, solver):
     """Rows and columns of prescribed unknowns are left out; what they do to the others is K_fp du_p."""
     if full and dim == 2:
         pytest.skip("couples in plane strain are nodal loads")
     points = scattered(dim, MICROPOLAR)
     supports = [(lambda x: x[:, 0] < 0.5, {"ux": 0.1, "theta": 0.2}), (lambda x: x[:, 1] > 1.5, {"uy": -0.3})]
     free_system = make_system(points, "gimpm", full=full)
-    system = make_system(points, "gimpm", full=full, supports=supports)
+    system = make_system(points, "gimpm", full=full, supports=supports, solver=solver)
     x = random_increment(system)
     k = tangent_at(free_system, x)
     put(system, x)
@@ -226,7 +241,7 @@ def test_prescribed_increments_load_the_free_unknowns(dim, full):
     fixed = collected(system, system.prescribed.fixed)
     target = collected(system, system.prescribed.totals(1.0))
     reduced = stored_matrix(system)
-    reduced = reduced + np.triu(reduced, 1).T if not full else reduced
+    reduced = reduced + np.triu(reduced, 1).T if system.pattern.symmetric else reduced
     expected = np.where(fixed[:, None] | fixed[None, :], np.diag(np.diag(k)), k)
     np.testing.assert_allclose(reduced, expected, rtol=0, atol=1e-14 * abs(k).max())
     lift = collected(system, system._lift_forces)[~fixed]

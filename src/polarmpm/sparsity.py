@@ -93,13 +93,13 @@ class Pattern:
         if self.route is None or self.ghost_order is None or self.received_at is None:
             return
         received = self.route.forward(self.values[self.owned_entries :][self.ghost_order])
-        for part in np.split(np.arange(len(received)), np.cumsum(self.route.received)[:-1]):
-            if len(part):  # of one rank, which sends an entry once: no need for the slower np.add.at
-                rows = slice(part[0], part[-1] + 1)
-                at, entries = self.received_at[rows].ravel(), received[rows].ravel()
-                if self.symmetric:
-                    at, entries = at[at >= 0], entries[at >= 0]
-                self.values[at] += entries
+        end = 0
+        for count in self.route.received:  # of a rank, which sends an entry once: no need for np.add.at
+            rows, end = slice(end, end + int(count)), end + int(count)
+            at, entries = self.received_at[rows], received[rows]
+            if self.symmetric:
+                at, entries = at[at >= 0], entries[at >= 0]
+            self.values[at] += entries
 
 
 @cache
