@@ -314,8 +314,9 @@ def test_kernels_are_found_again(material, monkeypatch):
         form.compile(COMM)
         form.compile_energy(COMM)
         ufl.variable(form.space.coefficient(3)), ufl.indices(3)
-    assert len(names) == 4
-    assert names[:2] == names[2:]
+    half = len(names) // 2
+    assert half >= 2
+    assert names[:half] == names[half:]
 
 
 def test_constants_of_an_energy_are_part_of_its_kernel():

@@ -25,7 +25,7 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
-from . import _compat, codegen, jit, native, rotations, scalargraph
+from . import _compat, codegen, jit, native, scalargraph
 from . import kinematics as kin
 from .codegen import Scalariser
 from .materials.base import Material, evaluate_energy, named_parameters, parameter_values
@@ -223,6 +223,7 @@ class PointForm:
         self.parameters = self.space.coefficient(len(parameter_values(material)))
         self.z = self.space.coefficient(self.layout.unknowns)
         self.state = self.space.coefficient(self.state_size)
+        self._packing: Kernel | None = None
 
     # sizes --------------------------------------------------------------------------------------
     @property
@@ -257,9 +258,20 @@ class PointForm:
         """States (n, state_size) of reference values at points; `history` is what `Points.history` gives."""
         if not self.material.isotropic or not self.material.micropolar:
             return pack_state(self.layout, F, wryness, q)
-        turn = rotations.to_tensor(q)
-        back = np.swapaxes(turn, 1, 2)
-        return pack_state(self.layout, F @ back, turn @ wryness @ back, None)
+        return self.packing(MPI.COMM_SELF)(F, q, wryness)
+
+    def packing(self, comm: MPI.Comm) -> Kernel:
+        """Kernel (F, q, Gamma) -> state in the rotated frame. Collective."""
+        if self._packing is None:
+            d, reference = self.layout.dim, self.space.coefficient(22)
+            turn = kin.quaternion_tensor([reference[9 + i] for i in range(4)])
+            frame = ufl.dot(matrix(reference, 3, 3), ufl.transpose(turn))
+            wryness = ufl.dot(turn, ufl.dot(matrix(reference, 3, 3, 13), ufl.transpose(turn)))
+            rows = range(3) if d == 3 else [2]
+            parts = [frame[i, j] for i in range(d) for j in range(d)]
+            parts += [wryness[i, j] for i in rows for j in range(d)]
+            self._packing = compile_expressions(parts, {reference: 0}, 22, self.space.domain, comm)
+        return self._packing
 
     # forms --------------------------------------------------------------------------------------
     @cached_property
@@ -326,6 +338,8 @@ class PointForm:
         """(residual, residual and upper triangle of the iterations' tangent) as kernels of (z, state,
         parameters); the second one, where the form predicts stresses, also of z before the last correction.
         Collective."""
+        if self.material.isotropic and self.material.micropolar:
+            self.packing(comm)
         n = self.layout.unknowns
         signature = self._signature(codegen.integrand(self.iteration_tangent))
         lib = jit.library(jit.digest(generator_version(), "blocks", signature), self._source, comm)
