@@ -1,8 +1,8 @@
 """Strong scaling: an elastic block of 216 000 points on 1, 2 and more ranks, phase by phase.
 
 A block of micropolar GIMPM points is bent and pulled in load steps with a reset each; from the second step on
-domains cross the grid's planes. With 30^3 cells of 2^3 points multigrid solves, with 15^3 cells of 4^3 points
-MUMPS does. Each number of ranks has an mpirun of its own, one thread a rank. A phase lasts until its slowest
+domains cross the grid's planes. It has 30^3 cells of 2^3 points, or 15^3 cells of 4^3 points, once more with
+MUMPS instead of multigrid. Each number of ranks has an mpirun of its own, one thread a rank. A phase lasts until its slowest
 rank is done; sent bytes are what this package sends (PETSc's and MUMPS' own messages aren't seen).
 `python3 benchmarks/scaling.py` does all; results are written after each run.
 """
@@ -24,9 +24,10 @@ from typing import Any
 
 HERE = Path(__file__).parent
 PHASES = ("assembly", "factor", "solve", "reset", "pattern", "migration", "update", "conditions")
-BLOCKS = {"multigrid": (30, 2), "direct": (15, 4)}  # cells of a side, points in each direction of a cell
+# cells of a side, points in each direction of a cell, solver
+BLOCKS = {"fine": (30, 2, "auto"), "coarse": (15, 4, "auto"), "direct": (15, 4, "direct")}
 COLUMNS = (
-    "solver",
+    "block",
     "ranks",
     "phase",
     "wall_s",
@@ -65,18 +66,18 @@ def clock(comm: Any) -> Any:
     return Clock()
 
 
-def run(cells: int, per_cell: int, steps: int) -> dict[str, Any]:
+def run(steps: int, block: str) -> dict[str, Any]:
     """The block's load steps on the ranks of this mpirun; collective."""
     from mpi4py import MPI
 
     import polarmpm as pm
 
-    comm = MPI.COMM_WORLD
+    comm, (cells, per_cell, solver) = MPI.COMM_WORLD, BLOCKS[block]
     grid = pm.Grid.box((-4, -4, -4), (cells + 4,) * 3, 1.0)
     material = pm.MicropolarElastic.bounded_stiffness(lam=4e6, mu=4e6, kappa=4e5, l_b=0.5)
     bounds = (0,) * 3, (cells,) * 3
     points = pm.seed(grid, material=material, points_per_cell=per_cell, bounds=bounds)
-    problem = pm.QuasiStatic(grid, points, **pm.PUBLISHED)
+    problem = pm.QuasiStatic(grid, points, solver=solver, **pm.PUBLISHED)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     problem.load(points.farthest((1, 0, 0)), force=(2e5 * cells**2, 1e5 * cells**2, 5e4 * cells**2))
     problem._compile()  # once for all, from the cache
@@ -100,7 +101,8 @@ def run(cells: int, per_cell: int, steps: int) -> dict[str, Any]:
         else {}
     )
     return {
-        "solver": "multigrid" if problem.system.is_large() else "direct",
+        "block": block,
+        "solver": type(problem.system.solver).__name__,
         "ranks": comm.size,
         "points": comm.allreduce(len(points)),
         "unknowns": problem.unknowns,
@@ -124,7 +126,7 @@ def check_seconds(problem: Any) -> float:
 
 
 # all of them ------------------------------------------------------------------------------------------
-def on_ranks(ranks: int, cells: int, per_cell: int, steps: int) -> dict[str, Any]:
+def on_ranks(ranks: int, steps: int, block: str) -> dict[str, Any]:
     keep = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_", "OMPI_COMM", "PRTE_"))}
     env = {**keep, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     env.setdefault("OMPI_MCA_rmaps_base_oversubscribe", "1")
@@ -132,7 +134,7 @@ def on_ranks(ranks: int, cells: int, per_cell: int, steps: int) -> dict[str, Any
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder, "result.json")
         command = ["mpirun", "-n", str(ranks), sys.executable, __file__, "--worker", str(result)]
-        command += [str(n) for n in (cells, per_cell, steps)]
+        command += [str(steps), block]
         subprocess.run(command, env=env, check=True, stdin=subprocess.DEVNULL)
         return json.loads(result.read_text())
 
@@ -163,8 +165,8 @@ def table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def markdown(runs: list[dict[str, Any]], rows: list[dict[str, Any]]) -> str:
     head = runs[0]
     out = [
-        f"{head['solver'].capitalize()}: {head['points']} points, {head['unknowns']} unknowns, "
-        f"{head['steps']} load steps with a reset each, {head['iterations']} iterations. Seconds of the "
+        f"**{head['block'].capitalize()}** ({head['solver']}): {head['points']} points, {head['unknowns']} "
+        f"unknowns, {head['steps']} load steps with a reset each, {head['iterations']} iterations. Seconds of the "
         "slowest rank, on the wall and of CPU; in brackets how many times as fast as on "
         f"{head['ranks']} rank(s).",
         "",
@@ -198,7 +200,7 @@ def markdown(runs: list[dict[str, Any]], rows: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     if sys.argv[1:2] == ["--worker"]:
-        found = run(*map(int, sys.argv[3:]))
+        found = run(int(sys.argv[3]), sys.argv[4])
         if found["shares"]:
             Path(sys.argv[2]).write_text(json.dumps(found))
         return
@@ -212,7 +214,7 @@ def main() -> None:
     runs: dict[str, list[dict[str, Any]]] = {}
     for block in args.block:
         for ranks in args.ranks:
-            runs.setdefault(block, []).append(on_ranks(ranks, *BLOCKS[block], args.steps))
+            runs.setdefault(block, []).append(on_ranks(ranks, args.steps, block))
             rows = {name: table(found) for name, found in runs.items()}
             with (args.output / "scaling.csv").open("w", newline="") as file:
                 writer = csv.DictWriter(file, COLUMNS)

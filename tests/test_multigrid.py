@@ -355,14 +355,16 @@ def test_unknown_solvers_are_refused(solver):
 
 def test_the_choice_goes_by_the_section(monkeypatch):
     """Many nodes in a layer across the body, in space."""
-    assert not is_large(2, 1e6)
-    assert not is_large(3, 250.0)
-    assert is_large(3, 400.0)
+    assert not is_large(2, 1e6, 1)
+    assert not is_large(3, 200.0, 1)
+    assert is_large(3, 200.0, 2)
+    assert is_large(3, 400.0, 1)
     problem, _ = block(3)
     problem._prepare()
     assert isinstance(solver_of(problem), DirectSolver)
     assert not problem.system.is_large()
-    monkeypatch.setattr(linear, "_LARGE", 20.0)
+    for limit in ("_LARGE", "_LARGE_ON_RANKS"):
+        monkeypatch.setattr(linear, limit, 20.0)
     problem, _ = block(3)
     problem._prepare()
     assert isinstance(solver_of(problem), MultigridSolver)

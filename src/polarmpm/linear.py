@@ -15,8 +15,9 @@ from .errors import InputError, PolarMPMError
 SOLVERS = ("auto", "direct", "multigrid")
 ACCURACY = 1e-8  # residual of a linear system relative to its right-hand side, unless told otherwise
 # Nodes in a layer across the body from which on multigrid takes less time in space: their power 1.5 measures
-# the operations of a factor by nested dissection for each entry of the matrix.
-_LARGE = 300
+# the operations of a factor by nested dissection for each entry of the matrix. On several ranks a factor gains
+# little, multigrid nearly all.
+_LARGE, _LARGE_ON_RANKS = 250, 150
 
 # Relative lift of the factored matrix' diagonal. A node set seen by a single point has fewer constraints than
 # unknowns, and its tangent is exactly singular; slivers of points' domains in a cell come close to that.
@@ -56,11 +57,11 @@ def check_solver(solver: str) -> str:
     return solver
 
 
-def is_large(dim: int, layer: float) -> bool:
+def is_large(dim: int, layer: float, ranks: int) -> bool:
     """Whether multigrid takes less time than a factor. `layer`: mean number of nodes in a layer, one cell
     thick, across the body's longest direction; a factor of a slender body is cheap, however many unknowns
     it has."""
-    return dim == 3 and layer >= _LARGE
+    return dim == 3 and layer >= (_LARGE if ranks == 1 else _LARGE_ON_RANKS)
 
 
 def takes_multigrid(solver: str, large: bool) -> bool:

@@ -113,7 +113,7 @@ class NodalSystem:
         ends = np.stack([position.max(axis=0, initial=-np.inf), -position.min(axis=0, initial=np.inf)])
         self.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
         layers = 1.0 + float((ends.sum(axis=0) / self.length).max())
-        return is_large(self.layout.dim, self.nodes.total / layers)
+        return is_large(self.layout.dim, self.nodes.total / layers, self.comm.size)
 
     def weak_nodes(self) -> np.ndarray:
         """Owned nodes at which there is hardly any of the body, bool. Collective."""
