@@ -2,9 +2,9 @@
 
 A block of micropolar GIMPM points is bent and pulled in load steps with a reset each; from the second step on
 domains cross the grid's planes. It has 30^3 cells of 2^3 points, or 15^3 cells of 4^3 points, once more with
-MUMPS instead of multigrid. Each number of ranks has an mpirun of its own, one thread a rank. A phase lasts until its slowest
-rank is done; sent bytes are what this package sends (PETSc's and MUMPS' own messages aren't seen).
-`python3 benchmarks/scaling.py` does all; results are written after each run.
+MUMPS instead of multigrid. Each number of ranks has an mpirun of its own, one thread a rank. A phase lasts
+until its slowest rank is done; sent bytes are what this package sends (PETSc's and MUMPS' own messages aren't
+seen). `python3 benchmarks/scaling.py` does all; results are written after each run.
 """
 
 from __future__ import annotations
@@ -166,8 +166,8 @@ def markdown(runs: list[dict[str, Any]], rows: list[dict[str, Any]]) -> str:
     head = runs[0]
     out = [
         f"**{head['block'].capitalize()}** ({head['solver']}): {head['points']} points, {head['unknowns']} "
-        f"unknowns, {head['steps']} load steps with a reset each, {head['iterations']} iterations. Seconds of the "
-        "slowest rank, on the wall and of CPU; in brackets how many times as fast as on "
+        f"unknowns, {head['steps']} load steps with a reset each, {head['iterations']} iterations. Seconds of "
+        "the slowest rank, on the wall and of CPU; in brackets how many times as fast as on "
         f"{head['ranks']} rank(s).",
         "",
         "| phase | " + " | ".join(f"{r['ranks']} rank(s), wall | CPU | sent (MB)" for r in runs) + " |",

@@ -15,8 +15,8 @@ from .errors import InputError, PolarMPMError
 SOLVERS = ("auto", "direct", "multigrid")
 ACCURACY = 1e-8  # residual of a linear system relative to its right-hand side, unless told otherwise
 # Nodes in a layer across the body from which on multigrid takes less time in space: their power 1.5 measures
-# the operations of a factor by nested dissection for each entry of the matrix. On several ranks a factor gains
-# little, multigrid nearly all.
+# the operations of a factor by nested dissection for each entry of the matrix. Several ranks bring a factor
+# little, multigrid nearly all they have.
 _LARGE, _LARGE_ON_RANKS = 250, 150
 
 # Relative lift of the factored matrix' diagonal. A node set seen by a single point has fewer constraints than
