@@ -166,8 +166,8 @@ def markdown(runs: list[dict[str, Any]], rows: list[dict[str, Any]]) -> str:
     head = runs[0]
     out = [
         f"**{head['block'].capitalize()}** ({head['solver']}): {head['points']} points, {head['unknowns']} "
-        f"unknowns, {head['steps']} load steps with a reset each, {head['iterations']} iterations. Seconds of "
-        "the slowest rank, on the wall and of CPU; in brackets how many times as fast as on "
+        f"unknowns, {head['steps']} load steps with a reset each, {head['iterations']} iterations. Seconds "
+        "of the slowest rank, on the wall and of CPU; in brackets how many times as fast as on "
         f"{head['ranks']} rank(s).",
         "",
         "| phase | " + " | ".join(f"{r['ranks']} rank(s), wall | CPU | sent (MB)" for r in runs) + " |",

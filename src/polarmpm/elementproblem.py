@@ -17,6 +17,7 @@ from .elementsystem import ElementSystem
 from .errors import InputError
 from .interpolation import Increments
 from .linear import check_solver
+from .materials.base import warn_of_locking
 from .newton import Controls
 from .parallel import together
 from .problem import Problem, Progress
@@ -74,6 +75,8 @@ class QuasiStaticFEM(Problem):
         self.elements = elements
         self.forms = _make_forms(elements)
         _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
+        if elements.degree == 1 and elements.comm.rank == 0:
+            warn_of_locking(elements.points.materials, "elements of degree 1", "degree 2")
         self.surface_loads: list[SurfaceLoad] = []
         self.progress.reset_due = False
         self._system: ElementSystem | None = None

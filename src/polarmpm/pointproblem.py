@@ -19,6 +19,7 @@ from .ghost import Ghost, GhostPenalty, make_penalty
 from .grid import Grid
 from .interpolation import Increments, Interpolation, Reference
 from .linear import check_solver
+from .materials.base import warn_of_locking
 from .motion import Motion
 from .movinggrid import MovingPlane
 from .newton import Controls
@@ -124,6 +125,8 @@ class QuasiStatic(SurfaceProblem):
         self.forms = [make_form(m, grid.dim) for m in points.materials]
         for form in self.forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
+        if basis != "bspline" and grid.comm.rank == 0:
+            warn_of_locking(points.materials, f"the functions of basis={basis!r}", "basis='bspline'")
         self.balance = Balance(grid.comm, rebalance)
         self._conservation = Conservation(grid.comm)
         self.rows: dict[str, np.ndarray] = {}

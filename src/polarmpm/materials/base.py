@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
@@ -13,6 +14,8 @@ import numpy as np
 import ufl
 
 from ..errors import InputError
+
+_LOCKING = 0.49  # Poisson's ratio, see docs/stability.md
 
 
 class Material:
@@ -127,6 +130,20 @@ class UserEnergy(Material):
 
     def energy(self, *args: Any) -> Any:
         return self.function(*args)
+
+
+def warn_of_locking(materials: Sequence[Material], functions: str, remedy: str) -> None:
+    """Warn whoever makes a problem of linear functions and a nearly incompressible material."""
+    for material in materials:
+        elastic = getattr(material, "elastic", material)
+        lam, mu = (getattr(elastic, name, 0.0) for name in ("lam", "mu"))
+        nu = lam / (2 * (lam + mu)) if lam > 0 else 0.0
+        if nu > _LOCKING:
+            warnings.warn(
+                f"{type(elastic).__name__}: at Poisson's ratio {nu:.6g} {functions} lock, as they do beyond "
+                f"{_LOCKING}: displacements are far too small; take {remedy}",
+                stacklevel=3,
+            )
 
 
 def require_finite(name: str, value: Any) -> None:
