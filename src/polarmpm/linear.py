@@ -28,8 +28,8 @@ _KRYLOV_LIMIT = 60  # iterations after which the factor is given up
 _METHODS = ["definite", "symmetric", "general"]  # the last one for unsymmetric tangents only
 # Operations for a factor per entry of it, which is to say per part of a solution: from here on a factor of an
 # earlier tangent is worth its iterations, of which it may take a few before it's given up.
-_KEEP, _OLD, _OLD_LIMIT = 500.0, 8, 25
-_STRICTER = 0.01  # GMRES measures forces, which in bending tell too little
+_KEEP, _OLD, _OLD_LIMIT = 500.0, 5, 25
+_STRICTER = 0.01  # norms of forces and of energy tell too little in bending, and Newton's method would stall
 _SMALL = 1500  # unknowns up to which CHOLMOD, on one rank, takes less time than MUMPS
 
 
@@ -122,6 +122,7 @@ class DirectSolver:
         self._memory = memory
         self._conjugate: PETSc.KSP | None = None  # gradients, for tangents that a factor isn't of
         self._kept = self._old = False  # the factor: is worth to be kept; is of an earlier tangent
+        self._given_up = False  # tangents change too much for a factor to be kept
         self._methods = ["general"] if far_from_symmetric else _METHODS[: 2 if symmetric else 3]
         if symmetric and self.comm.size == 1 and matrix.size[0] <= _SMALL:
             self._methods = ["small", *self._methods]
@@ -214,7 +215,7 @@ class DirectSolver:
 
     def _worth_keeping(self) -> bool:
         assert self._solver is not None
-        if self._method == "small":
+        if self._method == "small" or self._given_up:
             return False
         factor = self._solver.getPC().getFactorMatrix()
         entries = factor.getMumpsInfog(29)  # millions where it's negative
@@ -278,11 +279,10 @@ class DirectSolver:
                 self._conjugate.setType(PETSc.KSP.Type.CG)
                 self._conjugate.setNormType(PETSc.KSP.NormType.NATURAL)
             ksp = self._conjugate
-        else:
-            accuracy *= _STRICTER
-        ksp.setTolerances(rtol=accuracy, atol=0.0, divtol=1e30, max_it=_OLD_LIMIT)
+        ksp.setTolerances(rtol=_STRICTER * accuracy, atol=0.0, divtol=1e30, max_it=_OLD_LIMIT)
         ksp.solve(self.rhs, self.solution)
         self._kept = ksp.getIterationNumber() <= _OLD
+        self._given_up = not self._kept
         self._solver.setTolerances(rtol=ACCURACY, max_it=_KRYLOV_LIMIT)
         return bool(ksp.getConvergedReason() > 0)
 
