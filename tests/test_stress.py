@@ -159,6 +159,7 @@ def test_units(stress, bodies, basis, kind):
     assert found.error < 1e-12
 
 
+@pytest.mark.filterwarnings("ignore:.*lock:UserWarning")
 # locking ------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("method", "nu", "low", "high"),
