@@ -159,8 +159,8 @@ def test_units(stress, bodies, basis, kind):
     assert found.error < 1e-12
 
 
-@pytest.mark.filterwarnings("ignore:.*lock:UserWarning")
 # locking ------------------------------------------------------------------------------------------
+@pytest.mark.filterwarnings("ignore:.*lock:UserWarning")
 @pytest.mark.parametrize(
     ("method", "nu", "low", "high"),
     [
