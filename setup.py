@@ -8,7 +8,7 @@ setup(
         Extension(
             "polarmpm._native",
             sources=["src/polarmpm/_native.c"],
-            depends=["src/polarmpm/_moments.h", "src/polarmpm/_return.h", "src/polarmpm/_scatter.h"],
+            depends=[f"src/polarmpm/_{name}.h" for name in ("moments", "points", "return", "scatter")],
             extra_compile_args=["-O3", "-std=gnu11", "-fno-math-errno"],
         )
     ]

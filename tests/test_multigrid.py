@@ -11,10 +11,11 @@ from bodies import box, cantilever
 from conftest import COMM, HENCKY, MICROPOLAR, beam, rotation
 
 import polarmpm as pm
-from polarmpm import linear, newton
+from polarmpm import linear, newton, solvers
 from polarmpm.errors import InputError
-from polarmpm.linear import DirectSolver, SingularTangent, is_large
+from polarmpm.linear import DirectSolver, SingularTangent
 from polarmpm.multigrid import MultigridSolver, rigid_motions
+from polarmpm.solvers import is_large
 
 STRICT = pm.Controls(force_tolerance=1e-12, energy_tolerance=1e-26)
 E_MODULUS, POISSON = 1e6, 0.3  # Pa, -
@@ -364,7 +365,7 @@ def test_the_choice_goes_by_the_section(monkeypatch):
     assert isinstance(solver_of(problem), DirectSolver)
     assert not problem.system.is_large()
     for limit in ("_LARGE", "_LARGE_ON_RANKS"):
-        monkeypatch.setattr(linear, limit, 20.0)
+        monkeypatch.setattr(solvers, limit, 20.0)
     problem, _ = block(3)
     problem._prepare()
     assert isinstance(solver_of(problem), MultigridSolver)

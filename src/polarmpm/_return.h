@@ -3,6 +3,7 @@
  * Local unknowns X solve r(X; inputs) = 0 by Newton's method with step halving, LANES points at a time. The
  * consistent tangent is ds/dz - ds/dX (dr/dX)^-1 dr/dz (implicit function theorem). All of the derivatives come
  * from compiled kernels (plasticforms.py). */
+#include "_points.h"
 
 typedef struct {
     kernel_t local;            /* (inputs, X) -> r [nx], dr/dX [nx][nx] */

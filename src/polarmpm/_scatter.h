@@ -1,4 +1,5 @@
 /* Sums of points' blocks in a group's dense matrix, and from there into the sparse matrix; a part of _native.c. */
+#include "_points.h"
 
 /* B^T A B of P points of a group, added to its dense matrix K[node][i][k][nv]; the first points of a group overwrite
  * what an earlier group has left. s holds their values and gradients, [P][4][sv] vectors; A is [P][nz][nz].

@@ -16,11 +16,11 @@ from .elements import Elements, Facets
 from .elementsystem import ElementSystem
 from .errors import InputError
 from .interpolation import Increments
-from .linear import check_solver
 from .materials.base import warn_of_locking
 from .newton import Controls
 from .parallel import together
 from .problem import Problem, Progress
+from .solvers import check_solver
 
 
 def _make_forms(elements: Elements) -> ElementForms:

@@ -12,7 +12,7 @@ import numpy as np
 from . import _compat
 from .conditions import Prescribed
 from .elementforms import ElementForms
-from .linear import make_solver
+from .solvers import make_solver
 from .system import NodalSystem
 from .timing import Timer
 
@@ -25,7 +25,7 @@ class FormMatrix:
         fixed: prescribed unknowns (nodes, block) of this rank, bool.
         symmetric: the matrix is symmetric.
         far_from_symmetric: see `DirectSolver`.
-        solver, large, hints: see `linear.make_solver`.
+        solver, large, hints: see `solvers.make_solver`.
     """
 
     def __init__(

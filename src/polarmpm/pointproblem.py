@@ -18,7 +18,6 @@ from .forms import make_form
 from .ghost import Ghost, GhostPenalty, make_penalty
 from .grid import Grid
 from .interpolation import Increments, Interpolation, Reference
-from .linear import check_solver
 from .materials.base import warn_of_locking
 from .motion import Motion
 from .movinggrid import MovingPlane
@@ -31,6 +30,7 @@ from .pointsystem import LoadedPoints, PointSystem
 from .problem import Progress
 from .resetting import ResetPolicy, WhenDistorted, make_policy
 from .seeding import check_inside
+from .solvers import check_solver
 from .surfaceproblem import SurfaceProblem
 from .weighting import check_basis
 

@@ -11,10 +11,10 @@ import numpy as np
 from . import native, sparsity
 from .conditions import Prescribed
 from .interpolation import Interpolation, PointBatch
-from .linear import make_solver, takes_multigrid
 from .nodalterms import NodalTerms
 from .nodes import ActiveNodes
 from .pointforms import Kernel
+from .solvers import make_solver, takes_multigrid
 from .system import NodalSystem
 from .timing import Timer
 

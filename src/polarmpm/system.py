@@ -10,8 +10,9 @@ from mpi4py import MPI
 import numpy as np
 
 from .conditions import Prescribed
-from .linear import ACCURACY, is_large
+from .linear import ACCURACY
 from .pointforms import Layout
+from .solvers import is_large
 from .timing import Timer
 
 _ROUNDING = 16 * float(np.finfo(float).eps)
