@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,12 @@ def problem_of(demo, basis, box=((0, -40, -8), (80, 40, 64))):
     problem.load(points.farthest((1, -1, 0)), force=(0, 0, demo.FORCE))
     problem._prepare()
     return problem, time.perf_counter() - begin
+
+
+def factor(system):
+    """Factor the tangent as it stands, though it has been before."""
+    system.pattern.put(system.solver.matrix)
+    system.solver.factor()
 
 
 def kernel_seconds(problem, repeat, tangent=True):
@@ -104,7 +111,7 @@ def main():
             "kernel_us": 1e6 / n * kernel_seconds(problem, args.repeat),
             "residual_us": 1e6 / n * least(lambda s=system: s.evaluate(False), args.repeat),
             "residual_and_tangent_us": 1e6 / n * least(lambda s=system: s.evaluate(True), args.repeat),
-            "factor_us": 1e6 / n * least(system.solver.factor, 5),
+            "factor_us": 1e6 / n * least(partial(factor, system), 5),
         }
     small, large = [], []
     for _ in range(args.repeat):  # in turn, so that both see the same machine
