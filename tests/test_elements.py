@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 from bodies import DIMENSION, at_nodes, box, cantilever, everywhere
-from conftest import COMM, MICROPOLAR, NEO_HOOKEAN
+from conftest import COMM, MICROPOLAR, NEO_HOOKEAN, assert_repeated
 
 import polarmpm as pm
 from polarmpm import _compat
@@ -330,7 +330,7 @@ def test_files_that_cannot_be_read(folder):
 def state(problem):
     e = problem.elements
     arrays = {**e.points.arrays(), "displacement": e.displacement, "nodal q": e.q}
-    return {name: a.tobytes() for name, a in arrays.items()}
+    return {name: a.copy() for name, a in arrays.items()}
 
 
 def test_a_failed_step_leaves_the_last_state():
@@ -343,12 +343,14 @@ def test_a_failed_step_leaves_the_last_state():
     before, reaction = state(problem), problem.reaction(problem.supports[0])
     with pytest.raises(pm.NotConverged, match=r"4 element\(s\) turned inside out: 0, 1, 2, 3"):
         list(problem.march(1, to=6.0))
-    assert state(problem) == before
+    for name, values in state(problem).items():
+        np.testing.assert_array_equal(values, before[name], err_msg=name)
     assert (problem.progress.factor, problem.progress.step) == (0.2, 1)
     np.testing.assert_array_equal(problem.reaction(problem.supports[0])[0], reaction[0])
     for p in problems:
         list(p.march(1, to=0.4))
-    assert state(problem) == state(undisturbed)
+    for name, values in state(undisturbed).items():
+        assert_repeated(state(problem)[name], values, name)
 
 
 def test_adaptive_steps_recover():
