@@ -102,9 +102,10 @@ def test_restart_goes_on_to_the_same_digits(folder: Path, stop):
 
 
 def test_failed_step_leaves_everything():
+    """But for the ranks on which points are: the step began with a reset, which may deal them out afresh."""
     problem = cantilever(balanced=True)
     run(problem, 2)
-    before = {name: a.copy() for name, a in problem.points.arrays().items()}
+    before = {name: by_id(problem.points, a) for name, a in problem.points.arrays().items()}
     assert not problem.attempt(1e6).converged
     for name, values in before.items():
-        np.testing.assert_array_equal(getattr(problem.points, name), values, name)
+        np.testing.assert_array_equal(by_id(problem.points, getattr(problem.points, name)), values, name)
