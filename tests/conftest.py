@@ -62,11 +62,12 @@ def by_id(points: pm.Points, values: np.ndarray) -> np.ndarray:
 
 
 def assert_repeated(found: Any, expected: Any, name: str = "") -> None:
-    """The same digits on one rank; on several, direct solvers don't repeat their sums to the last digit."""
+    """The same digits on one rank; on several, direct solvers don't repeat their sums to the last digit.
+    Collective."""
     if COMM.size == 1:
         np.testing.assert_array_equal(found, expected, err_msg=name)
     else:
-        size = np.abs(expected).max(initial=0.0)
+        size = COMM.allreduce(np.abs(expected).max(initial=0.0), op=MPI.MAX)
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7 * size, err_msg=name)
 
 

@@ -209,7 +209,7 @@ def test_the_recorded_grid_is_the_stretched_one(folder: Path):
     with pm.Recorder(folder / "run.pvd", problem, grid=True, initial=False) as record:
         for step in problem.march(4, progress=False):
             record(step)
-    files = sorted((folder / "run").glob("*grid*4*.vtu"))
+    files = sorted((folder / "run").glob("*grid_0004_*.vtu"))
     nodes = [meshio.read(file) for file in files]
     x = np.concatenate([n.points for n in nodes])
     moved = np.concatenate([n.point_data["displacement_increment"] for n in nodes])
