@@ -233,7 +233,8 @@ def test_iterations_hardly_grow_with_the_number_of_unknowns():
 @pytest.mark.parametrize("length", [1e-3, 1e2])
 def test_iterations_hardly_depend_on_the_characteristic_length(length):
     found = iterations(block(of=material(length), solver="multigrid", basis="mpm")[0])
-    assert found < 30 + 3 * max(COMM.size - 3, 0)  # smoothers know less of a small block where many ranks share it
+    # smoothers know less of a small block that many ranks share
+    assert found < 30 + 3 * max(COMM.size - 3, 0)
 
 
 @pytest.mark.parametrize("h", [1e-9, 1e3])
