@@ -23,7 +23,9 @@ _LIMIT = 150  # iterations after which a method is given up
 _RESTART = 50  # of GMRES
 _STALE = 10  # a new hierarchy costs about as much as so many iterations
 _ROUNDS = 4  # solutions for what is left of the residual
-_LIFT = 1e-12  # of the diagonal of weak nodes, whose tangent may be exactly singular
+# Of the diagonal of weak nodes, whose tangent may be exactly singular: a point alone in its cell. Of 1e-12, a
+# factor's rounding is as large as makes a preconditioner unsymmetric, and conjugate gradients slow.
+_LIFT = 1e-8
 _MEMORY = 0.8  # of what is free, for a factor where multigrid fails
 _FAILURES = 2  # of multigrid, after which the direct solver takes over until the next reset
 
