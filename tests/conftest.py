@@ -61,14 +61,14 @@ def by_id(points: pm.Points, values: np.ndarray) -> np.ndarray:
     return np.concatenate(COMM.allgather(np.asarray(values)))[np.argsort(ids)]
 
 
-def assert_repeated(found: Any, expected: Any, name: str = "") -> None:
+def assert_repeated(found: Any, expected: Any, name: str = "", tolerance: float = 1e-9) -> None:
     """The same digits on one rank; on several, direct solvers don't repeat their sums to the last digit.
     Collective."""
     if COMM.size == 1:
         np.testing.assert_array_equal(found, expected, err_msg=name)
     else:
         size = COMM.allreduce(np.abs(expected).max(initial=0.0), op=MPI.MAX)
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7 * size, err_msg=name)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * size, err_msg=name)
 
 
 def derivative_error(function: Callable, jacobian: Callable, x: np.ndarray, step: float = 1e-5) -> float:

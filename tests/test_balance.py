@@ -234,7 +234,7 @@ def shuffle(patch: Callable[[Any, str, Any], None]) -> list[int]:
         order = random.permutation(len(points))
         points.replace({name: a[order] for name, a in points.arrays().items()})
         to = random.integers(0, COMM.size, len(points))
-        gone.append(int(np.sum(to != COMM.rank)) if COMM.size > 1 else len(points))
+        gone.append(COMM.allreduce(int(np.sum(to != COMM.rank))) if COMM.size > 1 else len(points))
         return Way(order, points.migrate(to))
 
     patch(pointproblem, "distribute", distribute)
@@ -278,7 +278,7 @@ def test_points_that_move_take_everything_along(case, monkeypatch):
     np.testing.assert_array_equal(problem.rows["id"], problem.points.id)
     resets = {"every-third": 2, "surfaces": 2}.get(case, 4)
     assert len(gone) == resets + 1
-    assert COMM.allreduce(sum(gone)) > 0
+    assert min(gone) > 0
     compare(results(problem), results(expected))
     assert abs(results(expected)["u"]).max() > 1e-3
     if case == "plastic":
@@ -443,7 +443,7 @@ def test_files_follow_the_points(folder, monkeypatch):
             table.record(step)
             states.append(by_id(points, points.displacement))
             means.append(states[-1][tip.ids].mean(axis=0))
-    assert COMM.allreduce(sum(gone)) > 0
+    assert min(gone) > 0
     steps = test_io.read_collection(folder / "body.pvd")
     assert [time for time, _, _ in steps] == [0.0, 0.25, 0.5]
     for (_, parts, meshes), expected in zip(steps, states, strict=True):

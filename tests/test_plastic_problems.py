@@ -446,10 +446,9 @@ def test_restart_goes_on_to_the_same_digits(kind, stop, folder):
     run(second, 5 - stop)
     expected = state(straight)
     for name, value in state(second).items():
-        assert_repeated(value, expected[name], name)
-    assert second.energies()["dissipated"] == pytest.approx(
-        straight.energies()["dissipated"], rel=1e-12 if COMM.size == 1 else 1e-7
-    )
+        # at the apex rounding is magnified, see test_balance.compare
+        assert_repeated(value, expected[name], name, 1e-7 if name == "plastic_wryness" else 1e-9)
+    assert second.energies()["dissipated"] == pytest.approx(straight.energies()["dissipated"], rel=1e-12)
 
 
 # failures -------------------------------------------------------------------------------------------
