@@ -44,5 +44,5 @@ study: setup ## compare material points with finite elements: error against time
 	$(RUN) python benchmarks/mpm_versus_fem.py --output results/mpm_versus_fem
 
 clean: ## remove what was built, installed and cached here (results stay)
-	rm -rf .venv .venv-lint build .pytest_cache .mypy_cache .ruff_cache src/*.egg-info src/polarmpm/*.so
+	rm -rf .venv .venv-lint build .pytest_cache .mypy_cache .ruff_cache src/*.egg-info src/polarmpm/kernels/*.so
 	find src tests demos benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -6,9 +6,11 @@ from setuptools import Extension, setup
 setup(
     ext_modules=[
         Extension(
-            "polarmpm._native",
-            sources=["src/polarmpm/_native.c"],
-            depends=[f"src/polarmpm/_{name}.h" for name in ("moments", "points", "return", "scatter")],
+            "polarmpm.kernels._native",
+            sources=["src/polarmpm/kernels/_native.c"],
+            depends=[
+                f"src/polarmpm/kernels/_{name}.h" for name in ("moments", "points", "return", "scatter")
+            ],
             extra_compile_args=["-O3", "-std=gnu11", "-fno-math-errno"],
         )
     ]

@@ -160,7 +160,7 @@ def solutions_table(rows):
 
 def draw(rows, file):
     """CPU time and memory of a step, and iterations of a solution, over unknowns."""
-    from polarmpm import plot
+    from polarmpm.plot import figures as plot
 
     figure, axes = plot.subplots(1, 3, figsize=(13, 4.2))
     styles = {("mpm", "direct"): "C0s--", ("mpm", "multigrid"): "C0o-"}

@@ -271,7 +271,7 @@ def markdown(results):
 
 def draw(results, path):
     """CPU time per point and iteration over the number of points: least, with a bar up to the median."""
-    from polarmpm import plot
+    from polarmpm.plot import figures as plot
 
     figure, ax = plot.subplots(figsize=(7.0, 4.8))
     styles = ("o", "#444444"), ("v", "#999999"), ("s", "#0072b2"), ("D", "#56b4e9"), ("^", "#d55e00")

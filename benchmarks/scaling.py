@@ -43,7 +43,7 @@ COLUMNS = (
 def clock(comm: Any) -> Any:
     """A timer whose phases begin on all ranks together: seconds on the wall until the slowest rank is done,
     and of this rank CPU seconds, bytes and messages sent."""
-    from polarmpm.parallel import traffic
+    from polarmpm.tools.parallel import traffic
 
     class Clock:
         def __init__(self) -> None:

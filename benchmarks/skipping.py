@@ -14,7 +14,7 @@ import numpy as np
 from mpm_versus_fem import demo
 
 import polarmpm as pm
-from polarmpm import newton
+from polarmpm.solvers import newton
 
 HERE = Path(__file__).parent
 SOFT = pm.MicropolarElastic(lam=1e6, mu=1e6, kappa=1e5, alpha=0.0, beta=1e4, gamma=1e4)  # Pa, N

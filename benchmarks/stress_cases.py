@@ -10,7 +10,7 @@ from mpi4py import MPI
 import numpy as np
 
 import polarmpm as pm
-from polarmpm.points import Points
+from polarmpm.bodies.points import Points
 
 COMM = MPI.COMM_SELF
 MICROPOLAR = pm.MicropolarElastic(lam=3e3, mu=2e3, kappa=7e2, alpha=11.0, beta=13.0, gamma=17.0)  # Pa, N

@@ -8,7 +8,7 @@ import numpy as np
 from stress_cases import COMM, MICROPOLAR, YOUNG, Watch, block_points
 
 import polarmpm as pm
-from polarmpm import rotations
+from polarmpm.kinematics import rotations
 
 HENCKY = pm.Hencky(lam=3e3, mu=2e3)
 

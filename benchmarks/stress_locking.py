@@ -105,7 +105,7 @@ def reference_error(scene, nu, micropolar):
 
 def draw(records, file: Path):
     """Work over Poisson's ratio, in a figure."""
-    from polarmpm import plot
+    from polarmpm.plot import figures as plot
 
     figure, axes = plot.subplots(1, 2, figsize=(10, 3.8), sharey=True)
     found = {r.case: 1 - r.error for r in records if r.group == "locking" and r.error is not None}

@@ -182,7 +182,7 @@ def markdown(rows):
 
 def draw(resets, recommended, file):
     """Error of u_x over resets, and of all components with the recommended settings."""
-    from polarmpm import plot
+    from polarmpm.plot import figures as plot
 
     figure, axes = plot.subplots(1, 2, figsize=(11, 4.4))
     colours = {"MPM": "C0", "GIMPM": "C1", "B-splines": "C2"}

@@ -12,7 +12,7 @@ from mpi4py import MPI
 import numpy as np
 
 import polarmpm as pm
-from polarmpm import demo
+from polarmpm.study import commandline as demo
 
 WIDTH, HEIGHT, SHORTENING = 0.025, 0.05, 0.01  # m, of a quarter
 MODULUS, LENGTH = 8e6, 2e-3  # Pa, m
@@ -132,7 +132,7 @@ def measure(columns):
 
 def draw(solved, file):
     """The band of each column, coloured by chi, and the curves of stress over strain."""
-    from polarmpm import plot
+    from polarmpm.plot import figures as plot
 
     n = len(solved)
     figure, axes = plot.subplots(1, n + 1, figsize=(3.4 * n + 4.5, 4.6))

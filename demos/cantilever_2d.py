@@ -11,7 +11,7 @@ from mpi4py import MPI
 import numpy as np
 
 import polarmpm as pm
-from polarmpm import demo
+from polarmpm.study import commandline as demo
 
 LENGTH, HEIGHT, FORCE = 10.0, 1.0, 50e3  # m, m, N per metre of width
 COUPLES = {"a": 100e3, "b": 10e6}  # gamma = beta in N
@@ -80,7 +80,7 @@ def main(argv=None):
 
 def draw(solved, file):
     """Both bent beams coloured by the bending stress, and the load over the tip's deflection."""
-    from polarmpm import plot
+    from polarmpm.plot import figures as plot
 
     comm, curves = solved["a"][0].comm, {}
     figure, axes = plot.subplots(1, 3, figsize=(15, 4.6))

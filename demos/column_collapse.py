@@ -12,7 +12,7 @@ from mpi4py import MPI
 import numpy as np
 
 import polarmpm as pm
-from polarmpm import demo
+from polarmpm.study import commandline as demo
 
 WEIGHT = 20e3  # N/m^3 at load factor 1
 SETTLEMENT = 0.47  # m, where the runs end; the thesis' one got to 0.45
@@ -126,7 +126,7 @@ def measure(columns):
 
 def draw(solved, file):
     """The columns at the end, coloured by chi, and the curves of weight over settlement."""
-    from polarmpm import plot
+    from polarmpm.plot import figures as plot
 
     n = len(solved)
     figure, axes = plot.subplots(1, n + 1, figsize=(4.6 * (n + 1), 4.2))

@@ -10,7 +10,7 @@ plane z starts at `--bottom`; the published position in the grid isn't known, an
 import numpy as np
 
 import polarmpm as pm
-from polarmpm import demo
+from polarmpm.study import commandline as demo
 
 RADIUS, SIDE, ANGLE = 100.0, 1.0, np.pi / 4  # m, m, rad
 FORCE = 600.0  # N
@@ -84,7 +84,7 @@ def main(argv=None):
 
 def draw(problem, path, file):
     """The bent arch coloured by u_z, and the end's path with the beam solution."""
-    from polarmpm import plot
+    from polarmpm.plot import figures as plot
 
     figure, axes = plot.subplots(1, 2, figsize=(11, 4.6), solid=[0])
     plot.plot_points(problem.points, problem.points.displacement[:, 2], axes[0], label="$u_z$ (m)")

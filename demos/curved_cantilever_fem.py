@@ -12,7 +12,7 @@ import numpy as np
 from dolfinx import mesh
 
 import polarmpm as pm
-from polarmpm import demo
+from polarmpm.study import commandline as demo
 
 RADIUS, SIDE, ANGLE = 100.0, 1.0, np.pi / 4  # m, m, rad
 FORCE = 600.0  # N
@@ -74,7 +74,7 @@ def main(argv=None):
 
 def draw(problem, path, file):
     """The bent arch coloured by u_z, and the end's path with the beam solution."""
-    from polarmpm import plot
+    from polarmpm.plot import figures as plot
 
     body = problem.elements
     figure, axes = plot.subplots(1, 2, figsize=(11, 4.6), solid=[0])

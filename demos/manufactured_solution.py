@@ -13,7 +13,8 @@ import numpy as np
 import ufl
 
 import polarmpm as pm
-from polarmpm import demo, manufactured
+from polarmpm.study import commandline as demo
+from polarmpm.study import manufactured
 
 MATERIAL = pm.MicropolarElastic(lam=15e9, mu=10e9, kappa=10e9 / 3, alpha=0.0, gamma=50.0, beta=50.0)  # Pa, N
 
@@ -88,7 +89,7 @@ def main(argv=None):
 
 def draw(ladder, errors, histories, path, comm):
     """Errors over cell size, and the Newton residuals of every grid."""
-    from polarmpm import plot
+    from polarmpm.plot import figures as plot
 
     figure, (left, right) = plot.subplots(1, 2, figsize=(10, 4.2))
     h = 1 / np.array(ladder)

@@ -15,7 +15,7 @@ import numpy as np
 from dolfinx import mesh
 
 import polarmpm as pm
-from polarmpm import demo
+from polarmpm.study import commandline as demo
 
 WIDTH, HEIGHT, SHIFT = 0.01, 0.1, 0.02  # m
 LAM, MU = 4e9, 4e9  # Pa
@@ -211,7 +211,7 @@ def summary(solved):
 
 def draw(solved, args, file):
     """Force-displacement curves, profiles over the height, and the slices of the first length."""
-    from polarmpm import plot
+    from polarmpm.plot import figures as plot
 
     shown = {g: problem for (g, length), (problem, _) in solved.items() if length == args.length[0]}
     views = {"hardening variable $\\chi$ (-)": lambda points: points.hardening}
@@ -240,7 +240,7 @@ def draw(solved, args, file):
 
 def draw_slices(problems, value, label, axes):
     """The deformed slices of all grids, with the same colours of a value of the points."""
-    from polarmpm import plot
+    from polarmpm.plot import figures as plot
 
     comm, last = MPI.COMM_WORLD, list(problems)[-1]
     values = {g: value(problem.points) for g, problem in problems.items()}

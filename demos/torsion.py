@@ -8,7 +8,7 @@ points of the last layer. Both sources print a moment of 8e9 N m, which doesn't 
 import numpy as np
 
 import polarmpm as pm
-from polarmpm import demo
+from polarmpm.study import commandline as demo
 
 LENGTH, SIDE = 5.0, 1.0  # m
 MATERIAL = pm.MicropolarElastic(
@@ -82,7 +82,7 @@ def main(argv=None):
 
 def draw(problem, angle, turns, moment, file):
     """The twisted shaft, the angle along it, and turns over the moment."""
-    from polarmpm import plot
+    from polarmpm.plot import figures as plot
 
     comm = problem.comm
     figure, axes = plot.subplots(1, 3, figsize=(15, 4.2), solid=[0])

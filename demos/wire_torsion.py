@@ -13,7 +13,7 @@ from mpi4py import MPI
 import numpy as np
 
 import polarmpm as pm
-from polarmpm import demo
+from polarmpm.study import commandline as demo
 
 DIAMETERS = (12.0, 15.0, 20.0, 30.0, 170.0)  # micrometres
 LENGTH = 3.7e-6  # m, characteristic length of torsion, and the plastic length
@@ -116,7 +116,7 @@ def main(argv=None):
 def draw(solved, file):
     """Normalised torque over normalised curvature of all wires; the thinnest one with its microrotation and
     its hardening variable."""
-    from polarmpm import plot
+    from polarmpm.plot import figures as plot
 
     figure, axes = plot.subplots(1, 3, figsize=(15, 4.6), solid=[1, 2])
     curves = {f"2a = {d:g} µm": (path["curvature"], path["torque"] / 1e6) for d, (_, path) in solved.items()}

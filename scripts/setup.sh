@@ -14,7 +14,7 @@ installation() {
 
 is_current() {
   [ -x .venv/bin/python ] && [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$(installation)" ] || return 1
-  for file in pyproject.toml setup.py src/polarmpm/*.[ch] scripts/setup.sh scripts/*packages*; do
+  for file in pyproject.toml setup.py src/polarmpm/kernels/*.[ch] scripts/setup.sh scripts/*packages*; do
     [ ! "$file" -nt "$stamp" ] || return 1
   done
 }

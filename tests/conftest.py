@@ -16,7 +16,7 @@ import pytest
 import ufl
 
 import polarmpm as pm
-from polarmpm import newton
+from polarmpm.solvers import newton
 
 COMM = MPI.COMM_WORLD
 

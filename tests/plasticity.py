@@ -16,11 +16,11 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 import polarmpm as pm
-from polarmpm import rotations
-from polarmpm.forms import make_form
+from polarmpm.bodies.points import Points
+from polarmpm.forms.choice import make_form
+from polarmpm.forms.returnmapping import ReturnMapping, Yielding
+from polarmpm.kinematics import rotations
 from polarmpm.materials.base import parameter_values
-from polarmpm.points import Points
-from polarmpm.returnmapping import ReturnMapping, Yielding
 
 LAM, MU = 3e3, 2e3  # Pa
 BULK = LAM + 2 * MU / 3

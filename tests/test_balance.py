@@ -23,10 +23,11 @@ from test_plastic_problems import by_points
 from test_surfaces import everything_at_once
 
 import polarmpm as pm
-from polarmpm import partition, pointproblem
-from polarmpm.conservation import Conservation, Totals
+from polarmpm.bodies import partition
 from polarmpm.io import read_table
-from polarmpm.parallel import Route, traffic
+from polarmpm.problems import points as pointproblem
+from polarmpm.problems.conservation import Conservation, Totals
+from polarmpm.tools.parallel import Route, traffic
 
 STRICT = pm.Controls(force_tolerance=1e-12, energy_tolerance=1e-26)
 

@@ -11,10 +11,10 @@ import ufl
 from conftest import COMM, HENCKY, MICROPOLAR, NEO_HOOKEAN, by_id
 
 import polarmpm as pm
-from polarmpm import manufactured
-from polarmpm.aggregation import supporting_cells
-from polarmpm.points import Points
-from polarmpm.weighting import node_positions, weights
+from polarmpm.basis.aggregation import supporting_cells
+from polarmpm.basis.lattice import node_positions, weights
+from polarmpm.bodies.points import Points
+from polarmpm.study import manufactured
 
 STRETCH = np.array([[0.2, 0.3, -0.1], [-0.15, -0.1, 0.2], [0.1, 0.05, 0.15]])
 

@@ -10,9 +10,10 @@ import ufl
 from conftest import COMM
 
 import polarmpm as pm
-from polarmpm import _compat, codegen, jit
-from polarmpm.codegen import FREE, Graph, Scalariser
-from polarmpm.pointforms import Kernel, PointSpace, compile_expressions
+from polarmpm.forms.points import Kernel, PointSpace, compile_expressions
+from polarmpm.kernels import codegen, jit
+from polarmpm.kernels.codegen import FREE, Graph, Scalariser
+from polarmpm.tools import compat as _compat
 
 ROWS = 11
 SPACE = PointSpace(_compat.point_domain())

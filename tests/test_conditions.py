@@ -9,7 +9,7 @@ import pytest
 from conftest import COMM, MICROPOLAR, NEO_HOOKEAN, beam, by_id
 
 import polarmpm as pm
-from polarmpm.conditions import Amplitude, point_loads
+from polarmpm.conditions.supports import Amplitude, point_loads
 
 
 def tip_of(problem: pm.QuasiStatic) -> pm.Selection:

@@ -11,7 +11,7 @@ from bodies import DIMENSION, at_nodes, box, cantilever, everywhere
 from conftest import COMM, MICROPOLAR, NEO_HOOKEAN, assert_repeated
 
 import polarmpm as pm
-from polarmpm import _compat
+from polarmpm.tools import compat as _compat
 
 STIFF = pm.NeoHookean(lam=6e3, mu=4e3)
 

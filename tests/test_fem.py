@@ -37,7 +37,8 @@ from test_system import residual_at as residual_of_points
 from test_system import tangent_at as tangent_of_points
 
 import polarmpm as pm
-from polarmpm import manufactured, rotations
+from polarmpm.kinematics import rotations
+from polarmpm.study import manufactured
 
 DEMOS = Path(__file__).parents[1] / "demos"
 

@@ -16,6 +16,8 @@ from dolfinx import mesh as dmesh
 from test_io import read_collection
 
 import polarmpm as pm
+from polarmpm.geometry.meshes import BodyMesh
+from polarmpm.kinematics import rotations
 
 COMM = MPI.COMM_WORLD
 MATERIAL = pm.MicropolarElastic(lam=1e6, mu=1e6, kappa=2e5, alpha=0.0, gamma=1e4, beta=0.0)  # Pa, N
@@ -80,7 +82,7 @@ def deform(elements):
     gradient = np.zeros((3, 3))
     gradient[:dim, :dim] = GRADIENT[:dim, :dim]
     elements.displacement = elements.nodes.position @ gradient[:dim, :dim].T
-    elements.q = pm.rotations.from_vector(0.3 * elements.nodes.position[:, :1] * [0.0, 0.0, 1.0])
+    elements.q = rotations.from_vector(0.3 * elements.nodes.position[:, :1] * [0.0, 0.0, 1.0])
     points.x = points.X + points.X @ gradient[:dim, :dim].T
     points.F = np.tile(np.eye(3) + gradient, (len(points), 1, 1))
     points.wryness = np.zeros((len(points), 3, 3))
@@ -258,7 +260,7 @@ def test_other_regions_are_refused(folder):
     def two(edge):
         mesh = dmesh.create_rectangle(COMM, [np.zeros(2), np.ones(2)], (4, 4), dmesh.CellType.triangle)
         own = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
-        x = pm.meshes.BodyMesh(mesh).midpoints(own)[:, 0]
+        x = BodyMesh(mesh).midpoints(own)[:, 0]
         tags = dmesh.meshtags(mesh, 2, own, np.where(x < edge, 1, 2).astype(np.int32))
         return pm.QuasiStaticFEM(pm.Elements(mesh, material={1: MATERIAL, 2: stiff}, cells=tags))
 

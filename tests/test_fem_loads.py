@@ -17,7 +17,7 @@ from bodies import (
 from conftest import MICROPOLAR, NEO_HOOKEAN, derivative_error, rotation
 
 import polarmpm as pm
-from polarmpm import rotations
+from polarmpm.kinematics import rotations
 
 CELLS = [("quadrilateral", 1), ("triangle", 2), ("hexahedron", 1)]
 F_OF = {

@@ -16,11 +16,12 @@ from test_parallel import on_ranks
 from test_system import collected, residual_at, stored_matrix, tangent_at
 
 import polarmpm as pm
-from polarmpm import _compat, cellmesh
-from polarmpm.ghost import Ghost, boundary_faces, face_size, penalty_form, stencil
-from polarmpm.nodalterms import NodalTerms
-from polarmpm.nodes import ActiveNodes
-from polarmpm.pointforms import Layout
+from polarmpm.assembly.nodalterms import NodalTerms
+from polarmpm.forms.points import Layout
+from polarmpm.geometry import cells as cellmesh
+from polarmpm.geometry.nodes import ActiveNodes
+from polarmpm.terms.ghost import Ghost, boundary_faces, face_size, penalty_form, stencil
+from polarmpm.tools import compat as _compat
 
 
 def mine(values: Any) -> np.ndarray:

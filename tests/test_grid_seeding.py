@@ -10,9 +10,9 @@ import ufl
 from conftest import COMM, HENCKY, MICROPOLAR, by_id, rotation
 
 import polarmpm as pm
-from polarmpm import _compat
-from polarmpm.cellmesh import cell_mesh, occupied_cells
-from polarmpm.grid import MARGIN
+from polarmpm.geometry.cells import cell_mesh, occupied_cells
+from polarmpm.geometry.grid import MARGIN
+from polarmpm.tools import compat as _compat
 
 
 def block(dim: int = 2, cell: float = 0.5) -> pm.Grid:

@@ -15,6 +15,7 @@ import pytest
 import polarmpm as pm
 from polarmpm.io import Recorder, Table, read_table
 from polarmpm.io.files import replace_file
+from polarmpm.kinematics import rotations
 
 meshio = pytest.importorskip("meshio")
 
@@ -39,7 +40,7 @@ def solid():
     n = points.id[:, None, None]
     points.F = np.eye(3) + 0.002 * n * np.array([[0.3, 0.1, 0.0], [0.0, -0.2, 0.05], [0.2, 0.0, 0.1]])
     points.wryness = 0.01 * n + np.arange(9.0).reshape(3, 3)
-    points.q = pm.rotations.from_vector(np.array([0.1, -0.2, 0.3]) * points.id[:, None] / 50)
+    points.q = rotations.from_vector(np.array([0.1, -0.2, 0.3]) * points.id[:, None] / 50)
     points.x = points.X + np.array([0.4, 0.0, 0.1])
     return pm.QuasiStatic(grid, points, **pm.PUBLISHED)
 

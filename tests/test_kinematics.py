@@ -7,9 +7,11 @@ import pytest
 import ufl
 from conftest import COMM, rotation
 
-from polarmpm import _compat, kinematics, rotations
-from polarmpm.motion import Motion
-from polarmpm.pointforms import Layout, PointSpace, compile_expressions
+from polarmpm.forms.points import Layout, PointSpace, compile_expressions
+from polarmpm.kinematics import measures as kinematics
+from polarmpm.kinematics import rotations
+from polarmpm.kinematics.motion import Motion
+from polarmpm.tools import compat as _compat
 
 
 def evaluate(expression, *values: np.ndarray) -> np.ndarray:

@@ -11,8 +11,8 @@ from bodies import box
 from conftest import COMM, HENCKY, MICROPOLAR, NEO_HOOKEAN, rotation
 
 import polarmpm as pm
-from polarmpm import rotations
-from polarmpm.fieldforms import FieldForm
+from polarmpm.forms.stresses import FieldForm
+from polarmpm.kinematics import rotations
 from polarmpm.materials.base import check_material
 
 N = 9

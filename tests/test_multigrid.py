@@ -11,11 +11,13 @@ from bodies import box, cantilever
 from conftest import COMM, HENCKY, MICROPOLAR, beam, rotation
 
 import polarmpm as pm
-from polarmpm import linear, newton, solvers
 from polarmpm.errors import InputError
-from polarmpm.linear import DirectSolver, SingularTangent
-from polarmpm.multigrid import MultigridSolver, rigid_motions
-from polarmpm.solvers import is_large
+from polarmpm.solvers import choice as solvers
+from polarmpm.solvers import direct as linear
+from polarmpm.solvers import newton
+from polarmpm.solvers.choice import is_large
+from polarmpm.solvers.direct import DirectSolver, SingularTangent
+from polarmpm.solvers.multigrid import MultigridSolver, rigid_motions
 
 STRICT = pm.Controls(force_tolerance=1e-12, energy_tolerance=1e-26)
 E_MODULUS, POISSON = 1e6, 0.3  # Pa, -

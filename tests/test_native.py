@@ -2,7 +2,7 @@
 
 import pytest
 
-from polarmpm import native
+from polarmpm.kernels import native
 
 
 def test_a_stale_build_is_refused(monkeypatch):

@@ -37,7 +37,8 @@ from test_parallel import close, on_ranks
 
 import polarmpm as pm
 from polarmpm.errors import LocalFailure
-from polarmpm.returnmapping import ReturnMapping
+from polarmpm.forms.returnmapping import ReturnMapping
+from polarmpm.kinematics import rotations
 
 STRICT = pm.Controls(force_tolerance=1e-12, energy_tolerance=1e-26)
 STATE = ("F", "q", "wryness", "plastic_F", "plastic_wryness", "hardening", "dissipation")
@@ -153,7 +154,7 @@ def test_one_element_is_one_cell_of_points(material):
         shear[:, 0, 1] += 0.005 * mark
         turn = np.tile(np.eye(3), (len(p), 1, 1))
         if material.micropolar:
-            turn = pm.rotations.to_tensor(p.q)
+            turn = rotations.to_tensor(p.q)
             p.plastic_wryness = 1.01 * p.wryness
         p.plastic_F = shear @ transposed(turn) @ p.F
         p.hardening = 0.1 * mark**2

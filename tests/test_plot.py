@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import polarmpm as pm
-from polarmpm import plot
+from polarmpm.plot import figures as plot
 
 pytest.importorskip("matplotlib")
 

@@ -7,7 +7,7 @@ import pytest
 from dolfinx import mesh as dmesh
 
 import polarmpm as pm
-from polarmpm import plot
+from polarmpm.plot import figures as plot
 
 pytest.importorskip("matplotlib")
 

@@ -8,8 +8,10 @@ import ufl
 from conftest import ANISOTROPIC, COMM, GENERAL, HENCKY, MICROPOLAR, NEO_HOOKEAN, derivative_error, rotation
 
 import polarmpm as pm
-from polarmpm import _compat, pointforms, rotations
-from polarmpm.pointforms import CoupleForm, PointForm, compile_expressions
+from polarmpm.forms import points as pointforms
+from polarmpm.forms.points import CoupleForm, PointForm, compile_expressions
+from polarmpm.kinematics import rotations
+from polarmpm.tools import compat as _compat
 
 MATERIALS = {
     "rotated": MICROPOLAR,

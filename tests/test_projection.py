@@ -11,16 +11,17 @@ import pytest
 from conftest import ANISOTROPIC, COMM, GENERAL, HENCKY, MICROPOLAR, NEO_HOOKEAN, beam, by_id
 
 import polarmpm as pm
-from polarmpm import _compat, rotations
-from polarmpm.conditions import Prescribed, make_support
-from polarmpm.fieldforms import FieldForm
-from polarmpm.interpolation import Interpolation
+from polarmpm.assembly.interpolation import Interpolation
+from polarmpm.assembly.points import LoadedPoints, PointSystem
+from polarmpm.assembly.projection import DEGREE, CellProjection, ProjectedSystem, lagrange
+from polarmpm.bodies.points import Points
+from polarmpm.conditions.supports import Prescribed, make_support
+from polarmpm.forms.points import CoupleForm, PointForm
+from polarmpm.forms.stresses import FieldForm
 from polarmpm.io import restart
-from polarmpm.pointforms import CoupleForm, PointForm
-from polarmpm.points import Points
-from polarmpm.pointsystem import LoadedPoints, PointSystem
-from polarmpm.projection import DEGREE, CellProjection, ProjectedSystem, lagrange
-from polarmpm.timing import Timer
+from polarmpm.kinematics import rotations
+from polarmpm.tools import compat as _compat
+from polarmpm.tools.timing import Timer
 
 CELL = np.array([1.0, 0.8, 1.25])
 STIFF = pm.MicropolarElastic(lam=5e4, mu=3e4, kappa=9e3, alpha=110.0, beta=130.0, gamma=170.0)
@@ -373,7 +374,7 @@ def test_what_cannot_be_projected(options, message):
 
 def test_the_direct_sum_does_without_the_projection(monkeypatch):
     """Nothing of it is imported or compiled."""
-    for name in ("projection", "blockforms"):
+    for name in ("assembly.projection", "forms.numbers"):
         monkeypatch.setitem(sys.modules, f"polarmpm.{name}", None)
     monkeypatch.setattr(_compat, "compile_form", None)
     list(cantilever("direct").march(1))

@@ -45,7 +45,7 @@ from plasticity import (
 from scipy.spatial.transform import Rotation
 
 import polarmpm as pm
-from polarmpm import rotations
+from polarmpm.kinematics import rotations
 from polarmpm.materials.stiffness import stiffness_at_rest
 
 # the energies of ELASTIC and FULL in the reference frame instead of the rotated one

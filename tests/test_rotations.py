@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import rotation
 
-from polarmpm import rotations
+from polarmpm.kinematics import rotations
 
 ANGLES = [0.0, 1e-14, 1e-9, 1e-4, 0.05, 1.0, 3.0, np.pi - 1e-9, np.pi, np.pi + 1e-3, 5.0, 2 * np.pi - 1e-3]
 

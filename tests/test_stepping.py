@@ -9,10 +9,11 @@ import pytest
 from conftest import COMM, GENERAL, HENCKY, MICROPOLAR, NEO_HOOKEAN, beam, by_id, rotation
 
 import polarmpm as pm
-from polarmpm import newton, pointproblem
 from polarmpm.errors import LocalFailure
-from polarmpm.newton import Outcome
-from polarmpm.stepping import Schedule, march
+from polarmpm.problems import points as pointproblem
+from polarmpm.solvers import newton
+from polarmpm.solvers.newton import Outcome
+from polarmpm.solvers.stepping import Schedule, march
 
 
 class Stub:

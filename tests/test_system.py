@@ -23,15 +23,15 @@ from conftest import (
 )
 
 import polarmpm as pm
-from polarmpm import rotations
-from polarmpm.conditions import Prescribed, make_support
-from polarmpm.fieldforms import FieldForm
-from polarmpm.interpolation import Interpolation
-from polarmpm.motion import Motion
-from polarmpm.pointforms import CoupleForm, PointForm
-from polarmpm.points import Points
-from polarmpm.pointsystem import PointSystem
-from polarmpm.timing import Timer
+from polarmpm.assembly.interpolation import Interpolation
+from polarmpm.assembly.points import PointSystem
+from polarmpm.bodies.points import Points
+from polarmpm.conditions.supports import Prescribed, make_support
+from polarmpm.forms.points import CoupleForm, PointForm
+from polarmpm.forms.stresses import FieldForm
+from polarmpm.kinematics import rotations
+from polarmpm.kinematics.motion import Motion
+from polarmpm.tools.timing import Timer
 
 
 def share(values: np.ndarray) -> np.ndarray:

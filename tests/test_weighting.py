@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import polarmpm as pm
-from polarmpm.grid import MARGIN
-from polarmpm.points import domain_half_length
-from polarmpm.weighting import Weights, node_positions, weights
+from polarmpm.basis.lattice import Weights, node_positions, weights
+from polarmpm.bodies.points import domain_half_length
+from polarmpm.geometry.grid import MARGIN
 
 ORIGIN, CELL, CELLS = (-1.3, 0.4, 2.0), (0.5, 0.8, 1.25), (6, 5, 7)
 

@@ -2,30 +2,23 @@
 
 from typing import TYPE_CHECKING, Any
 
-from .conditions import plane
-from .elementproblem import QuasiStaticFEM
-from .elements import Elements, Facets
-from .errors import (
-    InputError,
-    KernelError,
-    NotConserved,
-    NotConverged,
-    PointsOutsideGrid,
-    PolarMPMError,
-)
-from .ghost import GhostPenalty
-from .grid import Grid
+from .bodies.elements import Elements, Facets
+from .bodies.points import Points, Selection
+from .bodies.seeding import seed, seed_mesh
+from .conditions.supports import plane
+from .errors import InputError, KernelError, NotConserved, NotConverged, PointsOutsideGrid, PolarMPMError
+from .geometry.grid import Grid
+from .geometry.surfaces import Surface
 from .io import Recorder, Table
 from .io.restart import load as load_restart
 from .io.restart import save as save_restart
 from .materials import Hencky, Material, MicropolarElastic, NeoHookean, UserEnergy
-from .newton import Controls
-from .pointproblem import PUBLISHED, QuasiStatic
-from .points import Points, Selection
-from .resetting import EverySteps, Never, WhenDistorted
-from .seeding import seed, seed_mesh
-from .stepping import Step
-from .surfaces import Surface
+from .problems.elements import QuasiStaticFEM
+from .problems.points import PUBLISHED, QuasiStatic
+from .solvers.newton import Controls
+from .solvers.resetting import EverySteps, Never, WhenDistorted
+from .solvers.stepping import Step
+from .terms.ghost import GhostPenalty
 
 if TYPE_CHECKING:
     from .materials.plastic import DruckerPrager, Plastic, UserPlasticity, VonMises

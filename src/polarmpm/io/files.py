@@ -9,7 +9,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from ..errors import InputError
-from ..parallel import collectively
+from ..tools.parallel import collectively
 
 
 def check_output(comm: MPI.Comm, path: str | os.PathLike[str], suffix: str = "") -> Path:

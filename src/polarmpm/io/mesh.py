@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..elements import Elements
+from ..bodies.elements import Elements
 from .paraview import padded
 
 _KINDS = {

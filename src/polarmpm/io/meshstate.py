@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from ..elementproblem import QuasiStaticFEM
+from ..bodies.points import PLASTIC_FIELDS, Points
 from ..errors import InputError
-from ..parallel import collectively, look_up
-from ..points import PLASTIC_FIELDS, Points
+from ..problems.elements import QuasiStaticFEM
+from ..tools.parallel import collectively, look_up
 
 _OF_POINTS = ("X", "x", "F", "q", "wryness", "material")
 _OF_CELLS = ("X", "displacement", "q")

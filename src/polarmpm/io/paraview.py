@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..parallel import collectively
+from ..tools.parallel import collectively
 from .files import check_output, replace_file
 
 # dolfinx' nodes in VTK's order, by meshio's name of the cell: corners (in dolfinx with the first axis

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from ..aggregation import supporting_cells
-from ..cellmesh import corner_numbers, occupied_cells
-from ..elementproblem import QuasiStaticFEM
+from ..basis.aggregation import supporting_cells
+from ..basis.lattice import weights
+from ..bodies.points import Points
 from ..errors import InputError
-from ..parallel import look_up
-from ..points import Points
-from ..stepping import Step
-from ..weighting import weights
+from ..geometry.cells import corner_numbers, occupied_cells
+from ..problems.elements import QuasiStaticFEM
+from ..solvers.stepping import Step
+from ..tools.parallel import look_up
 from .mesh import NODAL, mesh_piece
 from .paraview import Collection, box_corners, padded
 

@@ -19,12 +19,12 @@ from mpi4py import MPI
 import h5py
 import numpy as np
 
-from ..elementproblem import QuasiStaticFEM
+from ..assembly.interpolation import Reference
 from ..errors import InputError
-from ..interpolation import Reference
-from ..parallel import collectively
-from ..pointproblem import QuasiStatic
-from ..problem import Problem, Progress
+from ..problems.base import Problem, Progress
+from ..problems.elements import QuasiStaticFEM
+from ..problems.points import QuasiStatic
+from ..tools.parallel import collectively
 from . import meshstate
 
 _FORMAT = 3

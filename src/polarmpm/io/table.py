@@ -12,8 +12,8 @@ from mpi4py import MPI
 import numpy as np
 
 from ..errors import InputError
-from ..parallel import collectively
-from ..stepping import Step
+from ..solvers.stepping import Step
+from ..tools.parallel import collectively
 from .files import check_output
 
 _STEP_COLUMNS = ("step", "factor", "iterations", "force", "energy")

@@ -7,7 +7,7 @@ from typing import Any
 
 import ufl
 
-from ..spectral import squared_log_strain, strain_invariants
+from ..kinematics.spectral import squared_log_strain, strain_invariants
 from .base import Material, require, require_finite
 from .micropolar import _lame
 

@@ -10,7 +10,7 @@ import ufl
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
-from .. import _compat
+from ..tools import compat as _compat
 from .base import Material, evaluate_energy
 
 

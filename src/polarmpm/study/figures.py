@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from .. import plot
 from ..errors import InputError
+from ..plot import figures as plot
 from .rungs import PHASES, Row
 from .tables import check_name, digits, error_names, methods
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..errors import InputError
-from ..problem import Problem
+from ..problems.base import Problem
 
 # the order in which tables and figures have them; "rest" is what no phase has
 PHASES = ("assembly", "factor", "solve", "update", "reset", "pattern", "conditions", "rest")

@@ -18,11 +18,11 @@ from mpi4py import MPI
 
 import numpy as np
 
-from .. import native
-from ..elementproblem import QuasiStaticFEM
 from ..errors import InputError, NotConverged, PointsOutsideGrid
-from ..problem import Problem
-from ..timing import Timer
+from ..kernels import native
+from ..problems.base import Problem
+from ..problems.elements import QuasiStaticFEM
+from ..tools.timing import Timer
 from .rungs import Case, Row, Rung
 
 # phases of `Problem.timer` that aren't part of a method's cost

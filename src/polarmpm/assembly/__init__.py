@@ -1,0 +1,1 @@
+"""Sums over points and elements: sparse matrices and nodal systems."""

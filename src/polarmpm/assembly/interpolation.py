@@ -1,0 +1,272 @@
+"""Points on the grid between two resets: weighting functions, node sets, packed state.
+
+Nodal increments are measured from the last reset, and so are the weighting functions: the lattice moves
+with its nodes until it is reset (T 2.3.3). Everything here is rebuilt at a reset and read-only after it,
+but for the packed state when rotations get a new base.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..basis.aggregation import supporting_cells
+from ..basis.lattice import Weights, node_positions, weights
+from ..bodies.points import Points, domain_half_length
+from ..forms.points import Layout, PointForm
+from ..geometry.grid import Grid
+from ..geometry.nodes import ActiveNodes
+from ..kernels import native
+from ..kinematics.motion import Motion
+from ..materials.base import parameter_values
+from ..tools.parallel import Route, together
+from .nodalterms import TermSource
+
+
+@dataclass
+class Reference:
+    """State of the points from which increments count: F at the last reset, rotations at their last base."""
+
+    x: np.ndarray
+    F: np.ndarray
+    q: np.ndarray
+    wryness: np.ndarray
+
+    @classmethod
+    def of(cls, points: Points) -> Reference:
+        """The points' current state."""
+        return cls(points.x.copy(), points.F.copy(), points.q.copy(), points.wryness.copy())
+
+    def moved(self, route: Route) -> Reference:
+        """The same of points that have gone to other ranks. Collective."""
+        return Reference(*(route.forward(a) for a in (self.x, self.F, self.q, self.wryness)))
+
+
+@dataclass
+class PointBatch:
+    """Points of one material in the order of their node sets."""
+
+    form: PointForm
+    rows: np.ndarray
+    batch: native.Batch
+
+
+@dataclass
+class Increments:
+    """Interpolated increments at the points: value (n, block), du/dx~ (n, d, d), dw/dx~ (n, r, d)."""
+
+    value: np.ndarray
+    gradient: np.ndarray
+    rotation_gradient: np.ndarray
+
+
+class Interpolation:
+    """Weighting functions of all points, their node sets and the active nodes. Collective.
+
+    Args:
+        forms: point form of each of the points' materials.
+        reference: state at the last reset; default: the points' current state, which makes it a reset.
+        sources: of contributions to the nodal system that don't come from material points.
+
+    Attributes:
+        terms: what the sources have made of this reset.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        points: Points,
+        basis: str,
+        forms: Sequence[PointForm],
+        reference: Reference | None = None,
+        sources: Sequence[TermSource] = (),
+    ):
+        self.grid, self.points, self.forms = grid, points, forms
+        self.layout: Layout = forms[0].layout
+        self.reference = r = reference or Reference.of(points)
+        cells = supporting_cells(grid, r.x) if basis == "bspline" else None
+        half = domain_half_length(r.F, points.half_length0) if basis == "gimpm" else points.half_length0
+        with together(grid.comm):
+            w = weights(basis, grid, r.x, half, cells)
+        order, groups = _group(points.material, w)
+        degree = 2 if basis == "bspline" else 1
+        reached = _reached_cells(grid, groups, degree) if sources else np.zeros(0, dtype=np.int64)
+        self.terms = [term for source in sources for term in source.terms(grid, reached)]
+        more = [t.boxes.numbers(grid).ravel() for t in self.terms]
+        touched, node_sets, first = _node_sets(grid, groups, more)
+        claims = _claims(grid, groups, touched) if grid.comm.size > 1 else None
+        self.nodes = ActiveNodes.build(grid, touched, partial(node_positions, basis, grid), claims)
+        node_sets = self.nodes.local(touched).astype(np.int32)[node_sets]
+        self.batches = [
+            self._batch(form, m, w, order, groups, (node_sets, first)) for m, form in enumerate(forms)
+        ]
+        sides = [int(groups.count.max(initial=2)), *(max(t.boxes.count) for t in self.terms)]
+        self.reach = int(grid.comm.allreduce(max(sides) - 1, op=MPI.MAX))
+        self.pack()
+
+    def _batch(
+        self,
+        form: PointForm,
+        material: int,
+        w: Weights,
+        order: np.ndarray,
+        groups: _Groups,
+        node_sets: tuple[np.ndarray, np.ndarray],
+    ) -> PointBatch:
+        # groups are sorted by material first
+        begin, end = np.searchsorted(groups.material, [material, material + 1])
+        first, nodes, node_first = groups.first[begin : end + 1], node_sets[0], node_sets[1][begin : end + 1]
+        rows = order[first[0] : first[-1]]
+        parameters = parameter_values(form.material)
+        batch = native.Batch()
+        native.fill(
+            batch,
+            dim=self.layout.dim,
+            rot=self.layout.rotations,
+            slots=w.table.shape[-1],
+            nstate=form.state_size,
+            nparam=len(parameters),
+            npoints=len(rows),
+            ngroups=end - begin,
+            weights=np.ascontiguousarray(w.table[rows]),
+            count=np.ascontiguousarray(groups.count[begin:end], dtype=np.int32),
+            param=parameters,
+            volume=np.ascontiguousarray(self.points.volume0[rows]),
+            first=(first - first[0]).astype(np.int64),
+            node_first=node_first - node_first[0],
+            nodes=np.ascontiguousarray(nodes[node_first[0] : node_first[-1]]),
+        )
+        return PointBatch(form, rows, batch)
+
+    # state --------------------------------------------------------------------------------------
+    def pack(self) -> None:
+        """Write the reference state into the kernels' input, see `pointforms`."""
+        r, p = self.reference, self.points
+        for b in self.batches:
+            state = b.form.pack(r.F[b.rows], r.q[b.rows], r.wryness[b.rows], p.history(b.rows))
+            native.fill(b.batch, state=np.ascontiguousarray(state))
+
+    def rebase_rotations(self) -> None:
+        """Count rotation increments from the points' current rotations on; weights and F stay."""
+        self.reference.q, self.reference.wryness = self.points.q.copy(), self.points.wryness.copy()
+        self.pack()
+
+    def kernel_inputs(self, batch: PointBatch, x: np.ndarray) -> np.ndarray:
+        """Inputs (n, form.inputs) of the residual's kernel at nodal increments x (nodes, block)."""
+        form, b = batch.form, batch.batch
+        nz, ns = self.layout.unknowns, form.state_size
+        out = np.empty((len(batch.rows), form.inputs))
+        z = np.empty((len(batch.rows), nz))
+        _gather(b, x, 1, z, None)
+        out[:, :nz], out[:, nz : nz + ns], out[:, nz + ns :] = z, b.kept["state"], b.kept["param"]
+        return out
+
+    # between nodes and points ---------------------------------------------------------------------
+    def gather(self, x: np.ndarray) -> Increments:
+        """Increments at this rank's points from nodal values (nodes, block)."""
+        d, r, n = self.layout.dim, self.layout.rotations, len(self.points)
+        z, value = np.zeros((n, self.layout.unknowns)), np.zeros((n, self.layout.block))
+        for b in self.batches:
+            zb, vb = np.empty((len(b.rows), z.shape[1])), np.empty((len(b.rows), value.shape[1]))
+            _gather(b.batch, x, 0, zb, vb)
+            z[b.rows], value[b.rows] = zb, vb
+        return Increments(value, z[:, : d * d].reshape(n, d, d), z[:, d * d + r :].reshape(n, r, d))
+
+    def spread(self, point_values: np.ndarray) -> np.ndarray:
+        """Nodal sums of point values (np, c) with the weighting functions; complete on owned rows.
+        Collective.
+        """
+        c = point_values.shape[1]
+        out = np.zeros((len(self.nodes), c))
+        for b in self.batches:
+            f = np.ascontiguousarray(point_values[b.rows])
+            native.library().polarmpm_spread(ctypes.byref(b.batch), f.ctypes.data, c, out.ctypes.data)
+        self.nodes.add_to_owners(out)
+        return out
+
+    def update_points(self, inc: Increments, motion: Motion) -> None:
+        """Set the points' current state from their increments since the reset."""
+        p, ref, d, n = self.points, self.reference, self.layout.dim, len(self.points)
+        p.x = ref.x + inc.value[:, :d]
+        z = np.concatenate([inc.gradient.reshape(n, d * d), inc.value[:, d:]], axis=1)
+        if not self.layout.rotations:
+            (p.F,) = motion((ref.F,), z)
+            return
+        z = np.concatenate([z, inc.rotation_gradient.reshape(n, self.layout.rotations * d)], axis=1)
+        p.F, p.q, p.wryness = motion((ref.F, ref.q, ref.wryness), z)
+
+
+def _gather(batch: native.Batch, x: np.ndarray, framed: int, z: np.ndarray, value: np.ndarray | None) -> None:
+    to = None if value is None else value.ctypes.data
+    if native.library().polarmpm_gather(ctypes.byref(batch), x.ctypes.data, framed, z.ctypes.data, to):
+        raise MemoryError("no memory to interpolate nodal values")
+
+
+@dataclass
+class _Groups:
+    """Point groups that share a node set: material, first lattice node, nodes in each direction."""
+
+    material: np.ndarray
+    node: np.ndarray
+    count: np.ndarray
+    first: np.ndarray
+
+
+def _group(material: np.ndarray, w: Weights) -> tuple[np.ndarray, _Groups]:
+    """Sort points by material, first node and node count."""
+    n, dim = w.first.shape
+    # neighbours next to each other: their groups share rows of the matrix, which then stay in the cache
+    keys = [w.count[:, i] for i in range(dim)] + [w.first[:, i] for i in range(dim - 1, -1, -1)] + [material]
+    order = np.lexsort(keys)
+    columns = np.column_stack([material, w.first, w.count])[order]
+    new = np.ones(n, dtype=bool)
+    new[1:] = np.any(columns[1:] != columns[:-1], axis=1)
+    heads = columns[new]
+    first = np.append(np.flatnonzero(new), n)
+    return order, _Groups(heads[:, 0], heads[:, 1 : 1 + dim], heads[:, 1 + dim :], first)
+
+
+def _boxes(grid: Grid, sizes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """For each different size (n, d) of boxes of nodes: which rows have it, and its nodes' distances from the
+    first one, as lattice numbers."""
+    different, kind = np.unique(sizes, axis=0, return_inverse=True)
+    out = []
+    for k, size in enumerate(different):
+        index = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1).reshape(-1, grid.dim)
+        out.append((np.flatnonzero(kind.ravel() == k), index @ grid.strides))
+    return out
+
+
+def _reached_cells(grid: Grid, groups: _Groups, degree: int) -> np.ndarray:
+    """Lattice numbers, ascending, of the cells on which the groups' functions, of a degree, are weights."""
+    first = grid.node_number(groups.node.reshape(-1, grid.dim))
+    boxes = _boxes(grid, groups.count - degree)
+    return np.unique(np.concatenate([first[:0], *((first[g][:, None] + box).ravel() for g, box in boxes)]))
+
+
+def _claims(grid: Grid, groups: _Groups, touched: np.ndarray) -> np.ndarray:
+    """How many of this rank's points have each touched node as their first one: a piece of the body that is
+    cut between cells then owns the lower corners of its cells, and no rank more nodes than its share."""
+    first = grid.node_number(groups.node.reshape(-1, grid.dim))
+    at = np.searchsorted(touched, first)
+    return np.bincount(at, np.diff(groups.first), minlength=len(touched)).astype(np.int64)
+
+
+def _node_sets(
+    grid: Grid, groups: _Groups, more: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All lattice numbers touched, those in `more` too, ascending; the places among them of the groups'
+    nodes, one group after the other; and where each group's begin (groups + 1)."""
+    base = grid.node_number(groups.node.reshape(-1, grid.dim))
+    first = np.concatenate([[0], np.cumsum(np.prod(groups.count, axis=1))]).astype(np.int64)
+    numbers = np.empty(first[-1], dtype=np.int64)
+    for g, box in _boxes(grid, groups.count):
+        numbers[first[g][:, None] + np.arange(len(box))] = base[g][:, None] + box
+    touched, inverse = np.unique(np.concatenate([numbers, *more]), return_inverse=True)
+    return touched, inverse[: len(numbers)], first

@@ -1,0 +1,239 @@
+"""Systems of the active nodes: what the points bring with them, and the direct sum over the points."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..conditions.supports import Prescribed
+from ..forms.points import Kernel
+from ..geometry.nodes import ActiveNodes
+from ..kernels import native
+from ..solvers.choice import make_solver, takes_multigrid
+from ..tools.timing import Timer
+from . import sparsity
+from .interpolation import Interpolation, PointBatch
+from .nodalterms import NodalTerms
+from .system import NodalSystem
+
+if TYPE_CHECKING:
+    from ..forms.returnmapping import ReturnMapping
+
+
+_WEAK = 0.2  # share of a cell: nodes beyond edges of the body, and beyond faces that hardly enter a cell
+
+
+class LoadedPoints(NodalSystem):
+    """Laws and loads of the points. How their virtual work is summed is left to subclasses."""
+
+    nodes: ActiveNodes
+
+    def __init__(
+        self,
+        interpolation: Interpolation,
+        kernels: Sequence[tuple[Kernel, Kernel]],
+        couple_kernel: Kernel | None,
+        prescribed: Prescribed,
+        timer: Timer,
+    ):
+        grid, layout = interpolation.grid, interpolation.layout
+        super().__init__(interpolation.nodes, layout, prescribed, np.array(grid.cell), grid.comm, timer)
+        self.interpolation, self.kernels, self.couple_kernel = interpolation, kernels, couple_kernel
+        self.terms = NodalTerms(self.nodes, interpolation.terms)
+        self.mappings = [self._mapping(b) for b in interpolation.batches]
+        self._point_loads = self.external
+        self._couples: list[tuple[np.ndarray, np.ndarray]] = [
+            (np.full(len(b.rows), -1, dtype=np.int32), np.zeros((1, 3))) for b in interpolation.batches
+        ]
+
+    def _mapping(self, batch: PointBatch) -> ReturnMapping | None:
+        if not batch.form.material.plastic:
+            return None
+        from ..forms.returnmapping import ReturnMapping  # elastic scenes don't know of it
+
+        return ReturnMapping(batch.form, self.comm, self.interpolation.points.id[batch.rows])
+
+    def start_elastic(self, on: bool) -> bool:
+        plastic = [m for m in self.mappings if m is not None]
+        for mapping in plastic:
+            mapping.start_elastic = on
+        return bool(plastic)
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the tangent is symmetric."""
+        elastic = not any(b.form.material.plastic for b in self.interpolation.batches)
+        return elastic and self.couple_kernel is None and self.terms.symmetric
+
+    def weak_nodes(self) -> np.ndarray:
+        volumes = self.interpolation.spread(self.interpolation.points.volume0[:, None])[:, 0]
+        return volumes[: self.nodes.owned] < _WEAK * np.prod(self.length)
+
+    def set_loads(self, forces: np.ndarray, couples: np.ndarray) -> None:
+        """Forces (np, d) and couples (np, r) at the points. Collective."""
+        self._point_loads = self.interpolation.spread(np.concatenate([forces, couples], axis=1))
+        self.external = self._point_loads
+        if self.couple_kernel is not None:
+            for k, b in enumerate(self.interpolation.batches):
+                mine = couples[b.rows]
+                loaded = np.any(mine != 0.0, axis=1)
+                row = np.where(loaded, np.cumsum(loaded) - 1, -1).astype(np.int32)
+                table = np.concatenate([mine[loaded], np.zeros((1, 3))])  # never empty
+                self._couples[k] = (row, np.ascontiguousarray(table))
+
+    def put_external(self, forces: np.ndarray) -> None:
+        self._point_loads = self.external = forces
+
+    def _law(self, k: int, tangent: bool) -> native.Law:
+        """Compiled kernels of batch k."""
+        law = native.Law()
+        before = self.before if tangent and self.interpolation.forms[k].predicts else None
+        native.fill(law, kernel=self.kernels[k][tangent].address, before=before)
+        if self.couple_kernel is not None:
+            rows, couples = self._couples[k]
+            native.fill(law, couple=self.couple_kernel.address, couple_of=rows, couples=couples)
+        mapping = self.mappings[k]
+        if mapping is not None:
+            self._put_yielding(mapping, k, tangent, law)
+        return law
+
+    def _put_yielding(self, mapping: ReturnMapping, k: int, tangent: bool, law: native.Law) -> None:
+        """Return the stresses of the points that yield; their blocks stand for the kernels. Collective.
+
+        Raises:
+            LocalFailure: at some points there is no solution.
+        """
+        batch = self.interpolation.batches[k]
+        with self.timer("return mapping"):
+            y = mapping.evaluate(self.interpolation.kernel_inputs(batch, self.x), tangent)
+        block_of = np.full(len(batch.rows), -1, dtype=np.int32)
+        block_of[y.rows] = np.arange(len(y.rows))
+        native.fill(law, block_of=block_of, blocks=y.blocks)
+
+    def _dead_forces(self) -> np.ndarray:
+        """External forces (nodes, block) that the kernels' residual doesn't hold already, as it does dead
+        couples in three dimensions."""
+        external = self._point_loads.copy()
+        if self.couple_kernel is not None:
+            external[:, self.layout.dim :] = 0.0
+        return external
+
+    def term_work(self, start: np.ndarray, end: np.ndarray) -> dict[str, float]:
+        """Work (J) done against the forces of `terms` that aren't loads or supports between two states of the
+        nodal increments (nodes, block), by the trapezoidal rule, by name ("ghost"). Collective."""
+        return self.terms.work(start, end)
+
+    def rebase_rotations(self) -> None:
+        """Count rotation increments from the points' current rotations on; the equilibrium stays.
+        Collective."""
+        before = self.x.copy()
+        self.interpolation.rebase_rotations()
+        self.x[:, self.layout.dim :] = 0.0
+        if len(self.terms):  # forces of the increments that are forgotten
+            lost = self.terms.forces(before, external=False) - self.terms.forces(self.x, external=False)
+            self.nodes.add_to_owners(lost)
+            self.carried -= np.where(self.prescribed.fixed, 0.0, lost)
+
+    def _term_forces(self) -> np.ndarray:
+        """Residual forces (nodes, block) of `terms`, complete on owned rows; external ones are added to
+        `external`, too. Collective."""
+        forces = self.terms.forces(self.x, external=False)
+        if self.terms.external:
+            loads = self.terms.forces(self.x, external=True)
+            forces += loads
+            self.nodes.add_to_owners(loads)
+            self.external = self._point_loads - loads
+        self.nodes.add_to_owners(forces)
+        return forces
+
+
+class PointSystem(LoadedPoints):
+    """Residual and tangent as sums over the points, scattered by compiled code."""
+
+    def __init__(
+        self,
+        interpolation: Interpolation,
+        kernels: Sequence[tuple[Kernel, Kernel]],
+        couple_kernel: Kernel | None,
+        prescribed: Prescribed,
+        timer: Timer,
+        solver: str = "auto",
+    ):
+        super().__init__(interpolation, kernels, couple_kernel, prescribed, timer)
+        symmetric = self.symmetric
+        batches = [b.batch for b in interpolation.batches] + self.terms.batches()
+        with timer("pattern"):
+            large = self.is_large()
+            # multigrid wants whole rows, which PETSc gets from a half only slowly on several ranks
+            whole = self.comm.size > 1 and takes_multigrid(solver, large)
+            self.pattern = sparsity.build(
+                self.nodes, batches, self.layout.block, symmetric, interpolation.reach, whole
+            )
+            self._fixed = np.ascontiguousarray(prescribed.fixed, dtype=np.uint8)
+            native.fill(self.pattern.matrix, fixed=self._fixed)
+            self.terms.bind(self.pattern.matrix, prescribed.fixed)
+            plastic = any(m is not None for m in self.mappings)
+            self.solver = make_solver(
+                solver,
+                large,
+                self.pattern.petsc_matrix(),
+                symmetric,
+                plastic,
+                self.solver_hints,
+                (self.pattern.values, self.pattern.diagonal) if self.pattern.shared else None,
+            )
+
+    # assembly ---------------------------------------------------------------------------------------
+    def assemble(self, tangent: bool) -> np.ndarray:
+        internal, self._lift_forces = np.zeros_like(self.x), np.zeros_like(self.x)
+        matrix = self.pattern.matrix
+        if tangent:
+            self.pattern.values[:] = 0.0
+            native.fill(matrix, lift=self._lift if self._pending else None)
+        for k, batch in enumerate(self.interpolation.batches):
+            self._assemble(k, batch, matrix if tangent else None, internal)
+        self.nodes.add_to_owners(internal)
+        if len(self.terms):
+            internal += self._term_forces()
+        if tangent:
+            self.pattern.mirror()
+            self.terms.add_tangents(self.x, self.pattern.values)
+            self.pattern.collect()
+            if self._pending:
+                self._lift_forces += self.terms.products(self.x, self._lift)
+                self.nodes.add_to_owners(self._lift_forces)
+        return internal - self._dead_forces()
+
+    def _assemble(
+        self, k: int, batch: PointBatch, matrix: native.Matrix | None, internal: np.ndarray
+    ) -> None:
+        failed = native.library().polarmpm_assemble(
+            ctypes.byref(batch.batch),
+            ctypes.byref(self._law(k, matrix is not None)),
+            ctypes.byref(matrix) if matrix is not None else None,
+            self.x.ctypes.data,
+            internal.ctypes.data,
+            self._lift_forces.ctypes.data,
+        )
+        if failed:
+            raise MemoryError("no memory for the sums over material points")
+
+    def diagonal(self) -> np.ndarray:
+        return self.pattern.values[self.pattern.diagonal].reshape(-1, self.layout.block)
+
+    def solve(self, right: np.ndarray, fresh: bool, accuracy: float) -> np.ndarray:
+        if fresh:
+            values, diagonal = self.pattern.values, self.pattern.diagonal
+            # prescribed unknowns, and nodes that points on a plane or a corner touch without any weight
+            values[diagonal[values[diagonal] == 0.0]] = 1.0
+            with self.timer("factor"):
+                self.pattern.put(self.solver.matrix)
+                self.solver.factor()
+        with self.timer("solve"):
+            return self.solver.solve(right.ravel(), accuracy).reshape(right.shape)
+
+    def destroy(self) -> None:
+        self.solver.destroy()

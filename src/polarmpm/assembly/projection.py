@@ -1,0 +1,223 @@
+"""The nonlinear system of the active nodes, assembled by dolfinx from the points' projected moments.
+
+Stress and tangent moduli of a point, times its volume, are put on the quadrature points of its cell such that
+every multiquadratic function integrates to its sum over the points. Products of gradients of two multilinear
+functions are multiquadratic: residual and tangent equal the sums over standard material points, whatever the
+number of points in a cell (docs/theory.md). A cell is on the lowest of the ranks that have points in it; the
+others send their points' moments there.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..bodies.elements import SpaceNodes
+from ..conditions.supports import Prescribed
+from ..forms.numbers import BlockForms, tangent_size
+from ..forms.points import Kernel
+from ..geometry.cells import cell_mesh, occupied_cells
+from ..geometry.grid import Grid, snap
+from ..geometry.nodes import ActiveNodes
+from ..kernels import native
+from ..tools import compat as _compat
+from ..tools.parallel import Route, look_up
+from ..tools.timing import Timer
+from .elements import FormMatrix
+from .interpolation import Interpolation
+from .points import LoadedPoints
+
+DEGREE = 5  # three Gauss points in each direction: their Lagrange polynomials are all multiquadratics
+
+
+def lagrange(cell: str, xi: np.ndarray) -> np.ndarray:
+    """Lagrange polynomials of the quadrature points of a box at xi (n, d) in [0, 1], (n, 3^d)."""
+    positions = _compat.quadrature_positions(cell, DEGREE)
+    out = np.ones((len(xi), len(positions)))
+    for axis in range(xi.shape[1]):
+        gauss = np.unique(np.round(positions[:, axis], 12))
+        which = np.argmin(np.abs(positions[:, axis, None] - gauss), axis=1)
+        gauss = np.array([positions[which == k, axis][0] for k in range(3)])
+        for k in range(3):
+            for other in {0, 1, 2} - {k}:
+                factor = (xi[:, axis] - gauss[other]) / (gauss[k] - gauss[other])
+                out[:, which == k] *= factor[:, None]
+    return out
+
+
+class CellProjection:
+    """The cells that contain points as a dolfinx mesh, and moments on their quadrature points. Collective.
+
+    Args:
+        x: positions (n, d) (m) of this rank's points.
+        block: unknowns of a node.
+
+    Attributes:
+        space: multilinear functions of `block` components on the mesh.
+        lattice: lattice numbers of its nodes on this rank, in dolfinx' order.
+    """
+
+    def __init__(self, grid: Grid, x: np.ndarray, block: int):
+        self.grid = grid
+        self.mesh = cell_mesh(grid, occupied_cells(grid, x)).mesh
+        self.space = _compat.function_space(self.mesh, block, 1)
+        self.nodes = SpaceNodes(self.space, grid.dim)
+        self.lattice = grid.node_number(np.rint(grid.local(self.nodes.position)).astype(np.int64))
+        self._send_points(x)
+
+    def _send_points(self, x: np.ndarray) -> None:
+        """Tell the owners of the cells which points they have, and where."""
+        comm, grid = self.grid.comm, self.grid
+        own = self.mesh.topology.index_map(grid.dim).size_local
+        cells = self.lattice[_compat.cell_dofs(self.space)[:own]].min(
+            axis=1
+        )  # a cell's number: its lowest node
+        address = np.column_stack([np.full(own, comm.rank), np.arange(own)])
+        index = grid.cells_of(x)
+        at = look_up(comm, cells, address.astype(float), grid.cell_number(index)).astype(np.int64)
+        self._route = Route(comm, at[:, 0])
+        self._cells = self._route.forward(at[:, 1])
+        name = _compat.cell_name(self.mesh)
+        volume = _compat.quadrature_weights(name, DEGREE) * np.prod(grid.cell)
+        self._weights = lagrange(name, self._route.forward(snap(grid.local(x)) - index)) / volume
+
+    def project(self, moments: np.ndarray, function: Any) -> None:
+        """Set a quadrature function from moments (n, c) of this rank's points. Collective."""
+        out = function.x.array
+        out[:] = 0.0
+        sent = self._route.forward(moments) if self.grid.comm.size > 1 else moments
+        place = _compat.cell_dofs(function.function_space)[self._cells].astype(np.int32)
+        native.library().polarmpm_project(
+            len(sent),
+            self._weights.shape[1],
+            moments.shape[1],
+            place.ctypes.data,
+            self._weights.ctypes.data,
+            sent.ctypes.data,
+            out.ctypes.data,
+        )
+
+
+class NodeExchange:
+    """Nodal values between the points' and the mesh's order of the same nodes. All methods are collective."""
+
+    def __init__(self, nodes: ActiveNodes, cells: CellProjection):
+        comm = nodes.grid.comm
+        self.nodes, self.mesh_nodes = nodes, cells.nodes
+        address = np.column_stack([np.full(nodes.owned, comm.rank), np.arange(nodes.owned)]).astype(float)
+        wanted = cells.lattice[: cells.nodes.owned]
+        at = look_up(comm, nodes.lattice[: nodes.owned], address, wanted).astype(np.int64)
+        self._route = Route(comm, at[:, 0])
+        self._rows = self._route.forward(at[:, 1])
+
+    def to_points(self, values: np.ndarray) -> np.ndarray:
+        """Owned rows of active nodes from owned rows of the mesh."""
+        out = np.zeros((self.nodes.owned, *values.shape[1:]))
+        out[self._rows] = self._route.forward(values)
+        return out
+
+    def to_mesh(self, values: np.ndarray) -> np.ndarray:
+        """All rows of the mesh from owned rows of active nodes."""
+        out = np.zeros((len(self.mesh_nodes), *values.shape[1:]))
+        out[: self.mesh_nodes.owned] = self._route.backward(values[self._rows])
+        self.mesh_nodes.update_ghosts(out)
+        return out
+
+
+class ProjectedSystem(LoadedPoints):
+    """Residual and tangent as integrals over the occupied cells. The unknowns are those of `PointSystem`."""
+
+    def __init__(
+        self,
+        interpolation: Interpolation,
+        kernels: Sequence[tuple[Kernel, Kernel]],
+        couple_kernel: Kernel | None,
+        prescribed: Prescribed,
+        timer: Timer,
+        solver: str = "auto",
+    ):
+        super().__init__(interpolation, kernels, couple_kernel, prescribed, timer)
+        rows = [b.rows for b in interpolation.batches]
+        self._ends = np.cumsum([len(r) for r in rows])[:-1]
+        with timer("pattern"):
+            x = interpolation.reference.x[np.concatenate(rows)]
+            self.cells = CellProjection(interpolation.grid, x, self.layout.block)
+            self.exchange = NodeExchange(self.nodes, self.cells)
+            fixed = self.exchange.to_mesh(prescribed.fixed[: self.nodes.owned].astype(float)) > 0.5
+        with timer("compile"):
+            self.forms = BlockForms(self.cells.space, self.layout, DEGREE, self.symmetric)
+        with timer("pattern"):
+            plastic = any(m is not None for m in self.mappings)
+            self.matrix = FormMatrix(
+                [self.forms.tangent],
+                fixed,
+                self.symmetric,
+                self.cells.nodes.owned,
+                plastic,
+                solver,
+                self.is_large(),
+                self._mesh_hints,
+            )
+
+    def _mesh_hints(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Hints for the solver in the mesh's order."""
+        own, (motions, weak, as_force) = self.cells.nodes.owned, self.solver_hints()
+        whole = np.repeat(weak[:, None].astype(float), self.layout.block, axis=1)
+        on_mesh = np.stack([self.exchange.to_mesh(v)[:own] for v in (*motions, whole)])
+        return on_mesh[:-1], on_mesh[-1, :, 0] > 0.5, as_force
+
+    # assembly ---------------------------------------------------------------------------------------
+    def assemble(self, tangent: bool) -> np.ndarray:
+        self._project(tangent)
+        mesh_nodes, own = self.cells.nodes, self.nodes.owned
+        forces = _compat.assemble_vector(self.forms.residual, len(mesh_nodes))
+        forces = forces.reshape(-1, self.layout.block)
+        mesh_nodes.add_to_owners(forces)
+        internal, self._lift_forces = np.zeros_like(self.x), np.zeros_like(self.x)
+        internal[:own] = self.exchange.to_points(forces[: mesh_nodes.owned])
+        if tangent:
+            lift = self.exchange.to_mesh(self._lift[:own]) if self._pending else None
+            product = self.matrix.assemble(lift)
+            if product is not None:
+                self._lift_forces[:own] = self.exchange.to_points(product[: mesh_nodes.owned])
+        return internal - self._dead_forces()
+
+    def _project(self, tangent: bool) -> None:
+        """Put stresses, and moduli if asked, at the present increments on the quadrature points."""
+        n = len(self.interpolation.points)
+        stress = np.empty((n, self.layout.unknowns))
+        moduli = np.empty((n if tangent else 0, tangent_size(self.layout, self.symmetric)))
+        starts = [0, *self._ends]
+        for k, batch in enumerate(self.interpolation.batches):
+            failed = native.library().polarmpm_moments(
+                ctypes.byref(batch.batch),
+                ctypes.byref(self._law(k, tangent)),
+                self.x.ctypes.data,
+                int(self.symmetric),
+                stress[starts[k] :].ctypes.data,
+                moduli[starts[k] :].ctypes.data if tangent else None,
+            )
+            if failed:
+                raise MemoryError("no memory for the material points' moments")
+        self.cells.project(stress, self.forms.residual_values)
+        if tangent:
+            self.cells.project(moduli, self.forms.tangent_values)
+
+    def diagonal(self) -> np.ndarray:
+        return self.exchange.to_points(self.matrix.diagonal)
+
+    def solve(self, right: np.ndarray, fresh: bool, accuracy: float) -> np.ndarray:
+        own = self.cells.nodes.owned
+        if fresh:
+            with self.timer("factor"):
+                self.matrix.solver.factor()
+        with self.timer("solve"):
+            mine = self.exchange.to_mesh(right)[:own]
+            solution = self.matrix.solver.solve(mine.ravel(), accuracy).reshape(mine.shape)
+            return self.exchange.to_points(solution)
+
+    def destroy(self) -> None:
+        self.matrix.destroy()

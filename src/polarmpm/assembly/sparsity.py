@@ -1,0 +1,286 @@
+"""Sparsity pattern of the tangent: which node pairs are coupled and where their blocks stand."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from ..geometry.nodes import ActiveNodes
+from ..kernels import native
+from ..tools.parallel import Route
+
+
+@dataclass
+class Pattern:
+    """Compressed sparse rows of the owned unknowns, and a buffer for rows of ghost nodes.
+
+    Attributes:
+        block: unknowns of a node.
+        symmetric: rows hold their upper triangle only.
+        indptr, indices: scalar rows of this rank; columns are global, ascending.
+        values: entries of the owned rows, then the blocks of ghost rows.
+        diagonal: positions of the diagonal entries.
+    """
+
+    nodes: ActiveNodes
+    block: int
+    symmetric: bool
+    indptr: np.ndarray
+    indices: np.ndarray
+    values: np.ndarray
+    diagonal: np.ndarray
+    matrix: native.Matrix
+    route: Route | None = None
+    ghost_order: np.ndarray | None = None  # entries of each ghost block in the buffer
+    received_at: np.ndarray | None = None  # where entries of received blocks go; -1: nowhere
+    halves: tuple[np.ndarray, ...] | None = None  # pairs of nodes, and their blocks in either's rows
+
+    @property
+    def owned_entries(self) -> int:
+        return int(self.indptr[-1])
+
+    def petsc_matrix(self) -> PETSc.Mat:
+        """Matrix of the owned rows; on one rank it uses the arrays of the pattern."""
+        comm, kind = self.nodes.grid.comm, ("SBAIJ" if self.symmetric else "AIJ")
+        local, total = self.nodes.owned * self.block, self.nodes.total * self.block
+        sizes = ((local, total), (local, total))
+        rows = self.indptr.astype(np.int32), self.indices, self.values[: self.owned_entries]
+        if not self.shared:
+            return getattr(PETSc.Mat(), f"create{kind}")(sizes, 1, csr=rows, comm=comm)
+        matrix = PETSc.Mat().create(comm)
+        matrix.setSizes(sizes)
+        _use_arrays(matrix, kind, rows)
+        matrix.setAttr("rows", rows)  # to live as long
+        return matrix
+
+    @property
+    def shared(self) -> bool:
+        """Whether the matrix uses the entries of the pattern: on several ranks it keeps rows in two parts."""
+        return self.nodes.grid.comm.size == 1 and self._usual
+
+    @property
+    def _usual(self) -> bool:
+        """Whether PETSc's numbers are those of the arrays."""
+        return bool(PETSc.ScalarType == self.values.dtype and PETSc.IntType == self.indices.dtype)
+
+    def put(self, matrix: PETSc.Mat) -> None:
+        """Let the matrix that `petsc_matrix` has made have the entries as they are now. Collective."""
+        if matrix.getType() == "mpiaij" and self._usual:
+            # what setValuesCSR does, without a search for each entry
+            arguments = map(ctypes.c_void_p, (matrix.handle, self.values.ctypes.data))
+            if _petsc().MatUpdateMPIAIJWithArray(*arguments):
+                raise MemoryError("the matrix doesn't take the entries")
+        elif not self.shared:
+            rows = self.indptr.astype(np.int32), self.indices
+            matrix.setValuesCSR(*rows, self.values[: self.owned_entries])
+        matrix.assemble()
+        matrix.stateIncrease()
+
+    def mirror(self) -> None:
+        """Complete whole rows by the half of the symmetric sums that hasn't been made."""
+        if self.halves is not None:
+            pairs, arrays = len(self.halves[0]), [a.ctypes.data for a in self.halves]
+            native.library().polarmpm_mirror(ctypes.byref(self.matrix), self.block, pairs, *arrays)
+
+    def collect(self) -> None:
+        """Add the rows of ghost nodes to their owners' rows. Collective."""
+        if self.route is None or self.ghost_order is None or self.received_at is None:
+            return
+        received = self.route.forward(self.values[self.owned_entries :][self.ghost_order])
+        end = 0
+        for count in self.route.received:  # of a rank, which sends an entry once: no need for np.add.at
+            rows, end = slice(end, end + int(count)), end + int(count)
+            at, entries = self.received_at[rows], received[rows]
+            if self.symmetric:
+                at, entries = at[at >= 0], entries[at >= 0]
+            self.values[at] += entries
+
+
+@cache
+def _petsc() -> ctypes.CDLL:
+    """PETSc's own functions, for what petsc4py has none."""
+    return ctypes.CDLL(PETSc.__file__)
+
+
+def _use_arrays(matrix: PETSc.Mat, kind: str, rows: tuple[np.ndarray, ...]) -> None:
+    """Make an empty matrix on one rank one whose pointers, columns and entries are `rows`."""
+    petsc = _petsc()
+    handle, comm, made = (ctypes.c_void_p(h) for h in (matrix.handle, 0, 0))
+    sizes = [ctypes.c_int32(n) for n in matrix.getLocalSize()]
+    if kind == "SBAIJ":
+        sizes = [ctypes.c_int32(1), *sizes]
+    failed = petsc.PetscObjectGetComm(handle, ctypes.byref(comm)) or getattr(
+        petsc, f"MatCreateSeq{kind}WithArrays"
+    )(comm, *sizes, *(ctypes.c_void_p(a.ctypes.data) for a in rows), ctypes.byref(made))
+    if failed or petsc.MatHeaderReplace(handle, ctypes.byref(made)):
+        raise MemoryError("PETSc can't make a matrix of arrays")
+
+
+def build(
+    nodes: ActiveNodes,
+    batches: Sequence[native.Batch],
+    block: int,
+    symmetric: bool,
+    reach: int,
+    whole: bool = False,
+) -> Pattern:
+    """Pattern of the node sets of all batches. Collective.
+
+    Args:
+        symmetric: the sums over the points are; rows hold their upper triangle only, unless `whole`. Then
+            `Pattern.mirror` has to be called once they are made.
+        reach: the largest lattice distance of two nodes of one set.
+    """
+    half, symmetric = symmetric, symmetric and not whole
+    grid, side = nodes.grid, 2 * reach + 1
+    codes = side**grid.dim
+    mark = np.zeros((len(nodes), codes), dtype=np.uint8)
+    for batch in batches:
+        native.library().polarmpm_couple_nodes(ctypes.byref(batch), reach, mark.ctypes.data)
+    row, code = np.nonzero(mark)
+    offset = np.stack(np.unravel_index(np.arange(codes), (side,) * grid.dim), axis=1) - reach
+    col = nodes.local(nodes.lattice[row] + (offset @ grid.strides)[code])
+    if symmetric:
+        keep = nodes.number[row] <= nodes.number[col]
+        row, code, col = row[keep], code[keep], col[keep]
+    mine = row < nodes.owned
+    pairs = np.stack([nodes.number[row[mine]], nodes.number[col[mine]]], axis=1)
+    route, ghost_pairs = None, np.zeros((0, 2), dtype=np.int64)
+    if grid.comm.size > 1:
+        route = Route(grid.comm, nodes.owner[row[~mine]])
+        sent = np.stack([nodes.number[row[~mine]], nodes.number[col[~mine]]], axis=1)
+        ghost_pairs = route.forward(sent)
+        pairs = np.concatenate([pairs, ghost_pairs])
+    total = max(nodes.total, 1)
+    pairs = np.stack(np.divmod(np.unique(pairs[:, 0] * total + pairs[:, 1]), total), axis=1)
+    pattern = _assemble_pattern(
+        nodes, block, symmetric, reach, codes, (row, code, col, mine), pairs, route, ghost_pairs
+    )
+    native.fill(pattern.matrix, half=int(half))
+    if half and whole:
+        later = code >= codes // 2  # in the order of a group's nodes, or the same node
+        row, code, col = (a[later].astype(np.int32) for a in (row, code, col))
+        place = pattern.matrix.kept["place"]
+        pattern.halves = row, col, place[row, code], place[col, codes - 1 - code]
+    return pattern
+
+
+def _assemble_pattern(
+    nodes: ActiveNodes,
+    block: int,
+    symmetric: bool,
+    reach: int,
+    codes: int,
+    local: tuple[np.ndarray, ...],
+    pairs: np.ndarray,
+    route: Route | None,
+    ghost_pairs: np.ndarray,
+) -> Pattern:
+    row, code, col, mine = local
+    total = max(nodes.total, 1)
+    keys = pairs[:, 0] * total + pairs[:, 1]
+    first = np.searchsorted(pairs[:, 0], nodes.start + np.arange(nodes.owned + 1))
+    indptr, indices = _scalar_rows(pairs[:, 1], first, block, symmetric)
+    # owned rows: block column k of node I starts at indptr of its scalar row, less the part below the
+    # diagonal that the upper triangle leaves out
+    trim = np.tile(np.arange(block) if symmetric else np.zeros(block, dtype=np.int64), nodes.owned)
+    starts = np.zeros(len(nodes) * block, dtype=np.int64)
+    starts[: nodes.owned * block] = indptr[:-1] - trim
+    place = np.full((len(nodes), codes), -1, dtype=np.int32)
+    at = np.searchsorted(keys, nodes.number[row[mine]] * total + nodes.number[col[mine]])
+    place[row[mine], code[mine]] = at - first[row[mine]]
+    # ghost rows: full blocks, each contiguous, in the order in which they are listed
+    ghosts = np.flatnonzero(~mine)
+    count = len(ghosts)
+    values = np.zeros(int(indptr[-1]) + count * block * block)
+    pattern = Pattern(
+        nodes,
+        block,
+        symmetric,
+        indptr,
+        indices,
+        values,
+        _diagonal(first, pairs, nodes, indptr, block, symmetric),
+        native.Matrix(),
+    )
+    if route is not None:
+        pattern.route = route
+        pattern.ghost_order = _place_ghosts(pattern, row[ghosts], code[ghosts], place, starts)
+        pattern.received_at = _received_positions(pattern, ghost_pairs, keys, first, total)
+    native.fill(
+        pattern.matrix,
+        symmetric=int(symmetric),
+        reach=reach,
+        place=place,
+        row_start=starts,
+        number=np.ascontiguousarray(nodes.number, dtype=np.int64),
+        values=values,
+    )
+    return pattern
+
+
+def _scalar_rows(
+    cols: np.ndarray, first: np.ndarray, block: int, symmetric: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Scalar row pointers and columns of block rows with ascending block columns, the diagonal first."""
+    nodes = len(first) - 1
+    lengths = np.repeat(np.diff(first) * block, block).reshape(nodes, block)
+    if symmetric:
+        lengths = lengths - np.arange(block)
+    indptr = np.concatenate([[0], np.cumsum(lengths.ravel())])
+    columns = np.empty(int(indptr[-1]), dtype=np.int32)
+    first, cols = np.ascontiguousarray(first, dtype=np.int64), np.ascontiguousarray(cols, dtype=np.int64)
+    native.library().polarmpm_scalar_columns(
+        nodes, first.ctypes.data, cols.ctypes.data, block, int(symmetric), columns.ctypes.data
+    )
+    return indptr, columns
+
+
+def _diagonal(
+    first: np.ndarray, pairs: np.ndarray, nodes: ActiveNodes, indptr: np.ndarray, block: int, symmetric: bool
+) -> np.ndarray:
+    if symmetric:
+        return indptr[:-1].copy()
+    own = np.flatnonzero(pairs[:, 0] == pairs[:, 1])
+    k = own - first[:-1]
+    component = np.tile(np.arange(block), nodes.owned)
+    return indptr[:-1] + np.repeat(k * block, block) + component
+
+
+def _place_ghosts(
+    pattern: Pattern, row: np.ndarray, code: np.ndarray, place: np.ndarray, starts: np.ndarray
+) -> np.ndarray:
+    """Address the blocks of ghost rows; a node's row of k blocks is an array [component][k][component].
+
+    Returns the positions in the buffer of each block's entries, (blocks, block * block).
+    """
+    block, base = pattern.block, pattern.owned_entries
+    unique, begin, count = np.unique(row, return_index=True, return_counts=True)
+    place[row, code] = np.arange(len(row)) - np.repeat(begin, count)
+    for c in range(block):
+        starts[unique * block + c] = base + begin * block * block + c * count * block
+    k = place[row, code]
+    start = np.repeat(begin * block * block, count) + k * block
+    length = np.repeat(count * block, count)
+    i, j = np.divmod(np.arange(block * block), block)
+    return start[:, None] + length[:, None] * i + j
+
+
+def _received_positions(
+    pattern: Pattern, pairs: np.ndarray, keys: np.ndarray, first: np.ndarray, total: int
+) -> np.ndarray:
+    """Where entries of received blocks go in the owned rows, (blocks, block * block); -1: left out."""
+    block, nodes = pattern.block, pattern.nodes
+    row = pairs[:, 0] - nodes.start
+    k = np.searchsorted(keys, pairs[:, 0] * total + pairs[:, 1]) - first[row]
+    i, j = np.divmod(np.arange(block * block), block)
+    at = pattern.indptr[(row[:, None] * block + i)] + k[:, None] * block + j
+    if pattern.symmetric:
+        at = np.where((pairs[:, 0] == pairs[:, 1])[:, None] & (j < i), -1, at - i)
+    return at

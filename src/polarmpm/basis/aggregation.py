@@ -1,0 +1,49 @@
+"""Slivers: cells of which the body only fills a thin layer at a face.
+
+A B-spline that reaches the body with its tail only has next to no stiffness: its weight goes with the square
+of the layer's thickness, in each direction. The points of such a layer are weighted instead with the
+polynomials of the cell behind the face, continued through it (cell aggregation). Then every function that is
+left reaches well into the body. Quadratic fields are still represented exactly.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..geometry.grid import Grid
+from ..tools.parallel import Route, look_up
+
+_THIN = 0.1  # largest thickness of a sliver, in cells
+
+
+def supporting_cells(grid: Grid, x: np.ndarray) -> np.ndarray:
+    """Lattice index (n, d) of the cell whose polynomials weight each point at x (n, d) (m). Collective.
+
+    That is the cell that the point is in, or for slivers the cell behind the face, if there are points in it.
+    """
+    comm, dim = grid.comm, grid.dim
+    index = grid.cells_of(x)
+    right = grid.local(x) - index
+    own, at = np.unique(grid.cell_number(index), return_inverse=True)
+    depth = np.zeros((len(own), 2 * dim))  # how far the points reach from the lower and the upper faces
+    np.maximum.at(depth, at, np.hstack([right, 1.0 - right]))
+    # each cell has one rank that knows all of its points
+    book = Route(comm, own % comm.size)
+    cells, place = np.unique(book.forward(own), return_inverse=True)
+    deepest = np.zeros((len(cells), 2 * dim))
+    np.maximum.at(deepest, place, book.forward(depth))
+    thin = deepest < _THIN
+    step = thin[:, dim:].astype(np.int64) - thin[:, :dim]
+
+    def at_target() -> np.ndarray:
+        """Steps of the cells that the cells step to, and whether there are points in them."""
+        known = np.hstack([step, np.ones((len(step), 1), dtype=np.int64)])
+        return look_up(comm, cells, known.astype(float), cells + step @ grid.strides).astype(np.int64)
+
+    # where everything is thin, as with one point a cell near a plane, nobody has anything to lean on
+    target = at_target()
+    leans = (target[:, -1] > 0) & np.all((step == 0) | (target[:, :-1] == 0), axis=1) & np.any(step, axis=1)
+    step *= leans[:, None]
+    # the cell behind the face may be a sliver in another direction
+    step += at_target()[:, :-1] * leans[:, None]
+    return index + look_up(comm, cells, step.astype(float), own).astype(np.int64)[at]

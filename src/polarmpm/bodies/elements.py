@@ -1,0 +1,315 @@
+"""A body meshed with finite elements: its nodes, quadrature points, regions and groups of facets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import ufl
+
+from ..conditions.supports import PlaneSpec
+from ..errors import InputError
+from ..forms.points import Layout
+from ..geometry.meshes import BodyMesh
+from ..kinematics import rotations
+from ..materials.base import Material, check_material
+from ..tools import compat as _compat
+from ..tools.parallel import collectively, together
+from .points import Points
+
+# exact for the stiffness of undistorted elements: 2 and 3 Gauss points a direction on boxes
+_QUADRATURE = {("tensor", 1): 3, ("tensor", 2): 5, ("simplex", 1): 2, ("simplex", 2): 4}
+
+
+class SpaceNodes:
+    """Nodes of a Lagrange space of this rank, owned ones first; implements `system.Nodes`."""
+
+    def __init__(self, space: Any, dim: int):
+        from dolfinx import fem
+
+        index_map = space.dofmap.index_map
+        self.owned, self.total = int(index_map.size_local), int(index_map.size_global)
+        self.position = space.tabulate_dof_coordinates()[:, :dim].copy()
+        self._work = fem.Function(space)
+        self._size = int(space.dofmap.index_map_bs)
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def add_to_owners(self, values: np.ndarray) -> None:
+        """Add ghosts' rows of values (n, block) to their owners'; ghost rows keep their part. Collective."""
+        self._work.x.array[:] = values.ravel()
+        _compat.add_reverse(self._work)
+        values[: self.owned] = self._work.x.array.reshape(-1, self._size)[: self.owned]
+
+    def update_ghosts(self, values: np.ndarray) -> None:
+        """Overwrite ghosts' rows of values (n, block) with their owners'. Collective."""
+        self._work.x.array[:] = values.ravel()
+        self._work.x.scatter_forward()
+        values[self.owned :] = self._work.x.array.reshape(-1, self._size)[self.owned :]
+
+
+@dataclass(frozen=True, eq=False)
+class Facets:
+    """A group of boundary facets.
+
+    Attributes:
+        name: for messages.
+        facets: local numbers on this rank, ascending.
+        weights: integral (m^2; m in plane strain) of each node's shape function over the group (nodes,),
+            complete on owned nodes.
+        area: of the undeformed group (m^2; m in plane strain), all ranks together.
+        nodes: which nodes lie on the group (nodes,), bool.
+    """
+
+    name: str
+    facets: np.ndarray
+    weights: np.ndarray
+    area: float
+    nodes: np.ndarray
+
+    def mask(self, nodes: Any) -> np.ndarray:
+        """Which nodes are meant (n,), as of a `Support`."""
+        return self.nodes
+
+
+class Elements:
+    """A body meshed with finite elements; `QuasiStaticFEM` solves for it. Collective.
+
+    Args:
+        mesh: dolfinx mesh of triangles, quadrilaterals, tetrahedra or hexahedra; path of a .msh file; or a
+            gmsh model (on rank 0, None elsewhere).
+        material: of all cells, or for each region (physical name or tag of cells) its own.
+        degree: of displacements and microrotations, 1 or 2.
+        quadrature_degree: of the integration rule; default: 3 and 5 on boxes (2 and 3 Gauss points a
+            direction), 2 and 4 on simplices.
+        cells, facets: tags (dolfinx MeshTags) of a dolfinx mesh.
+
+    Attributes:
+        points: state of the quadrature points; ids count them along the cells in the order of the mesh's
+            input.
+        displacement: total displacement of the nodes (m), (n, d).
+        q: microrotation of the nodes, unit quaternions (n, 4), for output.
+
+    Raises:
+        InputError: a mesh, degree, region or material that is not allowed; see `meshes.BodyMesh`.
+    """
+
+    def __init__(
+        self,
+        mesh: Any,
+        *,
+        material: Material | Mapping[str | int, Material],
+        degree: int = 1,
+        quadrature_degree: int | None = None,
+        cells: Any = None,
+        facets: Any = None,
+        comm: MPI.Comm = MPI.COMM_WORLD,
+    ):
+        self.body = BodyMesh.of(mesh, comm, cells=cells, facets=facets)
+        self.mesh, self.comm, self.dim = self.body.mesh, self.body.mesh.comm, self.body.dim
+        if degree not in (1, 2):
+            raise InputError(f"degree = {degree!r}: allowed are 1 and 2")
+        shape = "simplex" if self.body.cell in ("triangle", "tetrahedron") else "tensor"
+        rule = _QUADRATURE[shape, degree] if quadrature_degree is None else quadrature_degree
+        if isinstance(rule, bool) or not isinstance(rule, int) or not 1 <= rule <= 20:
+            raise InputError(f"quadrature_degree = {rule!r}: a whole number from 1 to 20")
+        self.degree, self.quadrature_degree = degree, rule
+        materials, of_cell = self._regions(material)
+        self.layout = Layout.of(materials[0], self.dim)
+        self.space = _compat.function_space(self.mesh, self.layout.block, degree)
+        self.nodes = SpaceNodes(self.space, self.dim)
+        self.cell_nodes = _compat.cell_dofs(self.space)
+        self.points = self._quadrature_points(materials, of_cell)
+        self.displacement: np.ndarray = np.zeros((len(self.nodes), self.dim))
+        self.q: np.ndarray = rotations.identity(len(self.nodes))
+
+    # regions --------------------------------------------------------------------------------------
+    def _regions(self, material: Any) -> tuple[tuple[Material, ...], np.ndarray]:
+        """Materials, and the row of its material for each own cell."""
+        own = len(self.body.owned_cells)
+        if not isinstance(material, Mapping):
+            return (check_material(material),), np.zeros(own, dtype=np.int32)
+        if not material:
+            raise InputError("material: no region is given")
+        of_cell = np.full(own, -1, dtype=np.int32)
+        for row, (region, one) in enumerate(material.items()):
+            check_material(one)
+            tag = self.body.group(region, self.dim)
+            at = np.asarray(self.body.cells.indices)[np.asarray(self.body.cells.values) == tag]
+            of_cell[at[at < own]] = row
+        missing, error = np.flatnonzero(of_cell < 0), None
+        if len(missing):
+            numbers = ", ".join(map(str, np.sort(self.body.original_cells[missing])[:10]))
+            error = InputError(f"material: no region has the cells {numbers}; every cell needs a material")
+        collectively(self.comm, error)
+        materials = tuple(material.values())
+        if len({Layout.of(m, self.dim) for m in materials}) > 1:
+            raise InputError("material: micropolar and classical materials can't be mixed in one body")
+        return materials, of_cell
+
+    # quadrature points ----------------------------------------------------------------------------
+    @property
+    def reference_points(self) -> np.ndarray:
+        """Quadrature positions in the reference cell (nq, d)."""
+        return _compat.quadrature_positions(self.body.cell, self.quadrature_degree)
+
+    def _quadrature_points(self, materials: tuple[Material, ...], of_cell: np.ndarray) -> Points:
+        own, xi = self.body.owned_cells, self.reference_points
+        weight = _compat.quadrature_weights(self.body.cell, self.quadrature_degree)
+        position, determinant = ufl.SpatialCoordinate(self.mesh), ufl.JacobianDeterminant(self.mesh)
+        geometry = ufl.as_vector([*(position[i] for i in range(self.dim)), determinant])
+        values = _compat.Evaluator(self.mesh, geometry, xi)(own)
+        volume = (np.abs(values[:, :, -1]) * weight).ravel()
+        error = None
+        if len(volume) and not volume.min() > 0:
+            error = InputError(
+                f"quadrature_degree = {self.quadrature_degree}: the rule has weights that are not positive"
+            )
+        collectively(self.comm, error)
+        half = np.tile(0.5 * volume[:, None] ** (1 / self.dim), (1, self.dim))
+        x = values[:, :, : self.dim].reshape(-1, self.dim)
+        points = Points(x, volume, half, materials[0], self.comm)
+        points.put_materials(materials, np.repeat(of_cell, len(xi)))
+        points.id = (self.body.original_cells[:, None] * len(xi) + np.arange(len(xi))).ravel()
+        return points
+
+    @property
+    def cell_size(self) -> float:
+        """Typical edge (m): mean volume of a cell to the power of 1/d. Collective."""
+        sums = self.comm.allreduce(np.array([self.points.volume0.sum(), len(self.body.owned_cells)]))
+        return float((sums[0] / sums[1]) ** (1 / self.dim))
+
+    # groups of facets -----------------------------------------------------------------------------
+    def facets(self, where: Any) -> Facets:
+        """Boundary facets of a physical group (name or tag), on a plane, or all of whose corners fulfil a
+        predicate of positions (n, d) -> (n,) bool. Collective.
+
+        Raises:
+            InputError: no such group, or a group without facets.
+        """
+        from dolfinx import mesh as dmesh
+
+        if isinstance(where, Facets):
+            return where
+        dim = self.dim - 1
+        self.mesh.topology.create_connectivity(dim, self.dim)
+        if isinstance(where, str | int | np.integer) and not isinstance(where, bool):
+            tag = self.body.group(where if isinstance(where, str) else int(where), dim)
+            name, tags = f"facets {where!r}", self.body.facets
+            found = np.asarray(tags.indices)[np.asarray(tags.values) == tag]
+            found = np.intersect1d(found, np.asarray(dmesh.exterior_facet_indices(self.mesh.topology)))
+        else:
+            if isinstance(where, PlaneSpec):
+                predicate, name = self.on_plane(where), where.name
+            elif callable(where):
+                predicate, name = where, getattr(where, "__name__", "predicate")
+            else:
+                raise InputError(
+                    f"facets: {where!r} is not a physical group, a plane or a predicate of positions"
+                )
+
+            def marker(x: np.ndarray) -> np.ndarray:
+                return _mask(predicate(x[: self.dim].T), x.shape[1])
+
+            with together(self.comm):
+                found = dmesh.locate_entities_boundary(self.mesh, dim, marker)
+        return self._group(name, np.sort(np.asarray(found, dtype=np.int32)))
+
+    def on_plane(self, spec: PlaneSpec) -> Callable[[np.ndarray], np.ndarray]:
+        """Predicate of positions on a plane x_axis = value."""
+        if spec.axis >= self.dim:
+            raise InputError(f"plane {'xyz'[spec.axis]}: the mesh has {self.dim} dimensions")
+        near = 1e-6 * self.cell_size
+        return lambda x: np.abs(x[:, spec.axis] - spec.value) < near
+
+    def farthest(self, direction: Sequence[float], tolerance: float | None = None) -> Facets:
+        """Boundary facets farthest in a direction, within `tolerance` (m; default 1e-6 of a cell).
+        Collective."""
+        n = np.asarray(direction, float)
+        if n.shape != (self.dim,) or not np.linalg.norm(n) > 0:
+            raise InputError(f"direction = {direction!r}: {self.dim} numbers, not all zero")
+        n = n / np.linalg.norm(n)
+        most = self.comm.allreduce((self.nodes.position @ n).max(initial=-np.inf), op=MPI.MAX)
+        limit = most - (1e-6 * self.cell_size if tolerance is None else tolerance)
+
+        def farthest(x: np.ndarray) -> np.ndarray:
+            return np.asarray(x @ n >= limit)
+
+        return self.facets(farthest)
+
+    def _group(self, name: str, facets: np.ndarray) -> Facets:
+        weights = self._integrals(facets)
+        self.nodes.add_to_owners(weights)
+        area = float(self.comm.allreduce(weights[: self.nodes.owned, 0].sum()))
+        if not area > 0:
+            raise InputError(f"{name}: the group has no facet on the boundary of the mesh")
+        return Facets(name, facets, weights[:, 0].copy(), area, self._nodes_on(facets))
+
+    def _nodes_on(self, facets: np.ndarray) -> np.ndarray:
+        from dolfinx import fem
+
+        mask = np.zeros((len(self.nodes), self.layout.block))
+        mask[fem.locate_dofs_topological(self.space, self.dim - 1, facets)] = 1.0
+        self.nodes.add_to_owners(mask)
+        self.nodes.update_ghosts(mask)
+        return mask[:, 0] > 0
+
+    def _integrals(self, facets: np.ndarray) -> np.ndarray:
+        """Integrals of the shape functions over facets, in column 0 of (nodes, block); ghosts' part apart."""
+        v = ufl.TestFunction(self.space)
+        form = _compat.compile_form(v[0] * self.surface_measure(facets))
+        return _compat.assemble_vector(form, len(self.nodes)).reshape(-1, self.layout.block)
+
+    def surface_measure(self, facets: np.ndarray) -> Any:
+        """UFL measure of boundary facets."""
+        from dolfinx import mesh as dmesh
+
+        tags = dmesh.meshtags(self.mesh, self.dim - 1, facets, np.ones(len(facets), dtype=np.int32))
+        degree = {"quadrature_degree": self.quadrature_degree}
+        return ufl.Measure("ds", domain=self.mesh, subdomain_data=tags, metadata=degree)(1)
+
+    def region_tags(self) -> Any:
+        """Cell tags of the materials' rows, counted from 1."""
+        from dolfinx import mesh as dmesh
+
+        own, nq = self.body.owned_cells, len(self.reference_points)
+        return dmesh.meshtags(self.mesh, self.dim, own, self.points.material[::nq].astype(np.int32) + 1)
+
+    # results --------------------------------------------------------------------------------------
+    @property
+    def rotation_vector(self) -> np.ndarray:
+        """Microrotation vectors of the nodes (rad), (n, 3); for output only."""
+        return rotations.to_vector(self.q)
+
+    def mean(self, values: np.ndarray, facets: Facets | None = None) -> np.ndarray:
+        """Mean of nodal values (n, ...) over facets, weighted by their area; without facets the plain mean
+        over the nodes. Collective."""
+        own = self.nodes.owned
+        weights = np.ones(len(self.nodes)) if facets is None else facets.weights
+        total = self.comm.allreduce(weights[:own].sum())
+        return np.asarray(self.comm.allreduce(np.tensordot(weights[:own], values[:own], 1)) / total)
+
+    def cell_mean(self, values: np.ndarray) -> np.ndarray:
+        """Means over each own cell (cells, ...), weighted by reference volume, of values at the quadrature
+        points (np, ...)."""
+        shape = len(self.body.owned_cells), len(self.reference_points)
+        weights = self.points.volume0.reshape(shape)
+        weights = weights / weights.sum(axis=1, keepdims=True)
+        values = np.asarray(values)
+        return np.einsum("cq,cq...->c...", weights, values.reshape(*shape, *values.shape[1:]))
+
+    def mean_displacement(self, facets: Facets | None = None) -> np.ndarray:
+        """Mean displacement (m) over facets, shape (d,). Collective."""
+        return self.mean(self.displacement, facets)
+
+
+def _mask(mask: Any, n: int) -> np.ndarray:
+    mask = np.asarray(mask)
+    if mask.shape != (n,) or mask.dtype != bool:
+        raise InputError(f"predicate: returned {mask.dtype} {mask.shape}; a bool for each position is needed")
+    return mask

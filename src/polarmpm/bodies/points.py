@@ -1,0 +1,329 @@
+"""Material points: the state of the body, rank-local, with permanent ids.
+
+Shapes: scalar (np,), vector (np, d), tensor (np, 3, 3), quaternion (np, 4), np points of this rank and d
+the space dimension. Tensors have three rows and columns in plane strain too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..errors import InputError
+from ..kinematics import rotations
+from ..materials.base import Material, check_material
+from ..tools.parallel import Route
+
+# name -> (shape after the point axis; "d" is the space dimension, type)
+FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
+    "id": ((), np.int64),
+    "material": ((), np.int32),
+    "X": (("d",), float),
+    "x": (("d",), float),
+    "F": ((3, 3), float),
+    "q": ((4,), float),
+    "wryness": ((3, 3), float),
+    "volume0": ((), float),
+    "half_length0": (("d",), float),
+}
+
+# what bodies with plastic materials have beside it
+PLASTIC_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
+    "plastic_F": ((3, 3), float),
+    "plastic_wryness": ((3, 3), float),
+    "hardening": ((), float),
+    "dissipation": ((), float),
+}
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A set of points by permanent ids (the same on every rank)."""
+
+    ids: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+class Points:
+    """Material points of one body.
+
+    Attributes:
+        id: permanent ids; of points seeded on the lattice the same for any number of ranks.
+        material: row of `materials`.
+        X, x: initial and current position (m), vector.
+        F: deformation gradient, tensor.
+        q: microrotation, unit quaternion, T (3.166).
+        wryness: Gamma (1/m), tensor.
+        volume0: reference volume (m^3; m^2 per unit thickness in plane strain).
+        half_length0: initial half-lengths of the domains (m), vector.
+        materials: the materials that `material` counts.
+        plastic_F, plastic_wryness: Fp of F = Fe Fp and Gp (1/m) of Gamma = Ge + Gp (T 4.1), tensors; like the
+            following two only in bodies with plastic materials.
+        hardening: accumulated plastic strain chi, scalar.
+        dissipation: plastic dissipation per reference volume so far (Pa), scalar.
+    """
+
+    id: np.ndarray
+    material: np.ndarray
+    X: np.ndarray
+    x: np.ndarray
+    F: np.ndarray
+    q: np.ndarray
+    wryness: np.ndarray
+    volume0: np.ndarray
+    half_length0: np.ndarray
+    plastic_F: np.ndarray
+    plastic_wryness: np.ndarray
+    hardening: np.ndarray
+    dissipation: np.ndarray
+
+    def __init__(
+        self,
+        x: np.ndarray,
+        volume: np.ndarray,
+        half_length: np.ndarray,
+        material: Material,
+        comm: MPI.Comm,
+        first_id: int = 0,
+    ):
+        """Unloaded points at x (n, d) (m) with volumes (n,) and domain half-lengths (n, d); collective."""
+        self.comm, self.dim, n = comm, x.shape[1], len(x)
+        self.materials: tuple[Material, ...] = (check_material(material),)
+        before = comm.exscan(n) or 0
+        self.id = first_id + before + np.arange(n, dtype=np.int64)
+        self.material = np.zeros(n, dtype=np.int32)
+        self.X, self.x = x.copy(), x.copy()
+        self.F = np.tile(np.eye(3), (n, 1, 1))
+        self.q = rotations.identity(n)
+        self.wryness = np.zeros((n, 3, 3))
+        self.volume0, self.half_length0 = volume.copy(), half_length.copy()
+        self._add_history()
+
+    def __len__(self) -> int:
+        """Number of points of this rank."""
+        return len(self.id)
+
+    @property
+    def total(self) -> int:
+        """Number of points of all ranks. Collective."""
+        return self.comm.allreduce(len(self))
+
+    # state --------------------------------------------------------------------------------------
+    @property
+    def displacement(self) -> np.ndarray:
+        """x - X (m), vector."""
+        return self.x - self.X
+
+    @property
+    def rotation_vector(self) -> np.ndarray:
+        """Microrotation vector (rad), (np, 3); for output only, T (3.171)."""
+        return rotations.to_vector(self.q)
+
+    @property
+    def volume(self) -> np.ndarray:
+        """Current volume V0 J (m^3), scalar."""
+        return self.volume0 * rotations.determinant(self.F)
+
+    @property
+    def stretch(self) -> np.ndarray:
+        """Right stretch tensor U = sqrt(F^T F), tensor."""
+        return right_stretch(self.F)
+
+    @property
+    def half_length(self) -> np.ndarray:
+        """Current half-lengths of the domains l_i = U_ii l_i0 (m), T (2.56)-(2.58), vector."""
+        return domain_half_length(self.F, self.half_length0)
+
+    @property
+    def plastic(self) -> bool:
+        """Whether one of the materials can yield."""
+        return any(m.plastic for m in self.materials)
+
+    @property
+    def fields(self) -> dict[str, tuple[tuple[int | str, ...], type]]:
+        """Names of the state's arrays, with their shapes after the point axis and types."""
+        return {**FIELDS, **PLASTIC_FIELDS} if self.plastic else FIELDS
+
+    def history(self, rows: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Fp, Gp and chi of some points; nothing in an elastic body."""
+        if not self.plastic:
+            return ()
+        return self.plastic_F[rows], self.plastic_wryness[rows], self.hardening[rows]
+
+    def put_materials(self, materials: tuple[Material, ...], rows: np.ndarray) -> None:
+        """Give the local points the materials of these rows (np,)."""
+        self.materials, self.material = materials, rows.astype(np.int32)
+        self._add_history()
+
+    def _add_history(self) -> None:
+        """Arrays of plastic materials, where they are needed and missing."""
+        if self.plastic and not hasattr(self, "plastic_F"):
+            n = len(self)
+            self.plastic_F = np.tile(np.eye(3), (n, 1, 1))
+            self.plastic_wryness = np.zeros((n, 3, 3))
+            self.hardening, self.dissipation = np.zeros(n), np.zeros(n)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All state by name, for output and restart; the arrays themselves, not copies."""
+        return {name: getattr(self, name) for name in self.fields}
+
+    def replace(self, arrays: dict[str, np.ndarray]) -> None:
+        """Put in a whole state (restart, migration): every one of `fields`, one row a point."""
+        for name, (shape, kind) in self.fields.items():
+            full = (len(arrays["id"]), *(self.dim if s == "d" else s for s in shape))
+            setattr(self, name, np.ascontiguousarray(arrays[name], dtype=kind).reshape(full))
+
+    def migrate(self, destination: np.ndarray) -> Route:
+        """Move each point, with all its state, to rank `destination[i]`. Collective.
+
+        Returns:
+            The way that they went, for what else is kept for each point.
+        """
+        route = Route(self.comm, destination)
+        self.replace({name: route.forward(a) for name, a in self.arrays().items()})
+        return route
+
+    def join(self, other: Points) -> None:
+        """Add the points of another set (another material, say); their ids follow on. Collective."""
+        if other.dim != self.dim:
+            raise InputError(f"other has {other.dim} dimensions, these points have {self.dim}")
+        first = self.comm.allreduce(int(self.id.max(initial=-1)), op=MPI.MAX) + 1
+        number, mine = len(self.materials), self.materials
+        self.materials = other.materials = mine + other.materials  # both sets know all fields
+        self._add_history()
+        other._add_history()
+        theirs = dict(other.arrays())
+        other.materials = other.materials[number:]
+        theirs["id"] = theirs["id"] + first
+        theirs["material"] = theirs["material"] + number
+        self.replace({name: np.concatenate([a, theirs[name]]) for name, a in self.arrays().items()})
+
+    def assign(self, selection: Selection, material: Material) -> None:
+        """Give points another material, such as a weaker one to a row. Before a problem is made of them;
+        collective.
+
+        Raises:
+            InputError: no material, one with another number of unknowns, or an empty selection.
+        """
+        check_material(material)
+        if not isinstance(selection, Selection):
+            raise InputError(f"selection = {selection!r}: use points.where, farthest or nearest")
+        if len(selection) == 0:
+            raise InputError("selection: contains no point")
+        if material.micropolar != self.materials[0].micropolar:
+            raise InputError("material: micropolar and classical materials can't be mixed in one body")
+        if material not in self.materials:
+            self.materials = (*self.materials, material)
+        self._add_history()
+        self.material = self.material.copy()
+        self.material[self.rows(selection)] = self.materials.index(material)
+
+    # selections ---------------------------------------------------------------------------------
+    def _select(self, mask: np.ndarray) -> Selection:
+        ids = np.concatenate(self.comm.allgather(self.id[mask]))
+        return Selection(np.sort(ids))
+
+    def where(self, predicate: Callable[[np.ndarray], np.ndarray]) -> Selection:
+        """Points whose current position fulfils a predicate of x (n, d) -> (n,) bool. Collective.
+
+        Raises:
+            InputError: the predicate returns something else.
+        """
+        mask = np.asarray(predicate(self.x))
+        if mask.shape != (len(self),) or mask.dtype != bool:
+            raise InputError(
+                f"predicate: returned {mask.dtype} {mask.shape}; a bool for each point is needed"
+            )
+        return self._select(mask)
+
+    def farthest(self, direction: Sequence[float], tolerance: float | None = None) -> Selection:
+        """The plane of points farthest in a direction, within `tolerance` (m). Collective.
+
+        Default tolerance: half of the smallest domain half-length.
+        """
+        n = np.asarray(direction, float)
+        if n.shape != (self.dim,) or not np.linalg.norm(n) > 0:
+            raise InputError(f"direction = {direction!r}: {self.dim} numbers, not all zero")
+        along = self.x @ (n / np.linalg.norm(n))
+        most = self.comm.allreduce(along.max(initial=-np.inf), op=MPI.MAX)
+        if tolerance is None:
+            tolerance = 0.5 * self.comm.allreduce(self.half_length0.min(initial=np.inf), op=MPI.MIN)
+        return self._select(along >= most - tolerance)
+
+    def nearest(self, position: Sequence[float], count: int = 1) -> Selection:
+        """The `count` points nearest to a position (m); ties go to the lower ids. Collective."""
+        x = np.asarray(position, float)
+        if x.shape != (self.dim,):
+            raise InputError(f"position = {position!r}: {self.dim} coordinates are needed")
+        distance = np.linalg.norm(self.x - x, axis=1)
+        order = np.lexsort((self.id, distance))[:count]
+        found = self.comm.allgather((distance[order], self.id[order]))
+        far, ids = (np.concatenate([f[k] for f in found]) for k in (0, 1))
+        return Selection(np.sort(ids[np.lexsort((ids, far))[:count]]))
+
+    def rows(self, selection: Selection | None) -> np.ndarray:
+        """Local rows of a selection's points on this rank (all for None)."""
+        if selection is None:
+            return np.arange(len(self))
+        if len(selection) == 0:
+            return np.zeros(0, dtype=np.int64)
+        at = np.minimum(np.searchsorted(selection.ids, self.id), len(selection) - 1)
+        return np.flatnonzero(selection.ids[at] == self.id)
+
+    def mean(self, values: np.ndarray, selection: Selection | None = None) -> Any:
+        """Plain mean over a selection of values given for the local points (np, ...). Collective."""
+        rows = self.rows(selection)
+        number = self.comm.allreduce(len(rows))
+        if number == 0:
+            raise InputError("selection: contains no point")
+        return self.comm.allreduce(values[rows].sum(axis=0)) / number
+
+    def mean_displacement(self, selection: Selection | None = None) -> np.ndarray:
+        """Mean displacement (m) of a selection, shape (d,). Collective."""
+        return self.mean(self.displacement, selection)
+
+
+def right_stretch(F: np.ndarray) -> np.ndarray:
+    """U = sqrt(F^T F) of deformation gradients (n, 3, 3)."""
+    value, vector = np.linalg.eigh(np.swapaxes(F, 1, 2) @ F)
+    return (vector * np.sqrt(np.maximum(value, 0.0))[:, None, :]) @ np.swapaxes(vector, 1, 2)
+
+
+def domain_half_length(F: np.ndarray, half_length0: np.ndarray) -> np.ndarray:
+    """Half-lengths l_i = U_ii l_i0 (m) of domains, (n, d), T (2.56)-(2.58).
+
+    By the theorem of Cayley and Hamilton U (i1 i2 - i3) = i1 i3 I + (i1^2 - i2) C - C^2 with C = F^T F and
+    U's invariants: an eigenvector is never needed.
+    """
+    C = np.swapaxes(F, 1, 2) @ F
+    stretch = np.sqrt(_eigenvalues(C))
+    i1 = stretch.sum(axis=0)
+    i2 = stretch[0] * stretch[1] + stretch[1] * stretch[2] + stretch[2] * stretch[0]
+    i3 = stretch[0] * stretch[1] * stretch[2]
+    axes = np.arange(half_length0.shape[1])
+    square = np.einsum("nij,nij->ni", C[:, axes], C[:, axes])
+    u = (i1 * i3)[:, None] + (i1**2 - i2)[:, None] * C[:, axes, axes] - square
+    return u / (i1 * i2 - i3)[:, None] * half_length0
+
+
+def _eigenvalues(C: np.ndarray) -> np.ndarray:
+    """Eigenvalues (3, n) of positive semidefinite tensors (n, 3, 3), by the cosine of a third of an angle."""
+    mean = np.trace(C, axis1=1, axis2=2) / 3
+    B = C - mean[:, None, None] * np.eye(3)
+    size = np.sqrt(np.einsum("nij,nij->n", B, B) / 6)
+    B /= np.where(size > 0, size, 1.0)[:, None, None]
+    determinant = (
+        B[:, 0, 0] * (B[:, 1, 1] * B[:, 2, 2] - B[:, 1, 2] ** 2)
+        - B[:, 0, 1] * (B[:, 0, 1] * B[:, 2, 2] - B[:, 1, 2] * B[:, 0, 2])
+        + B[:, 0, 2] * (B[:, 0, 1] * B[:, 1, 2] - B[:, 1, 1] * B[:, 0, 2])
+    )
+    angle = np.arccos(np.clip(determinant / 2, -1.0, 1.0)) / 3
+    third = 2 * np.pi / 3
+    return np.maximum(mean + 2 * size * np.cos([angle, angle + third, angle - third]), 0.0)

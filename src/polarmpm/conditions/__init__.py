@@ -1,0 +1,1 @@
+"""Supports, loads and prescribed motion as functions of the load factor."""

@@ -1,0 +1,110 @@
+"""A grid that is stretched at its resets so that a plane of it follows a platen, T 2.2.4 and 4.5.1.
+
+Nodes move with the body until the grid is reset; a fixed grid then has no plane at a platen's face any more.
+The stretched grid follows from the load factor at the last reset alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError
+from ..geometry.grid import Grid
+from .supports import Amplitude, Plane, PlaneSpec, Support
+
+
+@dataclass(frozen=True)
+class MovingPlane:
+    """A plane of the grid that follows a prescribed displacement along its axis.
+
+    Attributes:
+        support: name of the support that prescribes it.
+        axis, index: the plane's lattice index along its axis.
+        amplitude, component: of the displacement along the axis.
+    """
+
+    support: str
+    axis: int
+    index: int
+    amplitude: Amplitude
+    component: int
+
+    @classmethod
+    def of(cls, spec: PlaneSpec, support: Support) -> MovingPlane:
+        """Check a support on a moving plane.
+
+        Raises:
+            InputError: it doesn't prescribe the displacement along the plane's axis, or not evenly.
+        """
+        component = "u" + "xyz"[spec.axis]
+        if spec.axis not in support.columns:
+            raise InputError(f"{support.name}: moving = True: {component} is to be prescribed on the plane")
+        amplitude, k = support.columns[spec.axis]
+        if amplitude.field:
+            raise InputError(
+                f"{support.name}: moving = True: {component} depends on the position; a number or a function "
+                "of the load factor alone is allowed"
+            )
+        assert isinstance(support.where, Plane)
+        return cls(support.name, spec.axis, support.where.index, amplitude, k)
+
+    def anchor(self, grid: Grid) -> int:
+        """Lattice index of the plane that stays: the lower wall, or the upper one if the lower one moves."""
+        return 0 if self.index else grid.shape[self.axis]
+
+    def displacement(self, factor: float) -> float:
+        """How far the plane has moved (m) since load factor 0."""
+        now, start = (float(self.amplitude.at(f, np.zeros((1, 1)))[0, self.component]) for f in (factor, 0.0))
+        return now - start
+
+    def stretched(self, grid: Grid, factor: float) -> Grid:
+        """The grid whose plane stands where its support has moved it at a load factor.
+
+        Raises:
+            InputError: the plane has passed the wall that stays.
+        """
+        moved = self.displacement(factor)
+        if moved == 0.0:
+            return grid
+        at = grid.origin[self.axis] + self.index * grid.cell[self.axis] + moved
+        try:
+            return grid.stretched(self.axis, self.index, self.anchor(grid), at)
+        except InputError as e:
+            raise InputError(f"{self.support} at load factor {factor:g}: {e}") from None
+
+
+def check(planes: Sequence[MovingPlane], supports: Sequence[Support], grid: Grid) -> None:
+    """Raise InputError for planes that can't be followed together with the other supports."""
+    first: dict[int, MovingPlane] = {}
+    for plane in planes:
+        if first.setdefault(plane.axis, plane) is not plane:
+            raise InputError(
+                f"{plane.support}: moving = True: {first[plane.axis].support} moves the grid along "
+                f"{'xyz'[plane.axis]} already"
+            )
+    for plane in planes:
+        name, anchor = "xyz"[plane.axis], plane.anchor(grid)
+        for support in supports:
+            where = support.where
+            if (
+                isinstance(where, Plane)
+                and where.axis == plane.axis
+                and where.axis in support.columns
+                and where.index not in (plane.index, anchor)
+            ):
+                wall = grid.origin[plane.axis] + anchor * grid.cell[plane.axis]
+                raise InputError(
+                    f"{support.name} prescribes u{name}, but its plane would be shifted: {plane.support} "
+                    f"stretches the grid from its wall {name} = {wall:g}, which is the place for it"
+                )
+
+
+def grid_at(planes: Sequence[MovingPlane], initial: Grid, factor: float) -> Grid:
+    """The grid of a reset at a load factor."""
+    grid = initial
+    for plane in planes:
+        grid = plane.stretched(grid, factor)
+    return grid

@@ -1,0 +1,15 @@
+"""The form of a material: which of the elastic and the plastic one it needs."""
+
+from __future__ import annotations
+
+from ..materials.base import Material
+from .points import PointForm
+
+
+def make_form(material: Material, dim: int) -> PointForm:
+    """The form of an elastic or a plastic material at points in `dim` dimensions."""
+    if not material.plastic:
+        return PointForm(material, dim)
+    from .plastic import PlasticForm  # elastic scenes don't know of it
+
+    return PlasticForm(material, dim)

@@ -1,0 +1,203 @@
+"""The weak form on a mesh, in UFL; dolfinx assembles it.
+
+Unknowns are the nodal increments (Du, Dw) since the last converged state, and the history of that state,
+F~, Q~ and Gamma~, lives in quadrature spaces. On a mesh that moves with its nodes d(.)/dx~ F~ = d(.)/dX holds
+exactly, so that the updated Lagrangian integrals of T (3.145)-(3.146) are taken over the undeformed mesh and
+its geometry never has to be changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import ufl
+
+from ..bodies.elements import Elements, Facets
+from ..kinematics import measures as kin
+from ..materials.base import Material, parameter_values
+from ..tools import compat as _compat
+from .points import Layout, pack_state, state_size, strains, tangent_work, virtual_work
+
+
+def point_unknowns(layout: Layout, x: Any) -> list[Any]:
+    """The scalars z = (dDu/dX, Dw, dDw/dX) of a function x of block size."""
+    d, block, gradient = layout.dim, layout.block, ufl.grad(x)
+    displacement = [gradient[i, j] for i in range(d) for j in range(d)]
+    rotation = [x[i] for i in range(d, block)]
+    return displacement + rotation + [gradient[i, j] for i in range(d, block) for j in range(d)]
+
+
+def _components(f: Any) -> list[Any]:
+    return [f[i] for i in range(len(f))] if f.ufl_shape else [f]
+
+
+class ElementForms:
+    """Residual and tangent of a body's energy as compiled forms.
+
+    Attributes:
+        x: nodal increments.
+        before, correction: what they were before the last correction, and x less that.
+        state: history in a quadrature space, in the order of `pointforms.strains`.
+        total: displacement of the last converged state in the space of the unknowns, for surfaces.
+        symmetric: the tangent is symmetric.
+    """
+
+    symmetric = True
+
+    def __init__(self, elements: Elements):
+        from dolfinx import fem
+
+        self.elements, self.layout = elements, elements.layout
+        self.x, self.total = fem.Function(elements.space), fem.Function(elements.space)
+        self.before, self.correction = fem.Function(elements.space), fem.Function(elements.space)
+        size = state_size(self.layout, rotated=False)
+        space = _compat.quadrature_space(elements.mesh, size, elements.quadrature_degree)
+        self.state = fem.Function(space)
+        own = len(elements.body.owned_cells)
+        self._rows = _compat.cell_dofs(space)[:own].ravel()  # of the quadrature points
+        self._numbers = [fem.Constant(elements.mesh, parameter_values(m)) for m in elements.points.materials]
+        self.test = ufl.TestFunction(elements.space)
+        self.trial = ufl.TrialFunction(elements.space)
+
+    # history --------------------------------------------------------------------------------------
+    def pack(self) -> None:
+        """Write the points' current state into the quadrature function."""
+        p = self.elements.points
+        self.put_at_points(self.state, pack_state(self.layout, p.F, p.wryness, p.q))
+
+    def put_at_points(self, function: Any, values: np.ndarray) -> None:
+        """Set a quadrature function from values (np, c) at the points."""
+        function.x.array.reshape(-1, values.shape[1])[self._rows] = values
+
+    def start_elastic(self, on: bool) -> bool:
+        """See `system.NodalSystem`."""
+        return False
+
+    def flow(self, base: np.ndarray) -> None:
+        """Put plastic flow into the points' history; there is none here."""
+
+    def update(self, tangent: bool) -> None:
+        """Make ready for the assembly at the present unknowns; forms that hold the law need nothing."""
+
+    # forms ----------------------------------------------------------------------------------------
+    def _measures(self) -> list[Any]:
+        """Volume measure of each material."""
+        e = self.elements
+        degree = {"quadrature_degree": e.quadrature_degree, "quadrature_rule": "default"}
+        if len(e.points.materials) == 1:
+            return [ufl.Measure("dx", domain=e.mesh, metadata=degree)]
+        dx = ufl.Measure("dx", domain=e.mesh, subdomain_data=e.region_tags(), metadata=degree)
+        return [dx(row + 1) for row in range(len(e.points.materials))]
+
+    def _laws(self) -> Iterator[tuple[Material, Any, Any]]:
+        """Each material with its parameters and its part of the volume."""
+        return zip(self.elements.points.materials, self._numbers, self._measures(), strict=True)
+
+    def _strains(self, material: Material, x: Any) -> tuple[Any, ...]:
+        return strains(material, self.layout, point_unknowns(self.layout, x), self.state, rotated=False)
+
+    @cached_property
+    def residual_form(self) -> ufl.Form:
+        """Virtual work of the stresses, T (3.145)-(3.146)."""
+        return sum(
+            virtual_work(m, self._strains(m, self.x), self.x, self.test, numbers) * dx
+            for m, numbers, dx in self._laws()
+        )
+
+    @cached_property
+    def tangent_form(self) -> ufl.Form:
+        """The iterations' tangent, see `pointforms.tangent_work`; symmetric, being a Hessian."""
+        form = 0
+        for m, numbers, dx in self._laws():
+            at = [self._strains(m, x) for x in (self.x, self.before)]
+            unknowns = self.x, self.before, self.correction
+            form += tangent_work(m, at, unknowns, (self.test, self.trial), numbers) * dx
+        return form
+
+    @cached_property
+    def residual(self) -> Any:
+        return _compat.compile_form(self.residual_form)
+
+    @cached_property
+    def tangent(self) -> Any:
+        return _compat.compile_form(self.tangent_form)
+
+    @cached_property
+    def point_values(self) -> _compat.Evaluator:
+        """(Du, Dw) and their gradients with respect to X at the quadrature points."""
+        gradient = ufl.grad(self.x)
+        d, block = self.layout.dim, self.layout.block
+        values = [self.x[i] for i in range(block)] + [gradient[i, j] for i in range(block) for j in range(d)]
+        return _compat.Evaluator(self.elements.mesh, ufl.as_vector(values), self.elements.reference_points)
+
+    # loads ----------------------------------------------------------------------------------------
+    def body_work(self, density: Any) -> Any:
+        """Virtual work of forces and couples per reference volume (a quadrature function of block size)."""
+        degree = {"quadrature_degree": self.elements.quadrature_degree, "quadrature_rule": "default"}
+        dx = ufl.Measure("dx", domain=self.elements.mesh, metadata=degree)
+        return self._work([density[i] for i in range(self.layout.block)]) * dx
+
+    def _work(self, load: list[Any]) -> Any:
+        """f . dv + m . (spin): couples in space do work on the spin J_l(Dw) d(Dw) (docs/theory.md)."""
+        d, r = self.layout.dim, self.layout.rotations
+        work = sum(load[i] * self.test[i] for i in range(d))
+        if r == 1:
+            work += load[d] * self.test[d]
+        elif r == 3:
+            work += ufl.dot(ufl.as_vector(load[d:]), self._spin())
+        return work
+
+    def _spin(self) -> Any:
+        w, dw = (ufl.as_vector([f[i] for i in range(3, 6)]) for f in (self.x, self.test))
+        return ufl.dot(kin.left_tangent(w), dw)
+
+    def traction_work(self, facets: Facets, load: Any, couple: bool, follows: bool) -> Any:
+        """Virtual work of a traction or couple traction.
+
+        Args:
+            load: function of d or r components per undeformed area; with `follows` per current area, its
+                components measured on the undeformed body: the part along the normal follows the normal,
+                the part in the surface is convected with it, its size kept.
+        """
+        ds, values = self.elements.surface_measure(facets.facets), _components(load)
+        if follows:
+            values = _components(self._convected(ufl.as_vector(values)))
+        if couple:
+            return self._work([0.0] * self.layout.dim + values) * ds
+        return sum(f * self.test[i] for i, f in enumerate(values)) * ds
+
+    def pressure_work(self, facets: Facets, pressure: Any) -> Any:
+        """Virtual work of a pressure (a scalar function) against the current normal."""
+        area = ufl.dot(self._cofactor(), ufl.FacetNormal(self.elements.mesh))
+        force = [-pressure * area[i] for i in range(self.layout.dim)]
+        ds = self.elements.surface_measure(facets.facets)
+        return sum(f * self.test[i] for i, f in enumerate(force)) * ds
+
+    def _deformation(self) -> Any:
+        """F on surfaces, from the total displacement."""
+        d = self.layout.dim
+        g0, g = ufl.grad(self.total), ufl.grad(self.x)
+        gradient = ufl.as_tensor([[g0[i, j] + g[i, j] for j in range(d)] for i in range(d)])
+        return ufl.Identity(d) + gradient
+
+    def _cofactor(self) -> Any:
+        """cof F: cof F N dA = n da."""
+        f = self._deformation()
+        return ufl.det(f) * ufl.transpose(ufl.inv(f))
+
+    def _convected(self, load: Any) -> Any:
+        normal = ufl.FacetNormal(self.elements.mesh)
+        if len(load) == 1:  # a couple about the axis of the plane: only the area changes
+            area = ufl.dot(self._cofactor(), normal)
+            return load * ufl.sqrt(ufl.dot(area, area))
+        area = ufl.dot(self._cofactor(), normal)
+        along = ufl.dot(load, normal)
+        inside = load - along * normal
+        turned = ufl.dot(self._deformation(), inside)
+        # size of the part in the surface over its convected length; without that part nothing is divided by 0
+        tiny = 1e-60
+        stretch = ufl.sqrt((ufl.dot(inside, inside) + tiny) / (ufl.dot(turned, turned) + tiny))
+        return along * area + ufl.sqrt(ufl.dot(area, area)) * stretch * turned

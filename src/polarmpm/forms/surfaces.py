@@ -1,0 +1,170 @@
+"""The weak form at a point of a surface: UFL in, compiled residual and tangent out.
+
+The unknown of a point is y = (u, w, G): the increments of displacement and rotation vector since the last
+reset (rotations: since their last base) and the displacement's gradient G = du/dx~. Everything is per
+undeformed area.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpi4py import MPI
+
+import ufl
+
+from ..kernels import codegen, jit
+from ..kernels.codegen import Scalariser
+from ..kinematics import measures as kin
+from ..tools import compat as _compat
+from . import points as pointforms
+from .points import Kernel, Layout
+
+
+class SurfaceForm:
+    """Virtual work of a surface point and its derivative by y, as UFL forms and compiled.
+
+    Attributes:
+        size: length of y.
+        data: numbers of each of the form's coefficients.
+        symmetric: the derivative is symmetric.
+    """
+
+    data: tuple[int, ...]
+    symmetric = True
+
+    def __init__(self, layout: Layout, *data: int):
+        self.layout, self.data = layout, data
+        self.space = pointforms.PointSpace(_compat.point_domain())
+        self.size = layout.block + layout.dim**2
+        self.y = self.space.coefficient(self.size)
+        self.coefficients = [self.space.coefficient(n) for n in data]
+        space = self.space.function_space(self.size)
+        self.test, self._trial = ufl.TestFunction(space), ufl.TrialFunction(space)
+        self.residual = self.virtual_work() * ufl.dx(domain=self.space.domain, degree=1)
+        self.tangent = ufl.derivative(self.residual, self.y, self._trial)
+
+    def virtual_work(self) -> Any:
+        """Residual: what the point adds to the internal virtual work, a UFL scalar linear in `test`."""
+        raise NotImplementedError
+
+    # parts of y -------------------------------------------------------------------------------------
+    def _value(self, y: Any) -> Any:
+        return ufl.as_vector([y[i] for i in range(self.layout.block)])
+
+    def _displacement(self, y: Any) -> Any:
+        return ufl.as_vector([y[i] for i in range(self.layout.dim)])
+
+    def _rotation(self, y: Any) -> Any:
+        d, r = self.layout.dim, self.layout.rotations
+        return ufl.as_vector([y[d + i] for i in range(r)])
+
+    def _tensor(self, c: Any, start: int = 0) -> Any:
+        d = self.layout.dim
+        return ufl.as_tensor([[c[start + d * i + j] for j in range(d)] for i in range(d)])
+
+    # code -------------------------------------------------------------------------------------------
+    def _terminals(self) -> dict[Any, int]:
+        slots, at = {self.y: 0}, self.size
+        for c, n in zip(self.coefficients, self.data, strict=True):
+            slots[c] = at
+            at += n
+        return slots
+
+    def _source(self) -> str:
+        scalarise, n = Scalariser(self._terminals()), self.size
+        zero = scalarise.graph.zero
+        nodes = self._entries(scalarise, self.residual, (n,)) + (
+            [zero] * n**2 if self.tangent.empty() else self._entries(scalarise, self.tangent, (n, n))
+        )
+        return codegen.write_c(scalarise.graph, {"surface": nodes})
+
+    def _entries(self, scalarise: Scalariser, form: Any, shape: tuple[int, ...]) -> list[int]:
+        scalar = scalarise.scalar(codegen.expand(codegen.integrand(form)))
+        return codegen.coefficients(scalar, shape, scalarise.graph.zero)
+
+    def compile(self, comm: MPI.Comm) -> Kernel:
+        """Kernel (y, data...) -> residual (size) and tangent (size x size). Collective."""
+        order = {c: i for i, c in enumerate(self._terminals())}
+        signature = _compat.expression_signature(
+            codegen.integrand(self.residual), {**order, self.space.domain: 0}
+        )
+        key = jit.digest(pointforms.generator_version(), "surface", f"{self.layout}", signature)
+        lib = jit.library(key, self._source, comm)
+        return Kernel(lib, "surface", self.size + sum(self.data), self.size + self.size**2)
+
+
+class DeadTraction(SurfaceForm):
+    """A force (N/m^2) and a couple (N/m) that keep their directions: -f . du - m . J_l(w) dw.
+
+    In space couples do work on the spin (see `pointforms.CoupleForm`), which makes the tangent unsymmetric.
+    """
+
+    def __init__(self, layout: Layout, couples: bool):
+        self.couples = couples
+        self.symmetric = not couples or layout.rotations != 3
+        super().__init__(layout, layout.dim, *([layout.rotations] if couples else []))
+
+    def virtual_work(self) -> Any:
+        force, *couple = self.coefficients
+        d, r = self.layout.dim, self.layout.rotations
+        work = -sum(force[i] * self.test[i] for i in range(d))
+        if not self.couples:
+            return work
+        m, spin = ufl.as_vector([couple[0][i] for i in range(r)]), self._rotation(self.test)
+        if r == 3:
+            spin = ufl.dot(kin.left_tangent(self._rotation(self.y)), spin)
+        return work - ufl.dot(m, spin)
+
+
+class FollowerPressure(SurfaceForm):
+    """A pressure p (Pa) on the current surface, p cof(F) N . du with F = (I + G) F~.
+
+    Data: p, F~ row by row, N. In plane strain the stretch across the plane is one.
+    """
+
+    symmetric = False
+
+    def __init__(self, layout: Layout):
+        super().__init__(layout, 1, layout.dim**2, layout.dim)
+
+    def virtual_work(self) -> Any:
+        p, before, n = self.coefficients
+        d = self.layout.dim
+        f = ufl.dot(ufl.Identity(d) + self._tensor(self.y, self.layout.block), self._tensor(before))
+        normal = ufl.as_vector([n[i] for i in range(d)])
+        area = ufl.dot(_cofactor(f, d), normal)
+        return p[0] * ufl.dot(area, self._displacement(self.test))
+
+
+def _cofactor(f: Any, d: int) -> Any:
+    """cof F, without a division."""
+    if d == 2:
+        return ufl.as_tensor([[f[1, 1], -f[1, 0]], [-f[0, 1], f[0, 0]]])
+    following = (1, 2, 0)
+
+    def minor(i: int, j: int) -> Any:
+        a, b, c, e = following[i], following[following[i]], following[j], following[following[j]]
+        return f[a, c] * f[b, e] - f[a, e] * f[b, c]
+
+    return ufl.as_tensor([[minor(i, j) for j in range(3)] for i in range(3)])
+
+
+class Penalty(SurfaceForm):
+    """Springs towards given values, with a given force: the derivative of 1/2 g . P g + l . g, g = (u, w) -
+    t.
+
+    Data: P row by row, t, l.
+    """
+
+    def __init__(self, layout: Layout):
+        b = layout.block
+        super().__init__(layout, b * b, b, b)
+
+    def virtual_work(self) -> Any:
+        p, t, force = self.coefficients
+        b = self.layout.block
+        g = [self.y[i] - t[i] for i in range(b)]
+        energy = sum(0.5 * g[i] * p[b * i + j] * g[j] for i in range(b) for j in range(b))
+        energy += sum(force[i] * g[i] for i in range(b))
+        return ufl.derivative(energy, self.y, self.test)

@@ -1,0 +1,1 @@
+"""The lattice, its cells and active nodes; meshes, planes and surfaces."""

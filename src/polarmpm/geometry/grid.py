@@ -1,0 +1,154 @@
+"""The background grid: a Cartesian lattice of box cells.
+
+The lattice is only arithmetic: cells and nodes exist as integer triples (pairs in plane strain), so empty
+space costs nothing. `cellmesh` presents the cells that matter as a dolfinx mesh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..errors import InputError
+
+# Lattice nodes outside the box that points' domains may reach: they belong to walls ("at and beyond").
+MARGIN = 4
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Box-shaped lattice; build it with `Grid.box`.
+
+    Attributes:
+        origin: lower corner (m), shape (d,).
+        cell: cell sizes (m), shape (d,).
+        shape: number of cells in each direction.
+        comm: MPI communicator of all that lives on the grid.
+    """
+
+    origin: tuple[float, ...]
+    cell: tuple[float, ...]
+    shape: tuple[int, ...]
+    comm: MPI.Comm = field(default_factory=lambda: MPI.COMM_WORLD)
+
+    @classmethod
+    def box(
+        cls,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        cell: float | Sequence[float],
+        comm: MPI.Comm = MPI.COMM_WORLD,
+    ) -> Grid:
+        """Lattice of the box from `lower` to `upper` (m) with cells of size `cell` (m; one or for each axis).
+
+        Raises:
+            InputError: not two or three coordinates, an empty box, or a cell that does not divide it.
+        """
+        lo, up = np.asarray(lower, float), np.asarray(upper, float)
+        if lo.shape not in ((2,), (3,)) or up.shape != lo.shape:
+            raise InputError(f"lower = {lower!r}, upper = {upper!r}: two or three coordinates each")
+        h = np.asarray(cell, float)
+        if h.shape not in ((), lo.shape) or not np.all(np.isfinite(h)) or np.any(h <= 0):
+            raise InputError(f"cell = {cell!r}: one positive size, or one for each of {lo.size} axes")
+        h = np.broadcast_to(h, lo.shape)
+        if not np.all(np.isfinite(lo) & np.isfinite(up)) or np.any(up <= lo):
+            raise InputError(f"upper = {upper!r} must exceed lower = {lower!r} in every direction")
+        number = (up - lo) / h
+        whole = np.rint(number)
+        for axis in range(lo.size):
+            if whole[axis] < 1 or abs(number[axis] - whole[axis]) > 1e-8 * max(1.0, whole[axis]):
+                raise InputError(
+                    f"cell = {h[axis]:g} does not divide the box along {'xyz'[axis]}: "
+                    f"{up[axis] - lo[axis]:g} / {h[axis]:g} = {number[axis]:g}; whole numbers are allowed"
+                )
+        if np.prod(whole + 2.0 * MARGIN + 1.0) > 2.0**62:
+            raise InputError(f"cell = {cell!r}: the lattice has more than 2^62 nodes")
+        return cls(
+            tuple(map(float, lo)),
+            tuple(float(x) for x in (up - lo) / whole),
+            tuple(int(n) for n in whole),
+            comm,
+        )
+
+    @property
+    def dim(self) -> int:
+        return len(self.shape)
+
+    @property
+    def upper(self) -> tuple[float, ...]:
+        """Upper corner (m)."""
+        return tuple(o + n * h for o, n, h in zip(self.origin, self.shape, self.cell, strict=True))
+
+    def stretched(self, axis: int, index: int, anchor: int, at: float) -> Grid:
+        """This lattice stretched evenly along an axis, its plane `anchor` staying and its plane `index` at
+        the coordinate `at` (m).
+
+        Raises:
+            InputError: the plane would lie on the one that stays, or beyond it.
+        """
+        stays = self.origin[axis] + anchor * self.cell[axis]
+        cell = (at - stays) / (index - anchor)
+        if not cell > 1e-6 * self.cell[axis]:
+            raise InputError(f"plane {'xyz'[axis]} = {at:g} has reached the wall {stays:g} of the grid")
+        origin = self.origin[axis] if anchor == 0 else stays - anchor * cell
+
+        def changed(values: tuple[float, ...], value: float) -> tuple[float, ...]:
+            return (*values[:axis], value, *values[axis + 1 :])
+
+        return replace(self, origin=changed(self.origin, origin), cell=changed(self.cell, cell))
+
+    # lattice ------------------------------------------------------------------------------------
+    @property
+    def _sides(self) -> np.ndarray:
+        return np.array([n + 1 + 2 * MARGIN for n in self.shape], dtype=np.int64)
+
+    @property
+    def strides(self) -> np.ndarray:
+        """Step of the node number for one cell in each direction; the last axis runs fastest."""
+        sides = self._sides
+        return np.array([int(np.prod(sides[i + 1 :])) for i in range(self.dim)], dtype=np.int64)
+
+    def node_number(self, index: np.ndarray) -> np.ndarray:
+        """Lattice number of nodes (n, d), counted from the origin; MARGIN nodes beyond each wall exist."""
+        return (np.asarray(index, dtype=np.int64) + MARGIN) @ self.strides
+
+    def node_index(self, number: np.ndarray) -> np.ndarray:
+        """Inverse of `node_number`: (n,) -> (n, d)."""
+        rest, out = np.asarray(number, dtype=np.int64), []
+        for stride in self.strides:
+            out.append(rest // stride - MARGIN)
+            rest = rest % stride
+        return np.stack(out, axis=-1)
+
+    def node_position(self, number: np.ndarray) -> np.ndarray:
+        """Coordinates (m) of nodes, (n, d)."""
+        return np.array(self.origin) + self.node_index(number) * np.array(self.cell)
+
+    def local(self, x: np.ndarray) -> np.ndarray:
+        """Coordinates in cells from the origin, (n, d)."""
+        return (x - np.array(self.origin)) / np.array(self.cell)
+
+    def inside(self, x: np.ndarray) -> np.ndarray:
+        """Which points (n, d) lie in the box, its boundary included."""
+        xi = self.local(x)
+        slack = 1e-9
+        return np.all((xi >= -slack) & (xi <= np.array(self.shape) + slack), axis=1)
+
+    def cell_number(self, index: np.ndarray) -> np.ndarray:
+        """Lattice number of cells (n, d): the number of their lowest node."""
+        return self.node_number(index)
+
+    def cells_of(self, x: np.ndarray) -> np.ndarray:
+        """Lattice index (n, d) of the cell that contains each point; the upper cell on an inner face."""
+        snapped = snap(self.local(x))
+        return np.clip(np.floor(snapped).astype(np.int64), 0, np.array(self.shape) - 1)
+
+
+def snap(xi: np.ndarray, tolerance: float = 1e-8) -> np.ndarray:
+    """Put lattice coordinates that are within rounding of a grid plane exactly on it."""
+    near = np.rint(xi)
+    return np.where(np.abs(xi - near) < tolerance, near, xi)

@@ -1,0 +1,340 @@
+"""Figures of material points, meshes and load-displacement curves, on matplotlib.
+
+Bodies are gathered on rank 0, where the axes are returned; other ranks get None. No display is needed.
+matplotlib takes a second to start and is imported with the first figure.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..bodies.elements import Elements
+from ..bodies.points import Points
+from ..errors import InputError
+from ..io.files import check_output
+from ..io.paraview import box_corners
+from ..tools.parallel import collectively
+from . import drawing
+from .meshfaces import Faces, gather_faces
+
+_MOST_FACES = 60_000
+# corners of a box's faces, the first axis running fastest; lower and upper face of each axis
+_FACES = {
+    2: [[0, 2], [1, 3], [0, 1], [2, 3]],
+    3: [[0, 2, 6, 4], [1, 3, 7, 5], [0, 1, 5, 4], [2, 3, 7, 6], [0, 1, 3, 2], [4, 5, 7, 6]],
+}
+
+
+def gather(comm: MPI.Comm, values: np.ndarray) -> np.ndarray | None:
+    """Rows of all ranks, on rank 0; None elsewhere. Collective."""
+    parts = comm.gather(values)
+    return None if parts is None else np.concatenate(parts)
+
+
+def subplots(
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    figsize: tuple[float, float] | None = None,
+    solid: Sequence[int] = (),
+    **options: Any,
+) -> tuple[Any, Any]:
+    """A figure and its axes, as of `pyplot.subplots`, on every rank; no display is needed.
+
+    Args:
+        figsize: width and height (inches).
+        solid: axes, counted row by row from 0, that are three-dimensional.
+        **options: of `Figure.subplots`, without `solid`.
+    """
+    from matplotlib.figure import Figure  # not pyplot: no display, no global state
+
+    figure = Figure(figsize or (6.0 * columns, 4.2 * rows), constrained_layout=True)
+    if not solid:
+        return figure, figure.subplots(rows, columns, **options)
+    kind = {True: "3d", False: None}
+    axes = [
+        figure.add_subplot(rows, columns, k + 1, projection=kind[k in solid]) for k in range(rows * columns)
+    ]
+    return figure, np.array(axes, dtype=object).reshape((rows, columns) if min(rows, columns) > 1 else -1)
+
+
+def plot_points(
+    points: Points,
+    values: np.ndarray | None = None,
+    ax: Any = None,
+    *,
+    label: str | None = "",
+    limits: tuple[float, float] | None = None,
+    cmap: str = "viridis",
+    undeformed: bool = True,
+    domains: bool = False,
+    length: tuple[float, str] = (1.0, "m"),
+    view: tuple[float, float] = (22.0, -60.0),
+) -> Any:
+    """Draw points as patches coloured by a value, over the undeformed body in grey. Collective.
+
+    In three dimensions the body's outer faces are drawn; beyond 60 000 of them, the points' centres.
+
+    Args:
+        values: of the local points (np,); None colours all alike.
+        ax: axes to draw into (of rank 0; with projection "3d" in three dimensions); None makes a figure.
+        label: of the colour bar, with unit: "displacement (m)"; None leaves the bar out.
+        limits: of the colours; default: the values' range.
+        domains: draw the weighting functions' domains, boxes along the axes, instead of the initial boxes
+            as F deforms them.
+        length: factor from metres to the axes' unit, and the unit: (1e3, "mm").
+        view: elevation and azimuth of the camera (degrees), in three dimensions.
+
+    Returns:
+        The matplotlib axes on rank 0 (`ax.figure` is the figure), None elsewhere.
+
+    Raises:
+        InputError: not one value for each local point; on every rank alike.
+    """
+    error = None
+    if values is not None and np.shape(values) != (len(points),):
+        error = InputError(f"values: have the shape {np.shape(values)}, {len(points)} numbers are needed")
+    collectively(points.comm, error)
+    now = _boxes(points.x, points.F, points.half_length if domains else points.half_length0, domains)
+    X, half, corners = (gather(points.comm, length[0] * a) for a in (points.X, points.half_length0, now))
+    colour = None if values is None else gather(points.comm, np.asarray(values, float))
+    if X is None or half is None or corners is None:
+        return None
+    body = _Body(X, half, corners, colour)
+    mappable = drawing.colours(body.values, cmap, limits)
+    if points.dim == 2:
+        ax = ax or drawing.new_axes(body.span)
+        _draw_flat(ax, body, undeformed, mappable)
+    else:
+        ax = ax or drawing.new_axes(body.span, projection="3d")
+        _draw_solid(ax, body, undeformed, mappable, view)
+    drawing.name_axes(ax, points.dim, length[1])
+    if mappable is not None and label is not None:
+        drawing.colour_bar(ax, mappable, label, points.dim)
+    return ax
+
+
+def plot_mesh(
+    elements: Elements,
+    values: np.ndarray | None = None,
+    ax: Any = None,
+    *,
+    at: str = "nodes",
+    label: str | None = "",
+    limits: tuple[float, float] | None = None,
+    cmap: str = "viridis",
+    undeformed: bool = True,
+    edges: bool = True,
+    length: tuple[float, str] = (1.0, "m"),
+    view: tuple[float, float] = (22.0, -60.0),
+) -> Any:
+    """Draw the deformed mesh coloured by a value, over the undeformed body in grey. Collective.
+
+    Nodal values are interpolated in the plane; in three dimensions each outer face shows their mean. Edges
+    of degree 2 are drawn through their nodes.
+
+    Args:
+        values: numbers (n,); None colours all alike.
+        at: where the values are: at the local "nodes", on this rank's own "cells", or at its quadrature
+            "points", of which each cell shows the mean.
+        edges: draw the elements' edges.
+
+    The other arguments are those of `plot_points`.
+
+    Returns:
+        The matplotlib axes on rank 0 (`ax.figure` is the figure), None elsewhere.
+
+    Raises:
+        InputError: not one value for each local node, cell or point; on every rank alike.
+    """
+    counts = {
+        "nodes": len(elements.nodes),
+        "cells": len(elements.body.owned_cells),
+        "points": len(elements.points),
+    }
+    if at not in counts:
+        raise InputError(f"at = {at!r}: allowed are {', '.join(counts)}")
+    colour = None if values is None else np.asarray(values, float)
+    error = None
+    if colour is not None and colour.shape != (counts[at],):
+        error = InputError(f"values: have the shape {colour.shape}, {counts[at]} numbers are needed at {at}")
+    collectively(elements.comm, error)
+    if colour is not None and at == "points":
+        colour = elements.cell_mean(colour)
+    faces = gather_faces(elements, colour, at == "nodes")
+    if faces is None:
+        return None
+    faces.scale(length[0])
+    mappable = drawing.colours(faces.values if faces.of_nodes is None else faces.of_nodes, cmap, limits)
+    if elements.dim == 2:
+        ax = ax or drawing.new_axes(faces.span)
+        _draw_flat_mesh(ax, faces, undeformed, edges, mappable)
+    else:
+        ax = ax or drawing.new_axes(faces.span, projection="3d")
+        if undeformed:
+            drawing.solid_ghost(ax, faces.before, faces.outward, view)
+        fill = drawing.rgba(mappable, faces.values, len(faces.now))
+        drawing.solid_faces(ax, faces.now, fill, edges)
+        drawn = [faces.now, faces.before] if undeformed else [faces.now]
+        drawing.finish_solid(ax, [a.reshape(-1, 3) for a in drawn], view)
+    drawing.name_axes(ax, elements.dim, length[1])
+    if mappable is not None and label is not None:
+        drawing.colour_bar(ax, mappable, label, elements.dim)
+    return ax
+
+
+def load_displacement(
+    curves: Mapping[str, tuple[Any, Any]],
+    ax: Any = None,
+    *,
+    reference: Mapping[str, tuple[Any, Any]] | None = None,
+    xlabel: str = "displacement (m)",
+    ylabel: str = "load factor (-)",
+    comm: MPI.Comm = MPI.COMM_WORLD,
+) -> Any:
+    """Lines of load over displacement.
+
+    Args:
+        curves: displacements and loads (n,) by label; a label that starts with "_" stays out of the legend.
+        ax: axes to draw into; None makes a figure.
+        reference: other sources' curves, drawn as black marks.
+        xlabel, ylabel: with units.
+
+    Returns:
+        The matplotlib axes on rank 0, None elsewhere.
+    """
+    if comm.rank:
+        return None
+    ax = ax or drawing.new_axes(None)
+    marks = "osD^v<>"
+    for k, (name, (x, y)) in enumerate(curves.items()):
+        ax.plot(x, y, "-", marker=marks[k % len(marks)], markersize=4, linewidth=1.5, label=name)
+    for k, (name, (x, y)) in enumerate((reference or {}).items()):
+        # the marks go around once more, so that they differ from those of the lines
+        style = {"marker": "x+*1234"[k % 7], "markersize": 7, "markeredgewidth": 1.4}
+        ax.plot(x, y, color="black", linestyle="none", label=name, zorder=3, **style)
+    ax.set_xlabel(xlabel)
+    ax.set_ylabel(ylabel)
+    ax.grid(color="0.88", linewidth=0.8)
+    ax.set_axisbelow(True)
+    if ax.get_legend_handles_labels()[1]:
+        ax.legend(frameon=False)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+    return ax
+
+
+def save(
+    figure: Any, path: str | os.PathLike[str], *, dpi: float = 160, comm: MPI.Comm = MPI.COMM_WORLD
+) -> None:
+    """Write a figure (or the figure of axes) of rank 0 to a .png, .pdf or .svg file. Collective.
+
+    Raises:
+        InputError: the file can't be written, or its kind is unknown; on every rank alike.
+    """
+    file = check_output(comm, path)
+    error: Exception | None = None
+    if comm.rank == 0:
+        try:
+            whole = figure.figure
+            # axes in three dimensions forget the label of z when they tell their size
+            extra = [ax.zaxis.label for ax in whole.axes if hasattr(ax, "zaxis")]
+            extra += whole.get_default_bbox_extra_artists()
+            whole.savefig(file, dpi=dpi, bbox_inches="tight", pad_inches=0.15, bbox_extra_artists=extra)
+        except (OSError, ValueError) as e:
+            error = InputError(f"path = {str(file)!r} can't be written: {e}")
+    collectively(comm, error)
+
+
+# geometry -----------------------------------------------------------------------------------------
+def _boxes(x: np.ndarray, F: np.ndarray, half_length: np.ndarray, straight: bool) -> np.ndarray:
+    """Corners (np, 2^d, d) of the points' boxes, deformed by F unless they are straight."""
+    edges = box_corners(np.zeros_like(x), half_length)
+    if not straight:
+        d = x.shape[1]
+        edges = np.einsum("pij,pkj->pki", F[:, :d, :d], edges)
+    return x[:, None] + edges
+
+
+class _Body:
+    """All points' boxes: undeformed centres and half-lengths, current corners, values."""
+
+    def __init__(self, X: np.ndarray, half: np.ndarray, corners: np.ndarray, values: np.ndarray | None):
+        self.X, self.half, self.corners, self.values = X, half, corners, values
+        self.initial = box_corners(X, half)
+        self.dim = X.shape[1]
+
+    @property
+    def span(self) -> np.ndarray:
+        """Size of the space that both states take."""
+        both = np.concatenate([self.initial, self.corners]).reshape(-1, self.dim)
+        return np.ptp(both, axis=0)
+
+    def outer_faces(self) -> tuple[np.ndarray, np.ndarray]:
+        """Point and number of the faces that no other undeformed box has.
+
+        On a uniform lattice that is the body's surface; boxes of other layouts overlap and keep all faces.
+        """
+        faces = _FACES[self.dim]
+        centre = np.stack([self.initial[:, f].mean(axis=1) for f in faces], axis=1).reshape(-1, self.dim)
+        # on a uniform lattice these are whole numbers up to rounding
+        key = np.rint((centre - self.X[0]) / self.half.min(axis=0)).astype(np.int64)
+        _, inverse, count = np.unique(key, axis=0, return_inverse=True, return_counts=True)
+        alone = np.flatnonzero(count[inverse.ravel()] == 1)
+        return alone // len(faces), alone % len(faces)
+
+
+# drawing ------------------------------------------------------------------------------------------
+def _draw_flat(ax: Any, body: _Body, undeformed: bool, mappable: Any) -> None:
+    ring = [0, 1, 3, 2]
+    if undeformed:
+        drawing.flat_ghost(ax, body.initial[:, ring])
+    fill = drawing.PLAIN if mappable is None else mappable.to_rgba(body.values)
+    drawing.flat_patches(ax, body.corners[:, ring], fill)
+    drawing.finish_flat(ax)
+
+
+def _draw_flat_mesh(ax: Any, faces: Faces, undeformed: bool, edges: bool, mappable: Any) -> None:
+    if undeformed:
+        drawing.flat_ghost(ax, faces.before)
+    if faces.of_nodes is not None and faces.middle is not None:
+        # triangles around the middle of each cell
+        n, k = faces.now.shape[:2]
+        first, corner = (k + 1) * np.arange(n)[:, None], np.arange(k)
+        table = np.stack(np.broadcast_arrays(first + corner, first + np.roll(corner, -1), first + k), axis=2)
+        x = np.concatenate([faces.now, faces.middle[:, None]], axis=1).reshape(-1, 2)
+        options = {"cmap": mappable.cmap, "norm": mappable.norm, "zorder": 2}
+        ax.tripcolor(*x.T, table.reshape(-1, 3), faces.of_nodes.ravel(), shading="gouraud", **options)
+    else:
+        fill = drawing.PLAIN if mappable is None else mappable.to_rgba(faces.values)
+        drawing.flat_patches(ax, faces.now, fill)
+    if edges:
+        drawing.flat_edges(ax, faces.now)
+    drawing.finish_flat(ax)
+
+
+def _draw_solid(ax: Any, body: _Body, undeformed: bool, mappable: Any, view: tuple[float, float]) -> None:
+    point, face = body.outer_faces()
+    if len(point) > _MOST_FACES:
+        if undeformed:
+            ax.scatter(*body.X.T, s=0.5, color=drawing.GREY, alpha=0.1, linewidth=0)
+        colour = drawing.PLAIN if mappable is None else mappable.to_rgba(body.values)
+        ax.scatter(*body.corners.mean(axis=1).T, s=1.0, c=colour, linewidth=0)
+    else:
+        corner = np.array(_FACES[3])[face]
+        if undeformed:
+            outward = np.eye(3)[face // 2] * (2.0 * (face % 2) - 1.0)[:, None]
+            drawing.solid_ghost(ax, body.initial[point[:, None], corner], outward, view)
+        fill = drawing.rgba(mappable, body.values, len(body.X))[point]
+        drawing.solid_faces(ax, body.corners[point[:, None], corner], fill)
+    drawn = [body.corners, body.initial] if undeformed else [body.corners]
+    drawing.finish_solid(ax, [a.reshape(-1, 3) for a in drawn], view)
+
+
+__all__ = ["gather", "load_displacement", "plot_mesh", "plot_points", "save", "subplots"]

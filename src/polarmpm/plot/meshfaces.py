@@ -1,0 +1,121 @@
+"""The faces of a mesh that a figure shows: all cells in the plane, the outer faces in space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..bodies.elements import Elements
+
+# shape functions at the middle of a cell in the plane, by its number of nodes
+_MIDDLE = {
+    3: np.full(3, 1 / 3),
+    4: np.full(4, 1 / 4),
+    6: np.repeat([-1 / 9, 4 / 9], 3),
+    9: np.eye(9)[8],
+}
+
+
+@dataclass
+class Faces:
+    """Polygons through the nodes of faces; k nodes go round each of them.
+
+    Attributes:
+        before, now: undeformed and current positions (n, k, d) (m).
+        outward: normals of the undeformed faces in space (n, 3); not of unit length.
+        values: of the faces (n,): means over the nodes, or the cells' values; None without values.
+        middle, of_nodes: in the plane with nodal values: current middle (n, 2), and values at the k nodes and
+            the middle (n, k + 1).
+    """
+
+    before: np.ndarray
+    now: np.ndarray
+    outward: np.ndarray
+    values: np.ndarray | None = None
+    middle: np.ndarray | None = None
+    of_nodes: np.ndarray | None = None
+
+    @property
+    def span(self) -> np.ndarray:
+        """Size of the space that both states take."""
+        both = np.concatenate([self.before, self.now]).reshape(-1, self.now.shape[2])
+        return np.ptp(both, axis=0)
+
+    def scale(self, factor: float) -> None:
+        """Change the unit of length."""
+        self.before, self.now = factor * self.before, factor * self.now
+        self.middle = None if self.middle is None else factor * self.middle
+
+
+def gather_faces(elements: Elements, values: np.ndarray | None, nodal: bool) -> Faces | None:
+    """Faces of all ranks, on rank 0; None elsewhere. Collective.
+
+    Args:
+        values: of the local nodes, or of the own cells.
+    """
+    e = elements
+    cells = e.cell_nodes[: len(e.body.owned_cells)]
+    corners, rings = _rings(e.body.cell, e.degree)
+    cell, face = (a.ravel() for a in np.indices((len(cells), len(rings))))
+    if e.dim == 3:
+        numbers = _global_numbers(e.space, len(e.nodes))[cells]
+        outer = _alone(numbers[cell[:, None], corners[face]])
+        cell, face = cell[outer], face[outer]
+    nodes = cells[cell[:, None], rings[face]]
+    before = e.nodes.position[nodes]
+    data: dict[str, Any] = {"before": before, "now": before + e.displacement[nodes]}
+    data["outward"] = _outward(before, e.nodes.position[cells].mean(axis=1)[cell])
+    if values is not None:
+        data["values"] = values[nodes].mean(axis=1) if nodal else values[cell]
+    if values is not None and nodal and e.dim == 2:
+        shape = _MIDDLE[cells.shape[1]]
+        data["middle"] = np.einsum("k,nkd->nd", shape, (e.nodes.position + e.displacement)[cells])
+        data["of_nodes"] = np.column_stack([values[nodes], values[cells] @ shape])
+    key = _global_numbers(e.space, len(e.nodes))[nodes]
+    parts = e.comm.gather((data, key))
+    if parts is None:
+        return None
+    whole = {name: np.concatenate([part[name] for part, _ in parts]) for name in data}
+    if e.dim == 3:  # faces between two ranks
+        outer = _alone(np.concatenate([key for _, key in parts]))
+        whole = {name: a[outer] for name, a in whole.items()}
+    return Faces(**whole)
+
+
+def _rings(cell: str, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of each face of a cell, or of a cell in the plane itself: corners, and all nodes on its edges as they
+    go round."""
+    import basix
+
+    topology = basix.topology(getattr(basix.CellType, cell))
+    corners = [[face[k] for k in ([0, 1, 3, 2] if len(face) == 4 else [0, 1, 2])] for face in topology[2]]
+    if degree == 1:
+        return np.array(corners), np.array(corners)
+    # of degree 2, the edges' nodes follow the corners
+    middle = {tuple(sorted(edge)): len(topology[0]) + k for k, edge in enumerate(topology[1])}
+    rings = []
+    for face in corners:
+        pairs = zip(face, [*face[1:], face[0]], strict=True)
+        rings.append([node for a, b in pairs for node in (a, middle[min(a, b), max(a, b)])])
+    return np.array(corners), np.array(rings)
+
+
+def _global_numbers(space: Any, count: int) -> np.ndarray:
+    return np.asarray(space.dofmap.index_map.local_to_global(np.arange(count, dtype=np.int32)))
+
+
+def _alone(nodes: np.ndarray) -> np.ndarray:
+    """Rows of faces (n, k) whose nodes, in any order, no other face has."""
+    _, inverse, count = np.unique(np.sort(nodes, axis=1), axis=0, return_inverse=True, return_counts=True)
+    return np.flatnonzero(count[inverse.ravel()] == 1)
+
+
+def _outward(faces: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Area vectors of faces (n, k, 3) that point away from positions inside (n, 3); zeros in the plane."""
+    if faces.shape[2] == 2:
+        return np.zeros((len(faces), 3))
+    normal = np.cross(faces, np.roll(faces, -1, axis=1)).sum(axis=1)
+    away = np.einsum("ni,ni->n", normal, faces.mean(axis=1) - inside)
+    return normal * np.sign(away)[:, None]

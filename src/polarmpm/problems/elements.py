@@ -1,0 +1,294 @@
+"""Quasi-static problems of finite elements: the same problem on a conforming mesh (FEM mode)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import ufl
+
+from ..assembly.elements import ElementSystem
+from ..assembly.interpolation import Increments
+from ..bodies.elements import Elements, Facets
+from ..conditions import supports as conditions
+from ..conditions.supports import Amplitude, PlaneSpec
+from ..errors import InputError
+from ..forms.elements import ElementForms
+from ..kinematics import rotations
+from ..materials.base import warn_of_locking
+from ..solvers.choice import check_solver
+from ..solvers.newton import Controls
+from ..tools import compat as _compat
+from ..tools.parallel import together
+from .base import Problem, Progress
+
+
+def _make_forms(elements: Elements) -> ElementForms:
+    if not elements.points.plastic:
+        return ElementForms(elements)
+    from ..forms.plasticelements import PlasticElementForms  # elastic scenes don't know of it
+
+    return PlasticElementForms(elements)
+
+
+@dataclass
+class SurfaceLoad:
+    """A traction, couple traction or pressure on facets.
+
+    Attributes:
+        amplitude: its values; a total when `share` is 1 / area.
+        kind: "force", "couple" or "pressure".
+        follows: it turns with the surface.
+    """
+
+    facets: Facets
+    amplitude: Amplitude
+    kind: str
+    follows: bool
+    share: float
+    function: Any = None  # its nodal values, made when the system is built
+    rows: Any = None  # the nodes of the facets
+    position: Any = None  # where they are (n, d) (m)
+
+
+@dataclass
+class _Varying:
+    """Compiled forms of loads that depend on the unknowns: virtual work, and minus its derivative."""
+
+    residual: Any
+    tangent: Any
+
+
+class QuasiStaticFEM(Problem):
+    """Equilibrium of a body meshed with finite elements under slowly changing loads. All methods are
+    collective.
+
+    Args:
+        elements: the body.
+        controls: tolerances of Newton's method.
+        solver: as of `QuasiStatic`.
+    """
+
+    def __init__(self, elements: Elements, *, controls: Controls | None = None, solver: str = "auto"):
+        self.solver = check_solver(solver)
+        super().__init__(elements.comm, elements.points, elements.dim, controls)
+        self.elements = elements
+        self.forms = _make_forms(elements)
+        _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
+        if elements.degree == 1 and elements.comm.rank == 0:
+            warn_of_locking(elements.points.materials, "elements of degree 1", "degree 2")
+        self.surface_loads: list[SurfaceLoad] = []
+        self.progress.reset_due = False
+        self._system: ElementSystem | None = None
+        self._last_loads: np.ndarray | None = None  # forces of the last converged state's loads
+        self._body: Any = None  # densities of body loads at the quadrature points
+
+    # conditions -----------------------------------------------------------------------------------
+    def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
+        e = self.elements
+        if isinstance(where, str | int | Facets):
+            facets = e.facets(where)
+            return lambda position: facets.nodes, facets.name
+        if isinstance(where, PlaneSpec):
+            on, name = e.on_plane(where), where.name
+            count = self.comm.allreduce(int(on(e.nodes.position).sum()))
+            if not count:
+                raise InputError(f"plane {name}: no node of the mesh lies on it")
+            return on, name
+        if callable(where):
+            return where, getattr(where, "__name__", "predicate")
+        raise InputError(f"where = {where!r}: facets, a physical group, a plane or a predicate of positions")
+
+    def load(self, facets: Any, *, force: Any = None, couple: Any = None) -> None:
+        """A dead force (N) and couple (N m) in total, spread evenly over facets.
+
+        Args:
+            facets: `elements.facets(...)`, `elements.farthest(...)`, or what `elements.facets` takes.
+            force, couple: as in `fix`: numbers are ramped, functions of the load factor give the value. In
+                plane strain they count per unit thickness, and the couple is one number.
+        """
+        group = self.elements.facets(facets)
+        self._add_surface(group, {"force": force, "couple": couple}, False, 1.0 / group.area, "load")
+
+    def traction(self, facets: Any, *, force: Any = None, couple: Any = None, follows: bool = False) -> None:
+        """A traction (N/m^2) and couple traction (N/m) on facets.
+
+        Dead: per undeformed area, fixed in space. `follows=True`: per current area; the part along the
+        undeformed normal follows the current normal, the part in the surface is convected with it and keeps
+        its size. Values as in `fix`; functions of two arguments get (factor, initial positions (n, d)).
+        """
+        group = self.elements.facets(facets)
+        self._add_surface(group, {"force": force, "couple": couple}, follows, 1.0, "traction")
+
+    def pressure(self, facets: Any, pressure: Any) -> None:
+        """A pressure (Pa) against the current normal of the current surface. Values as in `fix`."""
+        self._add_surface(self.elements.facets(facets), {"pressure": pressure}, True, 1.0, "pressure")
+
+    def _add_surface(
+        self, facets: Facets, values: dict[str, Any], follows: bool, share: float, what: str
+    ) -> None:
+        name = f"{what} {len(self.surface_loads) + 1} ({facets.name})"
+        if all(v is None for v in values.values()):
+            raise InputError(f"{name}: neither force nor couple is given")
+        if values.get("couple") is not None and not self.layout.rotations:
+            raise InputError(f"{name}: couple = {values['couple']!r}, but the material has no microrotation")
+        sizes = {"force": self.layout.dim, "couple": self.layout.rotations, "pressure": 1}
+        for kind, value in values.items():
+            if value is not None:
+                amplitude = Amplitude(f"{name}, {kind}", value, sizes[kind])
+                self.surface_loads.append(SurfaceLoad(facets, amplitude, kind, follows, share))
+        self._stale = True
+
+    # solving --------------------------------------------------------------------------------------
+    def _prepare(self) -> ElementSystem:
+        if self._system is not None and not self._stale:
+            return self._system
+        prescribed = self._prescribed(self.elements.nodes)
+        with self.timer("compile"):
+            dead, varying = self._load_forms()
+        if self._system is not None:
+            self._system.destroy()
+        self._system = ElementSystem(self.forms, dead, varying, prescribed, self.timer, self.solver)
+        self._last_loads = None
+        self._rebase(None)
+        self._stale = False
+        return self._system
+
+    def _load_forms(self) -> tuple[list[Any], list[_Varying]]:
+        from dolfinx import fem
+
+        e, f = self.elements, self.forms
+        dead, varying = [], []
+        spatial = self.layout.rotations == 3
+
+        def add(form: Any, changes: bool) -> None:
+            compiled = _compat.compile_form(form)
+            if changes:
+                tangent = _compat.compile_form(-ufl.derivative(form, f.x, f.trial))
+                varying.append(_Varying(compiled, tangent))
+            else:
+                dead.append(compiled)
+
+        if self.loads:
+            size, degree = self.layout.block, e.quadrature_degree
+            self._body = fem.Function(_compat.quadrature_space(e.mesh, size, degree))
+            add(f.body_work(self._body), spatial and any(load.couple for load in self.loads))
+        for load in self.surface_loads:
+            space = _compat.function_space(e.mesh, load.amplitude.size, e.degree)
+            load.function = fem.Function(space)
+            load.rows = fem.locate_dofs_topological(space, self.layout.dim - 1, load.facets.facets)
+            load.position = space.tabulate_dof_coordinates()[load.rows, : self.layout.dim]
+            if load.kind == "pressure":
+                add(f.pressure_work(load.facets, load.function), True)
+            else:
+                couple = load.kind == "couple"
+                changes = load.follows or (couple and spatial)
+                add(f.traction_work(load.facets, load.function, couple, load.follows), changes)
+        return dead, varying
+
+    def _set_loads(self, system: ElementSystem, factor: float) -> None:
+        with together(self.comm):
+            if self._body is not None:
+                forces, couples = conditions.point_loads(self.loads, self.points, self.layout, factor)
+                density = np.concatenate([forces, couples], axis=1) / self.points.volume0[:, None]
+                self.forms.put_at_points(self._body, density)
+            for load in self.surface_loads:
+                values = load.amplitude.at(factor, load.position) * load.share
+                load.function.x.array.reshape(-1, load.amplitude.size)[load.rows] = values
+        system.set_loads()
+
+    def _loads_before(self, system: ElementSystem) -> np.ndarray:
+        if self._last_loads is None:
+            self._set_loads(system, self.progress.factor)
+            return system.external
+        return self._last_loads
+
+    def _load_places(self) -> list[tuple[Amplitude, np.ndarray]]:
+        for load in self.surface_loads:
+            if load.follows or (load.kind == "couple" and self.layout.rotations == 3):
+                raise InputError(
+                    f"{load.amplitude.name} turns with the body; the arc-length method takes dead forces only"
+                )
+        return super()._load_places() + [(load.amplitude, load.position) for load in self.surface_loads]
+
+    def _nodal_volumes(self, system: ElementSystem) -> np.ndarray:
+        """An equal share of its volume for each node of an element: positive for all degrees."""
+        e = self.elements
+        nodes = e.cell_nodes[: len(e.body.owned_cells)]
+        of_cells = self.points.volume0.reshape(len(nodes), -1).sum(axis=1)
+        share = np.repeat(of_cells / nodes.shape[1], nodes.shape[1])
+        total = np.bincount(nodes.ravel(), share, minlength=len(e.nodes)).astype(float)  # also of no elements
+        out = np.tile(total[:, None], (1, self.layout.block))  # what the mesh's vectors hold
+        e.nodes.add_to_owners(out)
+        return out[:, 0]
+
+    def _loads_now(self, system: ElementSystem) -> np.ndarray:
+        return system.external
+
+    def _increments(self, system: ElementSystem) -> Increments:
+        system.forms.x.x.array[:] = system.x.ravel()
+        d, block = self.layout.dim, self.layout.block
+        values = self.forms.point_values(self.elements.body.owned_cells)
+        values = values.reshape(len(self.points), block * (1 + d))
+        gradient = values[:, block:].reshape(-1, block, d)
+        return Increments(values[:, :block], gradient[:, :d], gradient[:, d:])
+
+    def _fault(self, increments: Increments) -> str:
+        d = self.layout.dim
+        bad = rotations.determinant(self.points.F[:, :d, :d] + increments.gradient) <= 0
+        cells = np.unique(self.points.id[bad] // len(self.elements.reference_points))
+        inverted = np.unique(np.concatenate(self.comm.allgather(cells)))
+        if not len(inverted):
+            return ""
+        names = ", ".join(map(str, inverted[:10])) + (" ..." if len(inverted) > 10 else "")
+        return f"{len(inverted)} element(s) turned inside out: {names}"
+
+    def _commit(self, system: ElementSystem, increments: Increments, factor: float) -> None:
+        e, p, d = self.elements, self.points, self.layout.dim
+        base = p.q
+        p.x = p.x + increments.value[:, :d]
+        p.F = p.F.copy()
+        p.F[:, :d, :d] += increments.gradient
+        if self.layout.rotations:
+            w = rotations.in_space(increments.value[:, d:])
+            gw: np.ndarray = np.zeros((len(p), 3, 3))
+            if d == 3:
+                gw = increments.rotation_gradient
+            else:
+                gw[:, 2, :2] = increments.rotation_gradient[:, 0]
+            back = np.swapaxes(rotations.to_tensor(p.q), 1, 2)
+            p.wryness = p.wryness + back @ rotations.right_tangent(w) @ gw
+            p.q = rotations.normalise(rotations.multiply(rotations.from_vector(w), p.q))
+            turn = rotations.from_vector(rotations.in_space(system.x[:, d:]))
+            e.q = rotations.normalise(rotations.multiply(turn, e.q))
+        self.forms.flow(base)
+        e.displacement = e.displacement + system.x[:, :d]
+        self._last_loads = None if system.varying else system.external  # others depend on the increments
+        self._rebase(system)
+        g = self.progress
+        g.factor, g.step = factor, g.step + 1
+        g.reset_factor = g.rotation_factor = factor
+
+    def _rebase(self, system: ElementSystem | None) -> None:
+        """Count increments from the present state on."""
+        e = self.elements
+        self.forms.total.x.array.reshape(-1, self.layout.block)[:, : e.dim] = e.displacement
+        self.forms.pack()
+        if system is not None:
+            system.x = np.zeros_like(system.x)
+
+    def restore(self, progress: Progress) -> None:
+        """Continue from a state that has been put into the elements already; see `io.restart`."""
+        self.progress, self._equilibrium, self._last_x = progress, None, None
+        if self._system is not None:
+            self._system.destroy()
+            self._system = None
+        self._rebase(None)
+
+    # results --------------------------------------------------------------------------------------
+    @property
+    def system(self) -> ElementSystem | None:
+        """Nodes and residual as of the last step; None before the first one."""
+        return self._system

@@ -1,0 +1,415 @@
+"""Quasi-static problems of material points on a grid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..assembly.interpolation import Increments, Interpolation, Reference
+from ..assembly.points import LoadedPoints, PointSystem
+from ..basis.lattice import check_basis
+from ..bodies.partition import Balance, distribute
+from ..bodies.points import Points, Selection
+from ..bodies.seeding import check_inside
+from ..conditions import movinggrid
+from ..conditions import supports as conditions
+from ..conditions.movinggrid import MovingPlane
+from ..conditions.supports import Amplitude, Plane, PlaneSpec, Support
+from ..errors import InputError
+from ..forms.choice import make_form
+from ..forms.points import CoupleForm, Kernel
+from ..geometry.grid import Grid
+from ..kinematics import rotations
+from ..kinematics.motion import Motion
+from ..materials.base import warn_of_locking
+from ..solvers.choice import check_solver
+from ..solvers.newton import Controls
+from ..solvers.resetting import ResetPolicy, WhenDistorted, make_policy
+from ..terms.ghost import Ghost, GhostPenalty, make_penalty
+from ..tools.parallel import look_up, together
+from .base import Progress
+from .conservation import Conservation, Totals
+from .surfaces import SurfaceProblem
+
+ASSEMBLIES = ("direct", "projection")
+_NO_PROJECTION = {
+    "gimpm": "the internal force would be exact, as a domain is a sum of parts in one cell each, but the "
+    "tangent couples the parts and is no sum of integrals over cells",
+    "bspline": "splines don't live on the cells' Lagrange space",
+}
+_DISTORTED = WhenDistorted()
+# The papers' method, for what they publish: `QuasiStatic(grid, points, **PUBLISHED)`.
+PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": False}
+_ROTATION_LIMIT = 1.0  # rad; larger increments than this get a new base after a step
+
+
+@dataclass
+class _Compiled:
+    kernels: list[tuple[Kernel, Kernel]] = field(default_factory=list)
+    couple: Kernel | None = None
+    motion: Motion | None = None
+
+
+def _check_assembly(assembly: str, basis: str) -> str:
+    if assembly not in ASSEMBLIES:
+        raise InputError(f"assembly = {assembly!r}: allowed are {', '.join(ASSEMBLIES)}")
+    if assembly == "projection" and basis in _NO_PROJECTION:
+        reason = _NO_PROJECTION[basis]
+        raise InputError(f"assembly = 'projection': basis = {basis!r}, allowed is 'mpm': {reason}")
+    return assembly
+
+
+class QuasiStatic(SurfaceProblem):
+    """Equilibrium of material points on a grid under slowly changing loads. All methods are collective.
+
+    Attributes:
+        grid: the background grid as of the last reset.
+        initial_grid: the grid that was given; moving planes (see `plane`) stretch it.
+        rows: arrays (np, ...) of the script's own by name, one row a local point. They follow the points when
+            these move to other ranks at a reset, and into restart files.
+
+    Args:
+        grid: background grid.
+        points: the body.
+        basis: weighting functions: "bspline" (quadratic), or "gimpm" or "mpm" (T 2.3.2). The defaults of this
+            and of the resets are the settings with the least error for their time (docs/accuracy.md); those
+            of the papers are `pm.PUBLISHED`.
+        assembly: how residual and tangent are summed over the points: "direct", or (with basis="mpm") as a
+            "projection" on a quadrature space, assembled by dolfinx, to the same result.
+        reset: when the grid is reset: a policy such as `WhenDistorted(0.2)`, every n steps (1: the papers'
+            method), or None for never.
+        balanced_reset: a reset keeps the body in equilibrium. The new basis can't balance the points'
+            stresses to the last; the papers let the rest relax, which softens the body reset by reset. Here
+            it is carried along as forces on the nodes until the next reset (docs/theory.md).
+        ghost: stabilises cells that the body cuts slightly (T 2.3.4): None, "thesis" (a hundredth of lambda
+            and of gamma, T 4.4), "light" (against the thinnest cuts only) or a `GhostPenalty`. With basis
+            "gimpm" or "mpm" and assembly "direct".
+        rebalance: on several ranks, when points move to other ranks at a reset: when the most work of a rank,
+            over the mean, or the share of nodes at the borders between ranks has grown by this factor since
+            they were dealt out last; None for never.
+        controls: tolerances of Newton's method.
+        solver: of linear systems: "direct" (MUMPS), "multigrid" (a Krylov method with algebraic multigrid:
+            less time and memory in large problems in space), or "auto", which chooses by the number of
+            unknowns.
+
+    Raises:
+        InputError: an argument is out of range; materials that don't go together.
+        PointsOutsideGrid: points lie outside the grid; the message names them.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        points: Points,
+        *,
+        basis: str = "bspline",
+        assembly: str = "direct",
+        reset: int | ResetPolicy | None = _DISTORTED,
+        balanced_reset: bool = True,
+        ghost: str | GhostPenalty | None = None,
+        rebalance: float | None = 1.1,
+        controls: Controls | None = None,
+        solver: str = "auto",
+    ):
+        self.grid = self.initial_grid = grid
+        self._moving: list[MovingPlane] = []
+        self.basis, self.policy = check_basis(basis), make_policy(reset)
+        self.assembly, self.solver = _check_assembly(assembly, basis), check_solver(solver)
+        if points.dim != grid.dim:
+            raise InputError(f"points have {points.dim} dimensions, the grid has {grid.dim}")
+        check_inside(grid, points)
+        super().__init__(grid.comm, points, grid.dim, controls)
+        self.forms = [make_form(m, grid.dim) for m in points.materials]
+        for form in self.forms:
+            _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
+        if basis != "bspline" and grid.comm.rank == 0:
+            warn_of_locking(points.materials, f"the functions of basis={basis!r}", "basis='bspline'")
+        self.balance = Balance(grid.comm, rebalance)
+        self._conservation = Conservation(grid.comm)
+        self.rows: dict[str, np.ndarray] = {}
+        self.balanced_reset = balanced_reset
+        self.ghost = make_penalty(ghost, points.materials, self.layout, basis, assembly)
+        if self.ghost:
+            self._sources.append(Ghost(self.ghost, self.layout))
+        self.term_works: dict[str, float] = {}
+        self._step_start: np.ndarray | None = None
+        self._compiled = _Compiled()
+        self._system: LoadedPoints | None = None
+        # forces and couples at the points of the last attempt and of the last converged step
+        self._attempted: tuple[np.ndarray, np.ndarray] | None = None
+        self._balanced: tuple[np.ndarray, np.ndarray] | None = None
+        if self.balance.due():
+            self._migrate()
+
+    # conditions -----------------------------------------------------------------------------------
+    def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
+        if isinstance(where, PlaneSpec):
+            where.check_basis(self.basis, self.initial_grid)
+            return where.resolve(self.initial_grid, self.points, now=self.grid), where.name
+        if callable(where):
+            return where, getattr(where, "__name__", "predicate")
+        raise InputError(f"where = {where!r}: a plane or a predicate of node positions")
+
+    def _admit(self, where: Any, support: Support) -> None:
+        moving = list(self._moving)
+        if isinstance(where, PlaneSpec) and where.moving:
+            if self.progress.step:
+                raise InputError(f"{support.name}: moving = True: allowed before the first load step only")
+            moving.append(MovingPlane.of(where, support))
+        movinggrid.check(moving, [*self.supports, support], self.initial_grid)
+        self._moving = moving
+
+    def load(self, selection: Selection, *, force: Any = None, couple: Any = None) -> None:
+        """A dead force (N) and couple (N m) in total, shared equally by the selected points.
+
+        Values as in `fix`: numbers are ramped, functions of the load factor give the value. In plane strain
+        they count per unit thickness, and the couple is one number.
+        """
+        if not isinstance(selection, Selection):
+            raise InputError(
+                f"selection = {selection!r}: use points.where, points.farthest or points.nearest"
+            )
+        share = 1.0 / max(1, len(selection))
+        self._add_loads(f"load {len(self.loads) + 1}", selection, force, couple, False, share)
+
+    def _set_loads(self, system: LoadedPoints, factor: float) -> None:
+        self._attempted = self._loads_at(factor)
+        system.set_loads(*self._attempted)
+        self._set_surfaces(factor)
+        if self._sources:
+            self._step_start = system.x.copy()
+
+    def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
+        with together(self.comm):
+            return conditions.point_loads(self.loads, self.points, self.layout, factor)
+
+    def _loads_before(self, system: LoadedPoints) -> np.ndarray:
+        if system.terms.external:
+            self._set_loads(system, self.progress.factor)
+        return self._nodal_loads(system, self._balanced or self._loads_at(self.progress.factor))
+
+    def _loads_now(self, system: LoadedPoints) -> np.ndarray:
+        if system.couple_kernel is None and not system.terms.external:
+            return system.external
+        assert self._attempted is not None
+        return self._nodal_loads(system, self._attempted)
+
+    def _load_places(self) -> list[tuple[Amplitude, np.ndarray]]:
+        if self._system is not None and self._system.terms.external:
+            raise InputError(
+                "march_arc_length: conditions on surfaces of material points aren't possible here"
+            )
+        return super()._load_places()
+
+    def _nodal_volumes(self, system: LoadedPoints) -> np.ndarray:
+        return system.interpolation.spread(self.points.volume0[:, None])[:, 0]
+
+    def _nodal_loads(self, system: LoadedPoints, loads: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        """Forces on the nodes that do work on the increments: in space a couple m does it as J_r(Dw) m."""
+        forces, couples = loads
+        if system.couple_kernel is not None:
+            w = system.interpolation.gather(system.x).value[:, self.layout.dim :]
+            couples = np.einsum("nij,nj->ni", rotations.right_tangent(w), couples)
+        out = system.interpolation.spread(np.concatenate([forces, couples], axis=1))
+        if system.terms.external:
+            of_terms = system.terms.forces(system.x, external=True)
+            system.nodes.add_to_owners(of_terms)
+            out -= of_terms
+        return out
+
+    # solving --------------------------------------------------------------------------------------
+    def _increments(self, system: LoadedPoints) -> Increments:
+        return system.interpolation.gather(system.x)
+
+    def _fault(self, increments: Increments) -> str:
+        bad = rotations.determinant(np.eye(self.grid.dim) + increments.gradient) <= 0
+        inverted = self.comm.allreduce(int(np.sum(bad)))
+        return f"{inverted} material point(s) turned inside out" if inverted else ""
+
+    def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
+        assert self._compiled.motion is not None
+        system.interpolation.update_points(increments, self._compiled.motion)
+        self._conservation.check(system.interpolation, system.x)
+        if self.points.plastic:
+            self._flow(system)
+        if self._step_start is not None:
+            for name, work in system.term_work(self._step_start, system.x).items():
+                self.term_works[name] = self.term_works.get(name, 0.0) + work
+            system.terms.commit(system.x)
+        self._balanced = self._attempted
+        p = self.progress
+        p.ghost_work = self.ghost_work
+        p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
+        p.reset_due = self.policy.due(p.since_reset, increments.gradient, self.comm)
+        if not p.reset_due and self.layout.rotations:
+            largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
+            if self.comm.allreduce(largest, op=MPI.MAX) > _ROTATION_LIMIT:
+                system.rebase_rotations()
+                for condition in self.surfaces:
+                    condition.rebase_rotations()
+                p.rotation_factor = factor
+
+    def _flow(self, system: LoadedPoints) -> None:
+        """Put the plastic flow of a converged step into the points' history."""
+        i = system.interpolation
+        for batch, mapping in zip(i.batches, system.mappings, strict=True):
+            if mapping is not None and mapping.yielding is not None:
+                rows = batch.rows[mapping.yielding.rows]
+                mapping.update_history(self.points, rows, i.reference.q[rows])
+        i.pack()
+
+    def _prepare(self) -> LoadedPoints:
+        """The system of the present grid; reset if that is due, renewed if conditions have changed."""
+        p, old = self.progress, self._system
+        if len(self.points.materials) != len(self.forms):
+            raise InputError("points: were given another material after the problem had been made of them")
+        if old is not None and not p.reset_due and not self._stale:
+            return old
+        self._compile()
+        if old is None or p.reset_due:
+            grid = movinggrid.grid_at(self._moving, self.initial_grid, p.factor)
+            check_inside(grid, self.points)
+            self._put_grid(grid)
+            if self.balance.due():
+                with self.timer("migration"):
+                    self._migrate()
+            with self.timer("reset"):
+                interpolation = self._interpolate(None)
+            self._system = self._build(interpolation)
+            p.reset_due, p.since_reset = False, 0
+            p.reset_factor = p.rotation_factor = p.factor
+            if self.balanced_reset and p.step:
+                # not the loads of now: what was added since the last step is to be felt
+                self._system.set_loads(*(self._balanced or self._loads_at(p.factor)))
+                self._set_surfaces(p.factor, carrying=True)
+                self._system.carry_imbalance()
+        else:
+            self._system = self._build(old.interpolation)
+            self._system.x[:], self._system.carried[:] = old.x, old.carried
+        if old is not None:
+            old.destroy()
+        self._stale = False
+        return self._system
+
+    def _migrate(self, reference: Reference | None = None) -> Reference | None:
+        """Deal the points out afresh, with all that is kept for each of them between steps, or between resets
+        their reference, which is then returned for the new distribution."""
+        before, kept = Totals.numbers(self.points, self.grid), self.kept()
+        route = distribute(self.grid, self.points, None if reference is None else reference.x)
+        self.balance.dealt()
+        if route is None:
+            return reference
+        self._conservation.moved(before, self.points, self.grid)
+        self._keep({name: route.forward(rows) for name, rows in kept.items()})
+        self._attempted = None
+        return None if reference is None else reference.moved(route)
+
+    def _put_grid(self, grid: Grid) -> None:
+        """Make it the grid; the supports' planes follow."""
+        if grid is not self.grid:
+            self.grid = grid
+            for support in self.supports:
+                if isinstance(support.where, Plane):
+                    support.where.follow(grid)
+
+    def _interpolate(self, reference: Reference | None) -> Interpolation:
+        for source in self._sources if reference is None else []:
+            source.begin()
+        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, self._sources)
+        self._conservation.reset(made)
+        self.balance.built(self.points, made.nodes)
+        return made
+
+    def _build(self, interpolation: Interpolation) -> LoadedPoints:
+        prescribed, c = self._prescribed(interpolation.nodes), self._compiled
+        kind: Callable[..., LoadedPoints] = PointSystem
+        if self.assembly == "projection":
+            from ..assembly.projection import ProjectedSystem as kind  # brings dolfinx' assembler with it
+        return kind(interpolation, c.kernels, c.couple, prescribed, self.timer, self.solver)
+
+    def _compile(self) -> None:
+        c = self._compiled
+        with self.timer("compile"):
+            if not c.kernels:
+                c.kernels = [form.compile(self.comm) for form in self.forms]
+                c.motion = Motion(self.layout, self.comm)
+            unsymmetric = self.layout.rotations == 3 and any(load.couple for load in self.loads)
+            if unsymmetric and c.couple is None:
+                c.couple = CoupleForm().compile(self.comm)
+
+    # restart --------------------------------------------------------------------------------------
+    def increments(self) -> tuple[Reference, np.ndarray, np.ndarray] | None:
+        """What a restart needs between two resets: reference state, lattice numbers of the owned nodes, and
+        their increments and carried forces (n, 2 block); None when the grid is to be reset before the next
+        step."""
+        s = self._system
+        if s is None or self.progress.reset_due:
+            return None
+        own = s.nodes.owned
+        return s.interpolation.reference, s.nodes.lattice[:own], np.hstack([s.x[:own], s.carried[:own]])
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """What is kept for each local point from step to step, beside its state: rows (np, ...) by name."""
+        out = {f"rows.{name}": a for name, a in self.rows.items()}
+        if self._last_x is not None:
+            out["last_x"] = self._last_x
+        if self._balanced is not None:
+            out |= {"forces": self._balanced[0], "couples": self._balanced[1]}
+        return out
+
+    def _keep(self, rows: dict[str, np.ndarray]) -> None:
+        """Put in rows such as those of `kept`."""
+        self.rows = {name[5:]: a for name, a in rows.items() if name.startswith("rows.")}
+        self._last_x = rows.get("last_x")
+        self._balanced = (rows["forces"], rows["couples"]) if "forces" in rows else None
+
+    def restore(
+        self,
+        progress: Progress,
+        increments: tuple[Reference, np.ndarray, np.ndarray] | None,
+        kept: dict[str, np.ndarray],
+        shares: np.ndarray | None,
+    ) -> None:
+        """Continue from a state whose points have been put in already; see `io.restart`.
+
+        Args:
+            increments: as from `increments`.
+            kept: as from `kept`.
+            shares: how well the points are dealt out, from `Balance.state`; None: they are dealt out now.
+        """
+        self.progress, self._equilibrium, self._conservation = progress, None, Conservation(self.comm)
+        self.term_works = {"ghost": progress.ghost_work}
+        self._keep(kept)
+        if self._system is not None:
+            self._system.destroy()
+            self._system = None
+        factor = progress.factor if increments is None else progress.reset_factor
+        self._put_grid(movinggrid.grid_at(self._moving, self.initial_grid, factor))
+        reference, lattice, values = increments or (None, None, None)
+        if shares is None:
+            reference = self._migrate(reference)
+        else:
+            self.balance.restore(shares)
+        if reference is None or lattice is None or values is None:
+            progress.reset_due = True
+            return
+        self._compile()
+        interpolation = self._interpolate(reference)
+        self._system, self._stale = self._build(interpolation), False
+        here = look_up(self.comm, lattice, values, interpolation.nodes.lattice)
+        self._system.x[:], self._system.carried[:] = np.hsplit(here, 2)
+
+    @property
+    def ghost_work(self) -> float:
+        """Work (J) done against the ghost forces in all steps so far."""
+        return self.term_works.get("ghost", 0.0)
+
+    @property
+    def system(self) -> LoadedPoints | None:
+        """Active nodes, their increments and residual as of the last step; None before the first one."""
+        return self._system

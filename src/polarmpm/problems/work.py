@@ -1,0 +1,52 @@
+"""Work of the forces on the nodes, step by step: the energy balance of a run (docs/theory.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..assembly.system import NodalSystem
+
+
+@dataclass
+class StepStart:
+    """What a load step begins with. Arrays are (nodes, block), forces complete on owned rows; they are those
+    that do work on the increments.
+
+    Attributes:
+        x: increments since the reset.
+        before: forces of the loads of the last converged state.
+        first: forces of the new loads, at the same state.
+    """
+
+    x: np.ndarray
+    before: np.ndarray
+    first: np.ndarray
+
+
+def step_work(system: NodalSystem, start: StepStart, last: np.ndarray) -> tuple[float, float]:
+    """Work (J) in a step that has converged, of loads and supports, and of carried forces. Collective.
+
+    By the trapezoidal rule, so that its error falls with the square of the step. The reactions at the start
+    are those in the present basis, from the internal forces of the first evaluation.
+
+    Args:
+        last: forces of the loads at the end, as in `StepStart`.
+    """
+    own = slice(0, system.nodes.owned)
+    held = system.prescribed.fixed[own]
+    moved = system.x[own] - start.x[own]
+    # the first evaluation had the new loads already
+    reactions = (system.first + start.first - start.before)[own] + system.residual[own]
+    sums = np.array(
+        [
+            0.5 * np.sum((start.before[own] + last[own]) * moved),
+            0.5 * np.sum(reactions[held] * moved[held]),
+            np.sum(system.carried[own] * moved),
+        ]
+    )
+    system.comm.Allreduce(MPI.IN_PLACE, sums)
+    return float(sums[0] + sums[1]), float(sums[2])

@@ -1,0 +1,332 @@
+"""Arc-length method: load steps measured along the path, past limit points of the load (docs/theory.md).
+
+The load factor is an unknown. What is prescribed is the length s of a step, the root of the mean square
+displacement increment of the body:
+
+    r(x, f) = p(x) - e0 - f e1 = 0,    sum over the nodes of V |Du|^2 = s^2 sum of V.
+
+Newton's method on both solves twice with one factor of the tangent: for the residual and for e1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from mpi4py import MPI
+
+import numpy as np
+from tqdm import tqdm
+
+from ..assembly.system import NodalSystem
+from ..conditions.supports import Amplitude, Prescribed
+from ..errors import InputError, LocalFailure, NotConverged
+from . import newton
+from .direct import SingularTangent
+from .newton import Controls, Outcome, expected_to_end
+from .stepping import Step
+
+_LENGTH_TOLERANCE = 1e-8  # of a step's length; the state is an equilibrium however long the step is
+_PROBES = (0.0, 1.0, 0.5, 2.0)  # load factors at which loads are compared
+# Least cosine between a step and its tangent; what is farther off may be another branch. If steps of a fifth
+# of the first one's length bend as much, it is the path that does: where points unload it has a kink.
+_BEND, _KINK, _SHORT = 0.8, 0.0, 0.2
+_EASY = 6  # a step of at most so many iterations lets the next one grow
+_BAR = "arc length {n} steps, {elapsed} {postfix}"
+
+
+@dataclass(frozen=True)
+class ArcSchedule:
+    """How to follow a path; see `Problem.march_arc_length`."""
+
+    first: float
+    until: Callable[[Step], bool] | None = None
+    largest: float | None = None
+    smallest: float = 1e-3
+    to: float | None = None
+    steps: int | None = None
+    progress: bool | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("first", "largest"):
+            value = getattr(self, name)
+            if name == "largest" and value is None:
+                continue
+            if not (_is_number(value) and math.isfinite(value) and value > 0):
+                raise InputError(f"{name} = {value!r}: a positive length (m)")
+        if self.largest is not None and self.largest < self.first:
+            raise InputError(f"largest = {self.largest!r}: at least first = {self.first!r}")
+        if not (_is_number(self.smallest) and 0 < self.smallest <= 1):
+            raise InputError(f"smallest = {self.smallest!r}: between 0 and 1")
+        if self.to is not None and not (_is_number(self.to) and math.isfinite(self.to)):
+            raise InputError(f"to = {self.to!r}: a finite load factor")
+        if self.steps is not None and (
+            not isinstance(self.steps, int) or self.steps is True or self.steps < 1
+        ):
+            raise InputError(f"steps = {self.steps!r}: a positive whole number")
+        if self.until is not None and not callable(self.until):
+            raise InputError(f"until = {self.until!r}: a function of the step that tells when to stop")
+        if self.until is None and self.to is None and self.steps is None:
+            raise InputError("march_arc_length: one of until, to and steps has to tell where to stop")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+# what may depend on the load factor -----------------------------------------------------------------
+def check_loads(comm: MPI.Comm, loads: list[tuple[Amplitude, np.ndarray]]) -> None:
+    """Raise InputError unless loads, given with the positions where they act, are linear in the load factor
+    and some grow with it. Collective."""
+    grows = False
+    for amplitude, position in loads:
+        zero, one, half, two = (amplitude.at(f, position) for f in _PROBES)
+        size = max(float(np.abs(v).max(initial=0.0)) for v in (zero, one, two))
+        wrong = max(
+            float(np.abs(v - (zero + f * (one - zero))).max(initial=0.0))
+            for f, v in ((0.5, half), (2.0, two))
+        )
+        change = float(np.abs(one - zero).max(initial=0.0))
+        size, wrong, change = (comm.allreduce(v, op=MPI.MAX) for v in (size, wrong, change))
+        if wrong > 1e-9 * size:
+            raise InputError(
+                f"{amplitude.name} is not linear in the load factor; with the arc-length method all loads are"
+            )
+        grows = grows or change > 0.0
+    if not grows:
+        raise InputError("march_arc_length: no load grows with the load factor")
+
+
+def check_supports(comm: MPI.Comm, prescribed: Prescribed) -> None:
+    """Raise InputError for a support that depends on the load factor. Collective."""
+    for support, mask in zip(prescribed.supports, prescribed.masks, strict=True):
+        position = prescribed.nodes.position[mask]
+        for amplitude, k in support.columns.values():
+            values = [amplitude.at(f, position)[:, k] for f in _PROBES]
+            change = max(float(np.abs(v - values[0]).max(initial=0.0)) for v in values)
+            if comm.allreduce(change, op=MPI.MAX) > 0.0:
+                raise InputError(
+                    f"{amplitude.name} depends on the load factor; with the arc-length method only loads do"
+                )
+
+
+def least_cosine(kink: bool) -> float:
+    """Between a step and its tangent."""
+    return _KINK if kink else _BEND
+
+
+# one step ---------------------------------------------------------------------------------------------
+class _Unsettled(Exception):
+    """There is no equilibrium at the load factor of before."""
+
+    def __str__(self) -> str:
+        return f"out of balance from the start: {self.args[0]}"
+
+
+@dataclass
+class Path:
+    """The equations of a step.
+
+    Attributes:
+        loads: e0 and e1, forces on the nodes (nodes, block).
+        volume: of the nodes (nodes,); complete on owned rows.
+        length: s (m).
+        factor: the load factor, an unknown.
+        sense: positive for a direction (nodes, block) in which the path goes on.
+        bend: least cosine between the step and its tangent.
+    """
+
+    system: NodalSystem
+    loads: tuple[np.ndarray, np.ndarray]
+    volume: np.ndarray
+    length: float
+    factor: float
+    sense: Callable[[np.ndarray], float]
+    bend: float = _BEND
+
+    def __post_init__(self) -> None:
+        self.own = slice(0, self.system.nodes.owned)
+        self.begin = self.factor
+        self.start: np.ndarray = self.system.x.copy()
+        self.size = self.length**2 * self.system.comm.allreduce(float(self.volume[self.own].sum()))
+        self.forward: np.ndarray | None = None  # the first correction; None: still at the start
+        self.growth = 0.0  # of the load factor in the last correction
+        self.settled = False
+
+    def inner(self, a: np.ndarray, b: np.ndarray) -> float:
+        """Sum of V a . b over all nodes, displacements only. Collective."""
+        d = self.system.layout.dim
+        here = np.einsum("n,ni,ni->", self.volume[self.own], a[self.own, :d], b[self.own, :d])
+        return float(self.system.comm.allreduce(here))
+
+    @property
+    def increment(self) -> np.ndarray:
+        return self.system.x - self.start
+
+    def put_load(self) -> None:
+        """Put the load of the present factor into the system."""
+        self.system.put_external(self.loads[0] + self.factor * self.loads[1])
+
+    def excess(self) -> float:
+        """(length / s)^2 - 1."""
+        return self.inner(self.increment, self.increment) / self.size - 1.0
+
+    def predict(self, controls: Controls, outcome: Outcome) -> None:
+        """Along the tangent, with what the state at the start relaxes; if that is much of the step, relax it
+        only, at the load factor of before: after a reset, or where loads are there from the start."""
+        relaxed, along = self._solutions()
+        if not self.settled and self.inner(relaxed, relaxed) > 0.25 * self.size:
+            inner = newton.solve(self.system, controls)
+            outcome.history += inner.history[1:-1]
+            if not inner.converged:
+                raise _Unsettled(inner.reason)
+            self.start, self.settled = self.system.x.copy(), True
+            return
+        square = self.inner(along, along)
+        if square == 0.0:
+            raise SingularTangent("the load moves nothing")
+        growth = math.copysign(math.sqrt(self.size / square), self.sense(along))
+        self.forward = growth * along
+        self._add(self.forward + relaxed, growth)
+
+    def correct(self) -> None:
+        """One iteration on residual and length."""
+        relaxed, along = self._solutions()
+        now = self.increment
+        slope = 2.0 * self.inner(now, along)
+        if slope == 0.0:
+            raise SingularTangent("the path is at right angles to the step")
+        growth = -(self.excess() * self.size + 2.0 * self.inner(now, relaxed)) / slope
+        self._add(relaxed + growth * along, growth)
+
+    def _solutions(self) -> tuple[np.ndarray, np.ndarray]:
+        relaxed = self.system.solve_free(-self.system.residual, fresh=True)
+        return relaxed, self.system.solve_free(self.loads[1], fresh=False)
+
+    def _add(self, correction: np.ndarray, growth: float) -> None:
+        self.system.add(correction)
+        self.growth = growth
+        self.factor += growth
+        self.put_load()
+
+    def retreat(self) -> bool:
+        """Take back half of the last correction; False if there is none in this step."""
+        if not self.system.retreat():
+            return False
+        self.growth *= 0.5
+        self.factor -= self.growth
+        self.put_load()
+        return True
+
+
+def solve(path: Path, controls: Controls, to: float | None) -> Outcome:
+    """Find the state at the end of a step; its load factor is then in `path`. Collective.
+
+    A step that would lead past the load factor `to` ends there.
+    """
+    outcome = Outcome()
+    path.put_load()
+    try:
+        _iterate(path, controls, outcome)
+    except (LocalFailure, SingularTangent, _Unsettled) as e:
+        outcome.converged, outcome.reason = False, str(e)
+    if outcome.converged and to is not None and path.begin != to:
+        share = (to - path.begin) / (path.factor - path.begin) if path.factor != path.begin else 2.0
+        if 0.0 < share <= 1.0:
+            return _stop_at(path, controls, to, share, outcome.history)
+    return outcome
+
+
+def _stop_at(
+    path: Path, controls: Controls, to: float, share: float, history: list[tuple[float, float]]
+) -> Outcome:
+    """Newton's method at a load factor, from between the step's two ends."""
+    path.system.jump(path.start + share * path.increment)
+    path.factor = to
+    path.put_load()
+    outcome = newton.solve(path.system, controls)
+    outcome.history[:0] = history[:-1]
+    if outcome.converged and path.excess() > 0.5:
+        outcome.converged, outcome.reason = False, "left the path"
+    return outcome
+
+
+def _iterate(path: Path, controls: Controls, outcome: Outcome) -> None:
+    system, tangent = path.system, True
+    while True:
+        newton.evaluate(system, tangent, path.retreat)
+        force, energy = system.measures()
+        outcome.history.append((force, energy))
+        if not math.isfinite(force) or force > controls.divergence:
+            outcome.reason = f"diverged (force measure {force:.3g})"
+            return
+        if path.forward is not None:
+            balanced = force < controls.force_tolerance or energy < controls.energy_tolerance
+            if balanced and abs(path.excess()) < _LENGTH_TOLERANCE:
+                cosine = path.inner(path.increment, path.forward) / path.size
+                outcome.converged = cosine > path.bend
+                outcome.reason = "" if outcome.converged else f"turned off the tangent (cosine {cosine:.2g})"
+                return
+        if outcome.iterations >= controls.max_iterations:
+            outcome.reason = (
+                f"no convergence in {controls.max_iterations} iterations (force measure {force:.3g}, "
+                f"length off by {path.excess():.3g})"
+            )
+            return
+        if not tangent:
+            system.evaluate(True)
+        if path.forward is None:
+            path.predict(controls, outcome)
+        else:
+            path.correct()
+            tangent = not expected_to_end(outcome, controls)
+
+
+# the march --------------------------------------------------------------------------------------------
+class Marching(Protocol):
+    """What following a path needs of a problem."""
+
+    comm: MPI.Comm
+    progress: Any
+    steps: list[Step]
+
+    def attempt_along(self, length: float, to: float | None, kink: bool = False) -> tuple[Outcome, float]: ...
+
+
+def march(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
+    """Converged steps; see `Problem.march_arc_length`."""
+    hidden = (not schedule.progress) if schedule.progress is not None else None
+    with tqdm(disable=True if problem.comm.rank else hidden, bar_format=_BAR) as bar:
+        for done, step in enumerate(_steps(problem, schedule), 1):
+            problem.steps.append(step)
+            stop = schedule.until is not None and bool(schedule.until(step))
+            stop = problem.comm.bcast(stop) or done == schedule.steps
+            bar.update()
+            bar.set_postfix_str(f"load factor {step.factor:.6g}, {step.iterations} iterations")
+            yield step
+            if stop:
+                return
+
+
+def _steps(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
+    length, largest = schedule.first, schedule.largest or schedule.first
+    while schedule.to is None or problem.progress.factor != schedule.to:
+        tried: list[str] = []
+        begin = problem.progress.factor
+        while True:
+            kink = length < _SHORT * schedule.first
+            outcome, aim = problem.attempt_along(length, schedule.to, kink)
+            if outcome.converged:
+                break
+            tried.append(
+                f"length {length:.6g} m from load factor {begin:.6g}, at load factor {aim:.6g}: "
+                f"{outcome.reason} after {outcome.iterations} iterations"
+            )
+            length *= 0.5
+            if length < schedule.smallest * schedule.first:
+                raise NotConverged(aim, outcome.history, tried)
+        if outcome.iterations <= _EASY:
+            length = min(1.5 * length, largest)
+        yield Step(problem.progress.step, problem.progress.factor, tuple(outcome.history), len(tried))

@@ -1,0 +1,244 @@
+"""Linear systems through PETSc: a direct solver that fits the tangent's symmetry."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from ..errors import PolarMPMError
+
+ACCURACY = 1e-8  # residual of a linear system relative to its right-hand side, unless told otherwise
+# Relative lift of the factored matrix' diagonal. A node set seen by a single point has fewer constraints than
+# unknowns, and its tangent is exactly singular; slivers of points' domains in a cell come close to that.
+_DIAGONAL = 1e-12
+# The lift stays out of the tangent itself: FGMRES with the lifted factor solves with the tangent, in one
+# iteration unless a mode is as weak as the lift.
+_KRYLOV_LIMIT = 60  # iterations after which the factor is given up
+_METHODS = ["definite", "symmetric", "general"]  # the last one for unsymmetric tangents only
+# Operations for a factor per entry of it, which is to say per part of a solution: from here on a factor of an
+# earlier tangent is worth its iterations, of which it may take a few before it's given up.
+_KEEP, _OLD, _OLD_LIMIT = 500.0, 5, 25
+_STRICTER = 0.01  # norms of forces and of energy tell too little in bending, and Newton's method would stall
+_SMALL = 1500  # unknowns up to which CHOLMOD, on one rank, takes less time than MUMPS
+
+
+class SingularTangent(PolarMPMError, ArithmeticError):
+    """The tangent could not be factored; the step is cut."""
+
+
+class DirectSolver:
+    """MUMPS, with as little work as the tangent's symmetry allows.
+
+    * symmetric and small: CHOLMOD, while the tangent is definite.
+    * symmetric: Cholesky-like on the upper triangle (no pivoting, fastest); when that fails, as it may far
+    from
+      equilibrium, LDL^T with pivoting.
+    * unsymmetric (dead couples in three dimensions): the symmetric part is factored, at half the memory, and
+      preconditions the tangent itself; where couples are too large for that, LU.
+
+    Where a factor costs much more than a solution, it serves following tangents as a preconditioner.
+    """
+
+    def __init__(
+        self,
+        matrix: PETSc.Mat,
+        symmetric: bool,
+        far_from_symmetric: bool = False,
+        memory: int = 0,
+        stored: tuple[np.ndarray, np.ndarray] | None = None,
+    ):
+        """`matrix` (whole, or its upper triangle when symmetric) belongs to the solver from now on; its
+        entries may change before each `factor`. Of one that is far from symmetric (plastic flow) the
+        symmetric part is no help. `memory` (MB) that a rank may use; 0: all. `stored`: the entries that
+        the matrix uses, and where those of the diagonal are, if it's so."""
+        self.matrix, self.symmetric, self.comm = matrix, symmetric, matrix.comm.tompi4py()
+        self._blocked = matrix.getType() in ("seqbaij", "mpibaij")
+        # what is factored: the matrix itself for a while, or a copy, made when the matrix has its entries
+        self._alone, self._stored = symmetric and not self._blocked, stored
+        self._lifted: Any = matrix if self._alone else None
+        self.solution, self.rhs = self.matrix.createVecs()
+        self._solver: PETSc.KSP | None = None
+        self._memory = memory
+        self._conjugate: PETSc.KSP | None = None  # gradients, for tangents that a factor isn't of
+        self._kept = self._old = False  # the factor: is worth to be kept; is of an earlier tangent
+        self._given_up = False  # tangents change too much for a factor to be kept
+        self._methods = ["general"] if far_from_symmetric else _METHODS[: 2 if symmetric else 3]
+        if symmetric and self.comm.size == 1 and matrix.size[0] <= _SMALL:
+            self._methods = ["small", *self._methods]
+        self._method = self._methods[0]
+
+    # factors --------------------------------------------------------------------------------------
+    def _create(self) -> PETSc.KSP:
+        symmetric = self._method != "general"
+        if symmetric:
+            self._lifted.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            self._lifted.setOption(PETSc.Mat.Option.SPD, self._method in ("small", "definite"))
+        ksp = PETSc.KSP().create(self.comm)
+        ksp.setOperators(self.matrix, self._lifted)
+        ksp.setType(PETSc.KSP.Type.FGMRES)
+        ksp.setGMRESRestart(_KRYLOV_LIMIT)
+        ksp.setTolerances(rtol=ACCURACY, atol=0.0, divtol=1e30, max_it=_KRYLOV_LIMIT)
+        pc = ksp.getPC()
+        pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
+        if self._method == "small":
+            pc.setFactorSolverType("cholmod")
+            return ksp
+        pc.setFactorSolverType("mumps")
+        pc.setFactorSetUpSolverType()
+        factor = pc.getFactorMatrix()
+        factor.setMumpsIcntl(7, 5)  # METIS
+        factor.setMumpsIcntl(14, 40)  # spare memory for pivoting, in per cent
+        if self._memory:
+            factor.setMumpsIcntl(23, self._memory)
+        return ksp
+
+    @contextmanager
+    def _lift(self) -> Iterator[None]:
+        """Give the matrix to factor, the tangent's symmetric part (or the tangent), a lifted diagonal; the
+        tangent itself has it for a while only."""
+        if self._alone and self._stored is not None:
+            entries, at = self._stored
+            kept = entries[at]
+            entries[at] = (1.0 + _DIAGONAL) * kept
+            try:
+                yield
+            finally:
+                entries[at] = kept
+            return
+        if not self._alone:
+            self._copy()
+        diagonal = self._lifted.getDiagonal()
+        lifted = diagonal.copy()
+        lifted.scale(1.0 + _DIAGONAL)
+        self._lifted.setDiagonal(lifted)
+        try:
+            yield
+        finally:
+            if self._alone:
+                self._lifted.setDiagonal(diagonal)
+            lifted.destroy()
+            diagonal.destroy()
+
+    def _copy(self) -> None:
+        same = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
+        if self._lifted is None:
+            self._lifted = PETSc.Mat() if self._blocked else self.matrix.duplicate()
+        if self._blocked:  # MUMPS factors no such matrix by Cholesky's method
+            self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
+            self.matrix.convert("sbaij" if self.symmetric else "aij", out=self._lifted)
+        else:
+            self.matrix.copy(self._lifted, structure=same)
+        if not self.symmetric and self._method != "general":
+            transposed = self.matrix.transpose(PETSc.Mat())
+            self._lifted.axpy(1.0, transposed, structure=same)
+            self._lifted.scale(0.5)
+            transposed.destroy()
+
+    def factor(self) -> None:
+        """Factor the matrix as it stands. Collective.
+
+        Raises:
+            SingularTangent: the matrix is singular or has entries that are not finite.
+        """
+        if not np.isfinite(self.matrix.norm()):
+            raise SingularTangent("the tangent has entries that are not finite")
+        self._old = self._kept and self._solver is not None
+        if not self._old:
+            self._factor()
+
+    def _factor(self) -> None:
+        self._kept = self._old = False
+        while not self._try():
+            self._fall_back("the tangent is singular")
+        self._kept = self._worth_keeping()
+
+    def _worth_keeping(self) -> bool:
+        assert self._solver is not None
+        if self._method == "small" or self._given_up:
+            return False
+        factor = self._solver.getPC().getFactorMatrix()
+        entries = factor.getMumpsInfog(29)  # millions where it's negative
+        return bool(factor.getMumpsRinfog(3) > _KEEP * max(entries, -1e6 * entries))
+
+    def _fall_back(self, message: str) -> None:
+        following = self._methods.index(self._method) + 1
+        if following == len(self._methods):
+            self._method = self._methods[0]
+            raise SingularTangent(message)
+        self._method = self._methods[following]
+
+    def _try(self) -> bool:
+        try:
+            with self._lift():
+                if self._solver is None:
+                    self._solver = self._create()
+                pc = self._solver.getPC()
+                pc.setReusePreconditioner(False)
+                pc.setUp()
+                pc.setReusePreconditioner(True)  # the diagonal will change, not the factor
+                # CHOLMOD raises an error where the tangent isn't definite
+                if self._method == "small" or pc.getFactorMatrix().getMumpsInfog(1) >= 0:
+                    return True
+        except PETSc.Error:
+            pass
+        self._release_solver()
+        return False
+
+    # solution -------------------------------------------------------------------------------------
+    def solve(self, rhs: np.ndarray, accuracy: float = ACCURACY) -> np.ndarray:
+        """Solve for the owned unknowns, (n,) -> (n,): with a factor of this tangent to `ACCURACY`, with an
+        older one to `accuracy`. Collective.
+
+        Raises:
+            SingularTangent: no method gave a solution.
+        """
+        self.rhs.array[:] = rhs
+        if self._old:
+            if self._solve_with_old(accuracy):
+                return self.solution.array.copy()
+            self._factor()
+        while True:
+            assert self._solver is not None
+            self._solver.solve(self.rhs, self.solution)
+            if self._solver.getConvergedReason() > 0:
+                return self.solution.array.copy()
+            self._release_solver()
+            self._fall_back("the linear system could not be solved")
+            self._factor()
+
+    def _solve_with_old(self, accuracy: float) -> bool:
+        """Whether an earlier tangent's factor leads to a solution."""
+        assert self._solver is not None
+        ksp = self._solver
+        if self.symmetric and self._method == "definite":
+            if self._conjugate is None:
+                self._conjugate = PETSc.KSP().create(self.comm)
+                self._conjugate.setPC(ksp.getPC())
+                self._conjugate.setOperators(self.matrix, self._lifted)
+                self._conjugate.setType(PETSc.KSP.Type.CG)
+                self._conjugate.setNormType(PETSc.KSP.NormType.NATURAL)
+            ksp = self._conjugate
+        ksp.setTolerances(rtol=_STRICTER * accuracy, atol=0.0, divtol=1e30, max_it=_OLD_LIMIT)
+        ksp.solve(self.rhs, self.solution)
+        self._kept = ksp.getIterationNumber() <= _OLD
+        self._given_up = not self._kept
+        self._solver.setTolerances(rtol=ACCURACY, max_it=_KRYLOV_LIMIT)
+        return bool(ksp.getConvergedReason() > 0)
+
+    def _release_solver(self) -> None:
+        for ksp in (self._conjugate, self._solver):
+            if ksp is not None:
+                ksp.destroy()
+        self._conjugate = self._solver = None
+
+    def destroy(self) -> None:
+        """Release PETSc's objects."""
+        self._release_solver()
+        for thing in (None if self._alone else self._lifted, self.matrix, self.rhs, self.solution):
+            if thing is not None:
+                thing.destroy()

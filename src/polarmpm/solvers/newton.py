@@ -1,0 +1,167 @@
+"""Newton's method with the convergence measures of T (2.53)-(2.54)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from ..errors import LocalFailure
+from .direct import SingularTangent
+
+
+class System(Protocol):
+    """A nonlinear system at a load factor."""
+
+    def evaluate(self, tangent: bool) -> None:
+        """Residual, and the tangent if asked, at the present unknowns.
+
+        Raises:
+            LocalFailure: there is none at them; the attempt has failed.
+        """
+
+    def measures(self) -> tuple[float, float]:
+        """Normalised out-of-balance force and energy; NaN or infinite when the state is beyond repair."""
+
+    def pending(self) -> bool:
+        """Whether prescribed values are still to be put in."""
+
+    def retreat(self) -> bool:
+        """Take back half of the last correction; False if there is none in this step."""
+
+    def advance(self, fresh: bool, accuracy: float) -> None:
+        """Solve with the last tangent and add the correction to the unknowns.
+
+        Args:
+            fresh: the tangent has been evaluated since the last solution, else its factor is at hand.
+            accuracy: of the correction: what the residual of the linear system may be, relative to that of
+                this one.
+        """
+
+
+@dataclass(frozen=True)
+class Controls:
+    """When iterations stop.
+
+    Attributes:
+        force_tolerance: on |f_R| / |f_ext + f_rct|, T (2.53); couples count as forces at the distance
+            of a cell.
+        energy_tolerance: on f_R . du relative to the work of the step's external forces and reactions,
+            T (2.54); T's measure is in joules, this one doesn't depend on the unit of length.
+        max_iterations: linear solves before the step counts as failed.
+        divergence: force measure at which the step counts as failed. Bending overshoots by 1e3 to 1e4 in
+            the first iteration, so it is far above that.
+    """
+
+    force_tolerance: float = 1e-9
+    energy_tolerance: float = 1e-16
+    max_iterations: int = 25
+    divergence: float = 1e14
+
+
+@dataclass
+class Outcome:
+    """What an attempt led to.
+
+    Attributes:
+        converged: success.
+        history: (force, energy) before the first and after every iteration.
+        reason: why it failed, in words.
+    """
+
+    converged: bool = False
+    history: list[tuple[float, float]] = field(default_factory=list)
+    reason: str = ""
+
+    @property
+    def iterations(self) -> int:
+        """Linear solves."""
+        return max(0, len(self.history) - 1)
+
+
+def solve(system: System, controls: Controls) -> Outcome:
+    """Iterate until one of the measures is below its tolerance. Collective."""
+    outcome = Outcome()
+    try:
+        _iterate(system, controls, outcome)
+    except (LocalFailure, SingularTangent) as e:
+        outcome.converged, outcome.reason = False, str(e)
+    return outcome
+
+
+def _iterate(system: System, controls: Controls, outcome: Outcome) -> None:
+    """Put measures and the result into the outcome.
+
+    Near the solution the residual falls quadratically and the tangent hardly changes any more. Where the
+    last ratio of residuals promises that the tangent at hand is good enough for the tolerance, the last
+    correction is made with it (a chord step); should the promise fail, a full iteration follows.
+    """
+    tangent, chord = True, False
+    while True:
+        evaluate(system, tangent, system.retreat)
+        force, energy = system.measures()
+        outcome.history.append((force, energy))
+        if not math.isfinite(force) or force > controls.divergence:
+            outcome.reason = f"diverged (force measure {force:.3g})"
+            return
+        small = force < controls.force_tolerance or (
+            outcome.iterations > 0 and energy < controls.energy_tolerance
+        )
+        if small and not system.pending():
+            outcome.converged = True
+            return
+        if outcome.iterations >= controls.max_iterations:
+            outcome.reason = (
+                f"no convergence in {controls.max_iterations} iterations (force measure {force:.3g})"
+            )
+            return
+        ratio = _ratio(outcome)
+        chord = not chord and not system.pending() and _SAFETY * ratio * force < controls.force_tolerance
+        if not tangent and not chord:
+            system.evaluate(True)
+        system.advance(not chord, _accuracy(ratio, force, controls))
+        # the next residual and ratio if both fall quadratically: is a tangent needed for what then comes?
+        following = ratio**2 * force
+        tangent = not chord and _SAFETY * ratio**2 * following > controls.force_tolerance
+
+
+def evaluate(system: System, tangent: bool, retreat: Callable[[], bool]) -> None:
+    """Evaluate where the points have stresses: while they have none, go back half of the last correction.
+
+    Raises:
+        LocalFailure: they still have none, or there is nothing to go back.
+    """
+    for _ in range(_RETREATS):
+        try:
+            return system.evaluate(tangent)
+        except LocalFailure:
+            if not retreat():
+                raise
+            tangent = True  # prescribed values may be pending again
+    system.evaluate(True)
+
+
+def expected_to_end(outcome: Outcome, controls: Controls) -> bool:
+    """Whether the next residual is small enough if residuals go on to fall quadratically."""
+    return _SAFETY * _ratio(outcome) ** 2 * outcome.history[-1][0] < controls.force_tolerance
+
+
+def _accuracy(ratio: float, force: float, controls: Controls) -> float:
+    """Of a correction: what leaves the quadratic fall of the residual as it is, and no more than the last
+    correction needs (S. C. Eisenstat, H. F. Walker: Choosing the forcing terms in an inexact Newton method,
+    SIAM J. Sci. Comput. 17 (1996), 16-32)."""
+    enough = _SHARE * controls.force_tolerance / force if force > 0 else 1.0
+    return max(_FINEST, min(_COARSEST, max(_SHARE * ratio**2, enough)))
+
+
+_SHARE = 0.1  # of the residual to come that a linear solution may leave
+_COARSEST, _FINEST = 1e-3, 1e-10  # relative residuals of linear systems
+_RETREATS = 4  # corrections halved before points without stresses end the attempt
+_SAFETY = 10.0  # the change of the tangent is about twice the ratio
+
+
+def _ratio(outcome: Outcome) -> float:
+    """Last ratio of consecutive residuals; infinite before there are two of them."""
+    forces = [force for force, _ in outcome.history]
+    return forces[-1] / forces[-2] if len(forces) > 2 and forces[-2] > 0 else math.inf

@@ -1,0 +1,73 @@
+"""When the background grid is reset: a policy of its own, apart from load steps.
+
+Resets, not load steps, move the answer: the reset basis can't carry part of the points' stresses, and
+what it can't carry is lost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..errors import InputError
+
+
+class ResetPolicy(Protocol):
+    """Decides after each converged step."""
+
+    def due(self, steps: int, gradient: np.ndarray, comm: MPI.Comm) -> bool:
+        """Whether to reset, `steps` steps after the last reset, with du/dx~ (np, d, d) at the points."""
+
+
+@dataclass(frozen=True)
+class EverySteps:
+    """Reset after every n-th load step; n = 1 is the method of the papers."""
+
+    n: int = 1
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.n, int) or self.n < 1:
+            raise InputError(f"reset every n = {self.n!r} steps: a positive whole number is allowed")
+
+    def due(self, steps: int, gradient: np.ndarray, comm: MPI.Comm) -> bool:
+        return steps >= self.n
+
+
+@dataclass(frozen=True)
+class WhenDistorted:
+    """Reset when the cells' Green strain exceeds `limit` at some point (rigid motion doesn't count)."""
+
+    limit: float = 0.2
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.limit) and self.limit > 0):
+            raise InputError(f"limit = {self.limit!r}: a positive number is allowed")
+
+    def due(self, steps: int, gradient: np.ndarray, comm: MPI.Comm) -> bool:
+        transposed = np.swapaxes(gradient, 1, 2)
+        green = 0.5 * (gradient + transposed + transposed @ gradient)
+        most = np.linalg.norm(green, axis=(1, 2)).max(initial=0.0)
+        return bool(comm.allreduce(float(most), op=MPI.MAX) > self.limit)
+
+
+@dataclass(frozen=True)
+class Never:
+    """Keep the first weighting functions: a total Lagrangian method, for studies."""
+
+    def due(self, steps: int, gradient: np.ndarray, comm: MPI.Comm) -> bool:
+        return False
+
+
+def make_policy(reset: int | ResetPolicy | None) -> ResetPolicy:
+    """A number n means every n steps, None never."""
+    if reset is None:
+        return Never()
+    if isinstance(reset, bool) or not (isinstance(reset, int) or hasattr(reset, "due")):
+        raise InputError(
+            f"reset = {reset!r}: a whole number of steps, None, or a policy such as WhenDistorted(0.2)"
+        )
+    return EverySteps(reset) if isinstance(reset, int) else reset

@@ -1,0 +1,175 @@
+"""Load stepping: a fixed number of steps, or steps that adapt."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, Protocol
+
+from mpi4py import MPI
+
+import numpy as np
+from tqdm import tqdm
+
+from ..errors import InputError, NotConverged
+from .newton import Outcome
+
+
+class Marching(Protocol):
+    """What stepping needs of a problem."""
+
+    comm: MPI.Comm
+    progress: Any
+    steps: list[Step]
+
+    def attempt(self, factor: float) -> Outcome: ...
+
+
+@dataclass(frozen=True)
+class Step:
+    """A converged load step.
+
+    Attributes:
+        number: 1 for the first.
+        factor: load factor reached.
+        history: (force, energy) measures before the first and after every iteration, T (2.53)-(2.54).
+        cuts: failed attempts before this one.
+    """
+
+    number: int
+    factor: float
+    history: tuple[tuple[float, float], ...]
+    cuts: int
+
+    @property
+    def iterations(self) -> int:
+        """Linear solves."""
+        return len(self.history) - 1
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How to reach the final load factor.
+
+    Attributes:
+        steps: number of equal steps; for adaptive stepping the first and largest step follows from it.
+        to: final load factor.
+        adaptive: cut and retry a failed step, grow after easy ones.
+        smallest: smallest adaptive step, relative to the first one.
+        largest: load factor increment to which adaptive steps may grow; None: the first one.
+        easy: a step of at most so many iterations lets the next one grow.
+        progress: progress bar; None shows it on a terminal only.
+    """
+
+    steps: int
+    to: float = 1.0
+    adaptive: bool = False
+    smallest: float = 1e-3
+    largest: float | None = None
+    easy: int = 6
+    progress: bool | None = None
+
+    @classmethod
+    def make(cls, steps: int | None, **options: Any) -> Schedule:
+        """Check a user's wishes.
+
+        Raises:
+            InputError: an unknown option or one that is out of range.
+        """
+        unknown = set(options) - {"to", "adaptive", "smallest", "largest", "easy", "progress"}
+        if unknown:
+            raise InputError(f"march: unknown option {sorted(unknown)[0]!r}")
+        if steps is None and not options.get("adaptive"):
+            raise InputError("steps: a number of steps is needed unless adaptive=True")
+        steps = 10 if steps is None else steps
+        if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
+            raise InputError(f"steps = {steps!r}: a positive whole number")
+        schedule = cls(steps, **options)
+        if not math.isfinite(schedule.to):
+            raise InputError(f"to = {schedule.to!r}: a finite load factor")
+        if not 0 < schedule.smallest <= 1:
+            raise InputError(f"smallest = {schedule.smallest!r}: between 0 and 1")
+        largest = schedule.largest
+        if largest is not None and not (schedule.adaptive and math.isfinite(largest) and largest > 0):
+            raise InputError(f"largest = {largest!r}: a positive load factor increment, with adaptive=True")
+        return schedule
+
+
+def march(problem: Marching, schedule: Schedule) -> Iterator[Step]:
+    """Steps to the final factor; see `QuasiStatic.march`."""
+    hidden = (not schedule.progress) if schedule.progress is not None else None
+    if problem.comm.rank:
+        hidden = True
+    with tqdm(total=100, unit="%", disable=hidden, bar_format=_BAR) as bar:
+        stepper = _adaptive if schedule.adaptive else _equal
+        begin = problem.progress.factor
+        for step in stepper(problem, schedule):
+            problem.steps.append(step)
+            share = (step.factor - begin) / (schedule.to - begin) if schedule.to != begin else 1.0
+            bar.update(100 * share - bar.n)
+            force = step.history[-1][0]
+            bar.set_postfix_str(f"step {step.number}, {step.iterations} iterations, residual {force:.1e}")
+            yield step
+
+
+_BAR = "{desc}{percentage:3.0f}%|{bar}| {elapsed} {postfix}"
+
+
+def _attempt(problem: Marching, factor: float, tried: list[str]) -> Step | Outcome:
+    outcome = problem.attempt(factor)
+    if not outcome.converged:
+        tried.append(f"load factor {factor:.6g}: {outcome.reason} after {outcome.iterations} iterations")
+        return outcome
+    return Step(problem.progress.step, factor, tuple(outcome.history), len(tried))
+
+
+def _equal(problem: Marching, schedule: Schedule) -> Iterator[Step]:
+    begin = problem.progress.factor
+    for k in range(1, schedule.steps + 1):
+        factor = schedule.to if k == schedule.steps else _part(begin, schedule.to, k / schedule.steps)
+        tried: list[str] = []
+        step = _attempt(problem, factor, tried)
+        if isinstance(step, Outcome):
+            raise NotConverged(factor, step.history, tried)
+        yield step
+
+
+def _part(begin: float, end: float, share: float) -> float:
+    """begin + (end - begin) share, so that a run that was restarted on the way passes the very same numbers.
+
+    As a rule they are fractions of the end with a small denominator, of which rounding leaves no doubt.
+    """
+    unit = end or 1.0
+    part = begin / unit + (end / unit - begin / unit) * share
+    simple = Fraction(part).limit_denominator(_DENOMINATOR)
+    if abs(part - float(simple)) <= _FEW_DIGITS * max(1.0, abs(begin / unit)):
+        part = float(simple)
+    return unit * part
+
+
+_DENOMINATOR = 10**6  # different fractions are 1e-12 apart
+_FEW_DIGITS = 8 * float(np.finfo(float).eps)
+
+
+def _adaptive(problem: Marching, schedule: Schedule) -> Iterator[Step]:
+    first = (schedule.to - problem.progress.factor) / schedule.steps
+    largest = first if schedule.largest is None else math.copysign(schedule.largest, first)
+    size = min(first, largest, key=abs)
+    while problem.progress.factor != schedule.to:
+        tried: list[str] = []
+        while True:
+            begin = problem.progress.factor
+            left = schedule.to - begin
+            # the last step takes what is left, so that none is tiny
+            factor = schedule.to if abs(left) <= 1.000001 * abs(size) else begin + size
+            step = _attempt(problem, factor, tried)
+            if isinstance(step, Step):
+                break
+            size = 0.5 * min(size, left, key=abs)
+            if abs(size) < schedule.smallest * abs(first):
+                raise NotConverged(factor, step.history, tried)
+        if step.iterations <= schedule.easy:
+            size = min(1.5 * size, largest, key=abs)
+        yield step

@@ -1,0 +1,150 @@
+"""What the demo scripts share: their command line and their report."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from .. import __version__
+from ..io.files import check_output
+from ..problems.base import Problem
+from ..problems.elements import QuasiStaticFEM
+
+
+def arguments(
+    description: str,
+    *,
+    output: str,
+    cell: float | None,
+    points_per_cell: int,
+    steps: int,
+    basis: str,
+    bases: Sequence[str] = ("gimpm", "mpm"),
+    argv: Sequence[str] | None = None,
+    more: Mapping[str, Mapping[str, Any]] | None = None,
+) -> argparse.Namespace:
+    """Command line of a demo with its defaults; `more` adds options of its own (flag -> argparse
+    keywords). Without a `cell` there is no option for it; `bases` are those to choose from.
+    """
+    parser = _parser(description)
+    if cell is not None:
+        parser.add_argument("--cell", type=float, default=cell, help="cell size (unit of the scene)")
+    parser.add_argument("--points-per-cell", type=int, default=points_per_cell, help="in each direction")
+    parser.add_argument("--steps", type=int, default=steps, help="number of load steps")
+    parser.add_argument("--basis", choices=bases, default=basis, help="weighting functions")
+    return _parse(parser, output, more, argv)
+
+
+def element_arguments(
+    description: str,
+    *,
+    output: str,
+    elements: int,
+    degree: int,
+    steps: int,
+    argv: Sequence[str] | None = None,
+    more: Mapping[str, Mapping[str, Any]] | None = None,
+) -> argparse.Namespace:
+    """As `arguments`, of a demo with finite elements."""
+    parser = _parser(description)
+    parser.add_argument("--elements", type=int, default=elements, help="number along the body")
+    parser.add_argument("--degree", type=int, choices=(1, 2), default=degree, help="of the elements")
+    parser.add_argument("--steps", type=int, default=steps, help="number of load steps")
+    return _parse(parser, output, more, argv)
+
+
+def _parser(description: str) -> argparse.ArgumentParser:
+    return argparse.ArgumentParser(
+        description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+
+
+def _parse(
+    parser: argparse.ArgumentParser,
+    output: str,
+    more: Mapping[str, Mapping[str, Any]] | None,
+    argv: Sequence[str] | None,
+) -> argparse.Namespace:
+    parser.add_argument("--output", type=Path, default=Path("results") / output, metavar="DIR", help="folder")
+    parser.add_argument("--json", action="store_true", help="last line of output is one JSON object")
+    for flag, keywords in (more or {}).items():
+        parser.add_argument(flag, **keywords)
+    return parser.parse_args(argv)
+
+
+def report(
+    args: argparse.Namespace, case: str, problem: Problem, result: Mapping[str, Any], **parameters: Any
+) -> dict[str, Any]:
+    """Print what a demo has found, as text or JSON, on one rank. Collective.
+
+    Returns the object with the keys case, parameters, result, iterations (per step), points, unknowns,
+    cpu_s (by phase, summed over ranks, with total), peak_memory_mb (likewise) and version; with finite
+    elements also elements, and points are the quadrature points.
+    """
+    comm = problem.comm
+    seconds = {**problem.timer.seconds, "total": time.process_time()}
+    known: tuple[str, ...] = ("cell", "points_per_cell", "steps", "basis")
+    elements = {}
+    if isinstance(problem, QuasiStaticFEM):
+        known = ("elements", "degree", "steps")
+        elements = {"elements": comm.allreduce(len(problem.elements.body.owned_cells))}
+    summary = {
+        "case": case,
+        "parameters": {**{k: getattr(args, k) for k in known if k in args}, "ranks": comm.size, **parameters},
+        "result": {name: _plain(value) for name, value in result.items()},
+        "iterations": [step.iterations for step in problem.steps],
+        **elements,
+        "points": problem.points.total,
+        "unknowns": problem.unknowns,
+        "cpu_s": {name: round(comm.allreduce(seconds[name]), 3) for name in sorted(seconds)},
+        "peak_memory_mb": round(comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) / 1024, 1),
+        "version": __version__,
+    }
+    if comm.rank == 0:
+        if args.json:
+            print(json.dumps(summary))
+        else:
+            _print_text(summary, args.output)
+        sys.stdout.flush()
+    return summary
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return value
+
+
+def _print_text(summary: Mapping[str, Any], output: Path) -> None:
+    counts = (f"{summary[name]} {name}" for name in ("elements", "points", "unknowns") if name in summary)
+    print(f"{summary['case']}: {', '.join(counts)}")
+    for name, value in summary["result"].items():
+        if isinstance(value, float):
+            print(f"  {name}: {value:.6g}")
+        elif isinstance(value, list) and all(isinstance(v, int | float) for v in value):
+            print(f"  {name}:", "  ".join(f"{v:.6g}" for v in value[:6]) + (" ..." if len(value) > 6 else ""))
+        elif isinstance(value, dict):
+            _print_rows(name, value)
+    seconds = ", ".join(f"{k} {v:.2f}" for k, v in summary["cpu_s"].items())
+    print(f"  iterations {sum(summary['iterations'])}; CPU seconds: {seconds}")
+    print(f"  files in {output}")
+
+
+def _print_rows(name: str, rows: Mapping[str, Sequence[float]]) -> None:
+    for key, values in rows.items():
+        print(f"  {name}, {key}:", "  ".join(f"{v:.4g}" for v in values))
+
+
+def output_folder(args: argparse.Namespace, comm: MPI.Comm) -> Path:
+    """Make the output folder, before any work is done; an error is raised on every rank. Collective."""
+    return check_output(comm, args.output / "files").parent

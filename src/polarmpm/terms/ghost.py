@@ -1,0 +1,241 @@
+"""Ghost penalty: keeps the tangent regular when the body cuts cells slightly (T 2.3.4).
+
+Over the faces of boundary cells the jump of the solution's normal derivative is penalised, T (2.59):
+
+    gamma_g h^3 / 3 * integral over the face of [du/dn] . [dv/dn] dA
+
+for displacements with gamma_g1 and for rotations with gamma_g2 (T after (3.174)). T writes the jump as a
+matrix of normals times strains (2.60). On faces of the grid that is the jump of the whole normal derivative,
+as it stands here (but for a misprint in its last row): the functions are continuous and multilinear, so that
+derivatives along the face don't jump.
+
+With h^3 the parameters count in Pa / m^2 and N / m^2, strictly speaking. T takes the numbers of moduli; on
+cells of one metre that is a share of the stiffness, on smaller ones much less. With h in its place
+(`power=1`, the default) the parameters are shares of the moduli whatever the size of the cells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..assembly.nodalterms import Boxes, Term, multiply
+from ..errors import InputError
+from ..forms.points import Layout
+from ..geometry.grid import Grid
+from ..materials.base import Material, require_finite
+from ..tools.parallel import look_up, lowest_ranks
+
+_SHARES = {"thesis": 1e-2, "light": 1e-5}  # of the moduli; "thesis" as in T 4.4
+_POWERS = {"thesis": 3, "light": 1}
+
+
+@dataclass(frozen=True)
+class GhostPenalty:
+    """Parameters of the ghost penalty.
+
+    Args:
+        displacement: gamma_g1 (Pa; see the module's note on units).
+        rotation: gamma_g2 (N).
+        power: of the faces' size h, 1, or 3 as in T (2.59).
+
+    Raises:
+        InputError: a parameter is negative or not finite; power is neither 1 nor 3.
+    """
+
+    displacement: float
+    rotation: float = 0.0
+    power: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("displacement", "rotation"):
+            value = getattr(self, name)
+            require_finite(f"GhostPenalty: {name}", value)
+            if value < 0:
+                raise InputError(f"GhostPenalty: {name} = {value:g} is negative; 0 or more is allowed")
+        if self.power not in (1, 3):
+            raise InputError(f"GhostPenalty: power = {self.power!r}: allowed are 1 and 3")
+
+
+def make_penalty(
+    ghost: Any, materials: Sequence[Material], layout: Layout, basis: str, assembly: str
+) -> GhostPenalty | None:
+    """Check what a user gives as `ghost`.
+
+    Args:
+        ghost: None, "light", "thesis" or a `GhostPenalty`. "thesis" takes lambda / 100 and gamma / 100 of the
+            stiffest material and h^3 (T 4.4), "light" lambda / 1e5, gamma / 1e5 and h: enough for the
+            tangent's condition; where lambda isn't positive, mu stands in.
+
+    Raises:
+        InputError: an unknown choice; materials that don't name their moduli; a basis or an assembly without
+            ghost penalty.
+    """
+    if ghost is None:
+        return None
+    if not isinstance(ghost, GhostPenalty) and not (isinstance(ghost, str) and ghost in _SHARES):
+        raise InputError(f"ghost = {ghost!r}: allowed are None, 'light', 'thesis' and a GhostPenalty")
+    if basis == "bspline":
+        raise InputError(
+            "ghost: gradients of basis = 'bspline' don't jump across faces, there is nothing to penalise; "
+            "cell aggregation, which is always on, serves there. Allowed are 'gimpm' and 'mpm'"
+        )
+    if assembly != "direct":
+        raise InputError(
+            f"ghost: assembly = {assembly!r} has no room for couplings across faces; allowed is 'direct'"
+        )
+    if isinstance(ghost, GhostPenalty):
+        return ghost
+    share = _SHARES[ghost]
+    rotation = max(_modulus(ghost, m, ("gamma",)) for m in materials) if layout.rotations else 0.0
+    stiffest = max(_modulus(ghost, m, ("lam", "mu")) for m in materials)
+    return GhostPenalty(share * stiffest, share * rotation, _POWERS[ghost])
+
+
+def _modulus(ghost: str, material: Material, names: tuple[str, ...]) -> float:
+    """The first of a material's moduli that is positive; zero when all of those it has are zero."""
+    parameters = getattr(material, "elastic", material).parameters()
+    known = [float(parameters[n]) for n in names if n in parameters]
+    if not known:
+        raise InputError(
+            f"ghost = {ghost!r}: {type(material).__name__} has no parameter named {' or '.join(names)}; give "
+            "numbers, GhostPenalty(displacement=..., rotation=...)"
+        )
+    return next((value for value in known if value > 0), 0.0)
+
+
+# faces ------------------------------------------------------------------------------------------
+def boundary_faces(grid: Grid, reached: np.ndarray) -> list[np.ndarray]:
+    """Faces of boundary cells towards other active cells, T 2.3.4: for each axis the lattice numbers of the
+    cells below the faces across it. Each face is on one rank. Collective.
+
+    A cell of the grid is active when some point or domain reaches it, on any rank (`reached`: this rank's,
+    ascending), and a boundary cell when a cell next to it is empty. Beyond the grid's walls there are no
+    cells.
+    """
+    comm, steps = grid.comm, np.concatenate([-grid.strides, grid.strides])
+    index = grid.node_index(reached)
+    cells = reached[np.all((index >= 0) & (index < np.array(grid.shape)), axis=1)]
+    cells = cells[lowest_ranks(comm, cells) == comm.rank]
+    index = grid.node_index(cells)
+    exists = np.hstack([index > 0, index < np.array(grid.shape) - 1])
+    wanted = (cells[:, None] + steps).ravel()
+    active = look_up(comm, cells, np.ones((len(cells), 1)), wanted).reshape(exists.shape) > 0
+    boundary = np.any(exists & ~active, axis=1)
+    beside = look_up(comm, cells, boundary[:, None].astype(float), wanted).reshape(exists.shape) > 0
+    face = (exists & active & (boundary[:, None] | beside))[:, grid.dim :]
+    return [cells[face[:, axis]] for axis in range(grid.dim)]
+
+
+def penalty_form(mesh: Any, space: Any, size: float, power: int = 3, facets: Any = None) -> Any:
+    """T (2.59) for scalar functions as a UFL form.
+
+    Args:
+        size: of the faces, h (m).
+        facets: measure of the interior faces; default: all of the mesh.
+    """
+    import ufl
+    from dolfinx import fem
+
+    # a constant isn't part of the form's name: other sizes compile nothing
+    factor = fem.Constant(mesh, np.float64(size**power / 3))
+    u, v, n = ufl.TrialFunction(space), ufl.TestFunction(space), ufl.FacetNormal(mesh)
+    faces = ufl.Measure("dS", domain=mesh) if facets is None else facets
+    return factor * ufl.jump(ufl.grad(u), n) * ufl.jump(ufl.grad(v), n) * faces
+
+
+def face_size(cell: Sequence[float], axis: int) -> float:
+    """The largest side (m) of the faces across an axis; in the plane the length of the edge."""
+    return max(side for k, side in enumerate(cell) if k != axis)
+
+
+@lru_cache(maxsize=32)
+def stencil(cell: tuple[float, ...], axis: int, power: int = 3) -> np.ndarray:
+    """Matrix (n, n) of a face across an axis on the box of its two cells' nodes, assembled by dolfinx."""
+    from ..tools import compat as _compat
+
+    dim, name = len(cell), "quadrilateral" if len(cell) == 2 else "hexahedron"
+    boxes = Boxes(tuple(3 if k == axis else 2 for k in range(dim)), np.zeros(1, dtype=np.int64))
+    count, positions = boxes.count, boxes.offsets * np.array(cell)
+    corner = np.array([[(k >> a) & 1 for a in range(dim)] for k in range(2**dim)])  # dolfinx' order
+    lower = [np.ravel_multi_index(tuple(corner.T), count)]
+    upper = [np.ravel_multi_index(tuple((corner + (np.arange(dim) == axis)).T), count)]
+    mesh = _compat.create_mesh(MPI.COMM_SELF, np.array(lower + upper, dtype=np.int64), positions, name)
+    _compat.name_variant(mesh)
+    space = _compat.function_space(mesh, 1, 1)
+    form = _compat.compile_form(penalty_form(mesh, space, face_size(cell, axis), power))
+    matrix = _compat.create_matrix(form)
+    _compat.add_to_matrix(matrix, form)
+    matrix.assemble()
+    at = np.arange(len(positions), dtype=np.int32)
+    dense = matrix.getValues(at, at)
+    matrix.destroy()
+    found = np.rint(space.tabulate_dof_coordinates()[:, :dim] / np.array(cell)).astype(np.int64)
+    order = np.argsort(np.ravel_multi_index(tuple(found.T), count))
+    return np.asarray(dense[np.ix_(order, order)])
+
+
+# terms ------------------------------------------------------------------------------------------
+@dataclass
+class GhostFaces:
+    """Ghost forces of the faces across one axis, T (2.61)-(2.62); implements `nodalterms.Term`.
+
+    The forces are those of the increments since the reset.
+    """
+
+    boxes: Boxes
+    matrix: np.ndarray  # (1, n, n, b)
+    name = "ghost"
+    symmetric = True
+    linear = True
+    external = False
+
+    def __post_init__(self) -> None:
+        self.pairs = np.tile(np.arange(self.matrix.shape[3])[:, None], (1, 2))
+
+    def forces(self, x: np.ndarray) -> np.ndarray:
+        return multiply(self.pairs, self.matrix, x)
+
+    def matrices(self, x: np.ndarray) -> np.ndarray:
+        return self.matrix
+
+    def commit(self, x: np.ndarray) -> None:
+        """Nothing to remember: the forces start anew at each reset."""
+
+
+class Ghost:
+    """Makes the ghost penalty's terms at each reset; implements `nodalterms.TermSource`."""
+
+    def __init__(self, penalty: GhostPenalty, layout: Layout):
+        self.penalty = penalty
+        self.scale = np.repeat([penalty.displacement, penalty.rotation], [layout.dim, layout.rotations])
+
+    def begin(self) -> None:
+        """Nothing to prepare."""
+
+    def terms(self, grid: Grid, reached: np.ndarray) -> list[Term]:
+        out: list[Term] = []
+        for axis, cells in enumerate(boundary_faces(grid, reached)):
+            boxes = Boxes(tuple(3 if k == axis else 2 for k in range(grid.dim)), cells)
+            one = self._stencil(grid, axis)
+            out.append(GhostFaces(boxes, one[None, :, :, None] * self.scale))
+        return out
+
+    def _stencil(self, grid: Grid, axis: int) -> np.ndarray:
+        """Made on one rank, so that only one compiles."""
+        made, error = None, None
+        if grid.comm.rank == 0:
+            try:
+                made = stencil(grid.cell, axis, self.penalty.power)
+            except Exception as e:
+                error = e
+        made, error = grid.comm.bcast((made, error))
+        if error is not None:
+            raise error
+        return np.asarray(made)

@@ -1,0 +1,166 @@
+"""Conditions on surfaces that don't follow the grid: tractions, pressures and supports."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..conditions.supports import Amplitude, Support
+from ..errors import InputError
+from ..forms.points import Layout
+from ..forms.surfaces import DeadTraction, FollowerPressure, Penalty, SurfaceForm
+from ..geometry.surfaces import Surface
+from ..kinematics import rotations
+from .surfaceterms import SurfaceCondition
+
+
+class Traction(SurfaceCondition):
+    """A dead traction (N/m^2) and couple traction (N/m) per undeformed area."""
+
+    def __init__(self, name: str, surface: Surface, layout: Layout, basis: str, comm: MPI.Comm, **given: Any):
+        force, couple = given["force"], given["couple"]
+        if force is None and couple is None:
+            raise InputError(f"{name}: neither force nor couple is given")
+        if couple is not None and not layout.rotations:
+            raise InputError(f"{name}: couple = {couple!r}, but the material has no microrotation")
+        self._force = Amplitude(f"{name}, force", 0.0 if force is None else force, layout.dim)
+        self._couple = None if couple is None else Amplitude(f"{name}, couple", couple, layout.rotations)
+        super().__init__(name, surface, layout, basis, comm)
+        self.linear = self.form.symmetric
+
+    def make_form(self) -> SurfaceForm:
+        return DeadTraction(self.layout, self._couple is not None)
+
+    def values(self, factor: float) -> list[np.ndarray]:
+        return [a.at(factor, self.surface.x) for a in (self._force, self._couple) if a is not None]
+
+
+class Pressure(SurfaceCondition):
+    """A pressure (Pa) against the current normal."""
+
+    linear = False
+
+    def __init__(self, name: str, surface: Surface, layout: Layout, basis: str, comm: MPI.Comm, **given: Any):
+        pressure = given["pressure"]
+        self._pressure = Amplitude(f"{name}, p", pressure, 1)
+        super().__init__(name, surface, layout, basis, comm)
+
+    def make_form(self) -> SurfaceForm:
+        return FollowerPressure(self.layout)
+
+    def values(self, factor: float) -> list[np.ndarray]:
+        before = self._at["F"].reshape(len(self.surface), -1)
+        return [self._pressure.at(factor, self.surface.x), before, self.surface.normal]
+
+
+class SurfaceSupport(SurfaceCondition):
+    """Springs that hold a surface at prescribed displacements and rotations.
+
+    Args:
+        support: prescribed components, or None.
+        normal: displacement along the undeformed normals (m), or None.
+        stiffness, rotation_stiffness: springs per area (Pa/m, N/m).
+        augment: after each converged step the springs' forces are kept, so that the gap of a load that stays
+            vanishes over steps (augmented Lagrange method).
+    """
+
+    def __init__(
+        self,
+        name: str,
+        surface: Surface,
+        layout: Layout,
+        basis: str,
+        comm: MPI.Comm,
+        *,
+        support: Support | None,
+        normal: Any,
+        stiffness: float,
+        rotation_stiffness: float,
+        augment: bool,
+    ):
+        self._columns = support.columns if support else {}
+        self._normal = None if normal is None else Amplitude(f"{name}, normal", normal, 1)
+        self._stiffness, self._rotation_stiffness, self.augment = stiffness, rotation_stiffness, augment
+        super().__init__(name, surface, layout, basis, comm)
+        self._springs = self._make_springs()
+        self.multiplier: np.ndarray = np.zeros((len(surface), layout.block))
+        self.reaction: tuple[np.ndarray, np.ndarray] | None = None
+        self.gap: np.ndarray = np.zeros(0)
+
+    def make_form(self) -> SurfaceForm:
+        return Penalty(self.layout)
+
+    def _make_springs(self) -> np.ndarray:
+        n, d, b = len(self.surface), self.layout.dim, self.layout.block
+        p = np.zeros((n, b, b))
+        for column in self._columns:
+            p[:, column, column] = self._stiffness if column < d else self._rotation_stiffness
+        if self._normal is not None:
+            normal = self.surface.normal
+            p[:, :d, :d] += self._stiffness * normal[:, :, None] * normal[:, None, :]
+        return p
+
+    def _target(self, factor: float) -> np.ndarray:
+        """Increments (n, b) since the last reset, of rotations since their base, that leave no gap."""
+        x, d, r = self.surface.x, self.layout.dim, self.layout.rotations
+        total = np.zeros((len(x), self.layout.block))
+        for column, (amplitude, component) in self._columns.items():
+            total[:, column] = amplitude.at(factor, x)[:, component]
+        target = total - np.hstack([self._at["u"], self._at["theta"]])
+        if r == 3 and all(c in self._columns for c in range(d, d + 3)):
+            there = rotations.from_vector(total[:, d:])
+            way = rotations.multiply(there, rotations.conjugate(self._at["q"]))
+            target[:, d:] = rotations.to_vector(np.where(way[:, :1] < 0, -way, way))
+        if self._normal is not None:
+            normal = self.surface.normal
+            along = self._normal.at(factor, x)[:, 0] - np.sum(normal * self._at["u"], axis=1)
+            target[:, :d] = along[:, None] * normal
+        return target
+
+    def values(self, factor: float) -> list[np.ndarray]:
+        springs = self._springs.reshape(len(self.surface), -1)
+        if self._carrying and self.augment:  # the step has converged with this force before it was kept
+            springs = np.zeros_like(springs)
+        return [springs, self._target(factor), self.multiplier]
+
+    def rebase_rotations(self) -> None:
+        d, w = self.layout.dim, self.theta - self._at["theta"]
+        if self.layout.rotations == 3:  # what does work on Dw now does it on the spin
+            self.multiplier[:, d:] = _spin_forces(w, self.multiplier[:, d:])
+        super().rebase_rotations()
+
+    def converged(self, y: np.ndarray) -> None:
+        d, b = self.layout.dim, self.layout.block
+        every = np.arange(len(y))
+        force = self.evaluate(y, every)[:, :b]
+        self.gap = self._gap(y)
+        on_body = -self.surface.area[:, None] * force
+        if self.layout.rotations == 3:
+            on_body[:, d:] = _spin_forces(y[:, d:b], on_body[:, d:])
+        self.reaction = on_body[:, :d].sum(axis=0), on_body[:, d:].sum(axis=0)
+        if self.augment:
+            self.multiplier = force
+
+    def _gap(self, y: np.ndarray) -> np.ndarray:
+        """How far the prescribed displacements are missed (n,) (m)."""
+        d, (_, target, _) = self.layout.dim, self._data
+        miss = y[:, :d] - target[:, :d]
+        if self._normal is not None:
+            return np.abs(np.sum(miss * self.surface.normal, axis=1))
+        held = [c for c in range(d) if c in self._columns]
+        return np.asarray(np.linalg.norm(miss[:, held], axis=1))
+
+    def state(self) -> dict[str, np.ndarray]:
+        return {**super().state(), "multiplier": self.multiplier}
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        super().restore(arrays)
+        self.multiplier = np.array(arrays["multiplier"], dtype=float)
+
+
+def _spin_forces(w: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Couples (n, 3), which do work on the spin, of forces that do it on increments of w (n, 3)."""
+    return np.linalg.solve(rotations.right_tangent(w), forces[:, :, None])[:, :, 0]

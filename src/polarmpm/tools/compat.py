@@ -1,0 +1,359 @@
+"""All that depends on the version of dolfinx, ufl and basix. Features are tested, not version numbers."""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import math
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import ufl
+
+from ..errors import InputError, KernelError
+
+try:  # dolfinx >= 0.8
+    import basix.ufl as _basix_ufl
+
+    _HAS_BASIX_ELEMENTS = hasattr(_basix_ufl, "quadrature_element")
+except ImportError:
+    _HAS_BASIX_ELEMENTS = False
+
+
+def coordinate_element(cell: str, gdim: int) -> Any:
+    """Linear (multilinear on boxes) Lagrange element of the mesh geometry."""
+    if _HAS_BASIX_ELEMENTS:
+        return _basix_ufl.element("Lagrange", cell, 1, shape=(gdim,))
+    # with the variant that FFCx adds when it compiles a form: later forms keep their names in the cache
+    kind = ufl.Cell(cell, geometric_dimension=gdim)
+    return ufl.VectorElement("Lagrange", kind, 1, dim=gdim, variant="equispaced")
+
+
+def quadrature_element(cell: str, size: int, degree: int = 1) -> Any:
+    """Vector-valued quadrature element: `size` values at every quadrature point of a cell."""
+    if _HAS_BASIX_ELEMENTS:
+        return _basix_ufl.quadrature_element(cell, value_shape=(size,), degree=degree, scheme="default")
+    return ufl.VectorElement("Quadrature", cell, degree=degree, dim=size, quad_scheme="default")
+
+
+def point_domain() -> Any:
+    """Abstract UFL domain whose cells stand for material points: one quadrature point each."""
+    return ufl.Mesh(coordinate_element("interval", 1))
+
+
+def expression_signature(expr: Any, terminals: dict[Any, int]) -> str:
+    """Signature of an expression that does not depend on running numbers of UFL objects."""
+    from ufl.algorithms.signature import compute_expression_signature
+    from ufl.corealg.traversal import traverse_unique_terminals
+
+    # newer UFL takes labels of variables by their running numbers unless it's told others
+    labels = (t for t in traverse_unique_terminals(expr) if isinstance(t, ufl.classes.Label))
+    try:
+        return compute_expression_signature(expr, {**terminals, **{t: k for k, t in enumerate(labels)}})
+    except KeyError as e:
+        raise KernelError(f"{e.args[0]} is not an input of this kernel") from None
+
+
+def create_mesh(comm: Any, cells: Any, positions: Any, cell: str, sharing: np.ndarray | None = None) -> Any:
+    """A dolfinx mesh of linear cells. Collective.
+
+    Args:
+        cells: global node numbers of this rank's cells (m, nodes of a cell).
+        positions: coordinates (n, dim) of the nodes that this rank gives, in the order of their numbers.
+        cell: "quadrilateral" or "hexahedron".
+        sharing: ranks that have a node of each cell (m, any number), -1 stands for none; cells then stay on
+            their ranks. Default: dolfinx distributes them.
+    """
+    from dolfinx import mesh
+
+    domain = ufl.Mesh(coordinate_element(cell, positions.shape[1]))
+    parameters = list(inspect.signature(mesh.create_mesh).parameters)
+    arguments = (positions, domain) if parameters[2] == "x" else (domain, positions)
+    if sharing is None:
+        return mesh.create_mesh(comm, cells, *arguments)
+    # dolfinx 0.5 finds out by ghost cells which ranks share a vertex, and its own partitions only have those
+    # across facets: cells on two ranks that touch at a corner would be apart. It drops the ghosts later.
+    old = "ghost_mode" in parameters
+    destinations = _destinations(comm.rank, sharing if old else sharing[:, :0])
+    options = {"ghost_mode": mesh.GhostMode.none} if old else {}
+    return mesh.create_mesh(comm, cells, *arguments, **options, partitioner=lambda *_: destinations)
+
+
+def _destinations(rank: int, others: np.ndarray) -> Any:
+    """For each cell its owner, this rank, then the other ranks named in its row (m, any number)."""
+    from dolfinx import graph
+
+    rows = [sorted(set(row) - {rank, -1}) for row in others.tolist()]
+    ends = np.cumsum([0] + [1 + len(row) for row in rows]).astype(np.int32)
+    flat = np.array([r for row in rows for r in (rank, *row)], dtype=np.int32)
+    create = graph.adjacencylist if hasattr(graph, "adjacencylist") else graph.create_adjacencylist
+    made = create(flat, ends)
+    return getattr(made, "_cpp_object", made)
+
+
+def mesh_quadrature(mesh: Any, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (n, d) and volumes (n,) of the quadrature points of this rank's own cells.
+
+    The geometry is linear (simplices, quadrilaterals, hexahedra).
+    """
+    import basix
+
+    dim = mesh.topology.dim
+    name = cell_name(mesh)
+    kind = getattr(basix.CellType, name)
+    xi, weight = _quadrature(name, degree)
+    geometry = basix.create_element(basix.ElementFamily.P, kind, 1, basix.LagrangeVariant.equispaced)
+    table = np.asarray(geometry.tabulate(1, xi))[:, :, :, 0]  # [value, d/dxi_1, ...][point][node]
+    own = mesh.topology.index_map(dim).size_local
+    dofmap = mesh.geometry.dofmap
+    nodes = np.asarray(dofmap.array if hasattr(dofmap, "array") else dofmap).reshape(-1, table.shape[2])[:own]
+    corner = mesh.geometry.x[nodes][:, :, :dim]
+    x = np.einsum("pn,cnd->cpd", table[0], corner)
+    jacobian = np.einsum("jpn,cni->cpij", table[1:], corner)
+    volume = np.abs(np.linalg.det(jacobian)) * weight
+    return x.reshape(-1, dim), volume.ravel()
+
+
+def read_gmsh(path: str, dim: int, comm: Any) -> Any:
+    """The dolfinx mesh of a gmsh file. Collective.
+
+    Raises:
+        InputError: no such file, no gmsh, or no cells of this dimension in a physical group.
+    """
+    return read_gmsh_groups(path, dim, comm)[0]
+
+
+def read_gmsh_groups(source: Any, dim: int, comm: Any) -> tuple[Any, Any, Any, dict[tuple[int, str], int]]:
+    """Mesh, cell tags, facet tags and physical names {(dimension, name): tag} of a gmsh file or model.
+    Collective; the model counts on rank 0.
+
+    Args:
+        dim: dimension of the cells; 0 means the highest one of a physical group.
+
+    Raises:
+        InputError: as `read_gmsh`; cells of an unknown type, of several types or in several groups, or on a
+            curved or inclined surface.
+    """
+    label = repr(source) if isinstance(source, str) else "the gmsh model"
+    with contextlib.ExitStack() as stack:
+        error, model, names = None, None, {}
+        if comm.rank == 0:
+            try:
+                model = stack.enter_context(_gmsh_model(source)) if isinstance(source, str) else source
+                dim, error = _check_gmsh(model, dim)
+                for d, tag in model.getPhysicalGroups():
+                    names[d, model.getPhysicalName(d, tag) or f"{tag}"] = tag
+            except Exception as e:  # gmsh raises bare Exceptions
+                error = str(e).strip() or type(e).__name__
+        error, dim, names = comm.bcast((error, dim, names), root=0)
+        if error:
+            raise InputError(f"mesh = {label} can't be read: {error}")
+        data = _model_to_mesh()(model, comm, 0, gdim=dim)
+        parts = data if isinstance(data, tuple) else (data.mesh, data.cell_tags, data.facet_tags)
+        return (*parts[:3], names)
+
+
+_GMSH_CELLS = (2, 3, 4, 5, 9, 10, 11, 12)  # triangles, quadrilaterals, tetrahedra, hexahedra; complete ones
+
+
+def _check_gmsh(model: Any, dim: int) -> tuple[int, str | None]:
+    """Dimension of the cells, and what is wrong with them."""
+    groups = model.getPhysicalGroups(dim) if dim else model.getPhysicalGroups()
+    dim = dim or max((d for d, _ in groups), default=0)
+    if dim < 2 or not any(d == dim for d, _ in groups):
+        what = f"{dim} dimensions" if dim else "two or three dimensions"
+        return dim, f"it has no cells of {what} in a physical group"
+    kinds: set[int] = set()
+    owner: dict[tuple[int, int], int] = {}
+    for d, tag in groups:
+        for entity in model.getEntitiesForPhysicalGroup(d, tag) if d >= dim - 1 else ():
+            other = owner.setdefault((d, entity), tag)
+            if other != tag:
+                both = " and ".join(repr(model.getPhysicalName(d, t) or t) for t in (other, tag))
+                return dim, (
+                    f"the physical groups {both} share the {('curve', 'surface', 'volume')[d - 1]} {entity}; "
+                    "one group can be given to each"
+                )
+            if d == dim:
+                kinds |= set(model.mesh.getElementTypes(d, entity))
+    if not kinds:
+        return dim, "its physical groups have no cells; generate the mesh first"
+    titles = [model.mesh.getElementProperties(k)[0] for k in sorted(kinds)]
+    if len(kinds) > 1 or not kinds <= set(_GMSH_CELLS):
+        return dim, (
+            f"its cells are {' and '.join(titles)}; one of triangles, quadrilaterals, tetrahedra and "
+            "hexahedra (with all nodes of their degree) is allowed"
+        )
+    z = [model.mesh.getNodesForPhysicalGroup(2, tag)[1][2::3] for d, tag in groups if d == dim == 2]
+    if z and np.ptp(np.concatenate(z)) > 1e-6 * _extent(model):
+        return dim, "its surface is not a plane z = constant; a body in space needs volumes"
+    return dim, None
+
+
+def _extent(model: Any) -> float:
+    x = model.mesh.getNodes()[1].reshape(-1, 3)
+    return float(np.ptp(x, axis=0).max())
+
+
+@contextlib.contextmanager
+def _gmsh_model(path: str) -> Iterator[Any]:
+    """The model of a gmsh file; a caller's own session goes on (gmsh 4.8 can't tell that there is one)."""
+    import gmsh
+
+    if not os.path.isfile(path):
+        raise FileNotFoundError("no such file")
+    running = hasattr(gmsh, "isInitialized") and bool(gmsh.isInitialized())
+    if not running:
+        gmsh.initialize()
+        gmsh.option.setNumber("General.Terminal", 0)
+    try:
+        gmsh.open(path)
+        yield gmsh.model
+    finally:
+        if running:
+            gmsh.model.remove()
+        else:
+            gmsh.finalize()
+
+
+def _model_to_mesh() -> Any:
+    try:
+        from dolfinx.io.gmshio import model_to_mesh
+    except ImportError:  # dolfinx 0.10 renames the module
+        from dolfinx.io.gmsh import model_to_mesh
+    return model_to_mesh
+
+
+# finite elements --------------------------------------------------------------------------------
+def name_variant(mesh: Any) -> None:
+    """Give the mesh's element the variant that ffcx 0.5 gives it while it compiles a form.
+
+    Signatures tell the variant: forms built after a compilation would be compiled once more in the next
+    process, which finds the first one in the cache.
+    """
+    element: Any = getattr(mesh.ufl_domain(), "_ufl_coordinate_element", None)
+    scalar: Any = getattr(element, "_sub_element", None)
+    if not _HAS_BASIX_ELEMENTS and getattr(scalar, "_variant", "") is None:
+        named = scalar.reconstruct(variant="equispaced")
+        mesh.ufl_domain()._ufl_coordinate_element = ufl.VectorElement(named, dim=element.num_sub_elements())
+
+
+def cell_name(mesh: Any) -> str:
+    """triangle, quadrilateral, tetrahedron, hexahedron, ..."""
+    name = mesh.ufl_cell().cellname
+    return str(name() if callable(name) else name)
+
+
+def function_space(mesh: Any, size: int, degree: int) -> Any:
+    """Continuous Lagrange space of `size` components; its functions are scalars when that is 1, as
+    dolfinx 0.5 can't tell where the nodes of vectors of one component are."""
+    if _HAS_BASIX_ELEMENTS:
+        shape = (size,) if size > 1 else None
+        element = _basix_ufl.element("Lagrange", cell_name(mesh), degree, shape=shape)
+    elif size == 1:
+        element = ufl.FiniteElement("Lagrange", mesh.ufl_cell(), degree)
+    else:
+        element = ufl.VectorElement("Lagrange", mesh.ufl_cell(), degree, dim=size)
+    return _space(mesh, element)
+
+
+def quadrature_space(mesh: Any, size: int, degree: int) -> Any:
+    """Space of `size` values at every quadrature point."""
+    return _space(mesh, quadrature_element(cell_name(mesh), size, degree))
+
+
+def _space(mesh: Any, element: Any) -> Any:
+    from dolfinx import fem
+
+    return (fem.functionspace if hasattr(fem, "functionspace") else fem.FunctionSpace)(mesh, element)
+
+
+def cell_dofs(space: Any) -> np.ndarray:
+    """Blocked degrees of freedom (cells, k) of this rank's cells, ghosts included."""
+    listed = space.dofmap.list
+    listed = listed.array if hasattr(listed, "array") else listed
+    return np.asarray(listed).reshape(-1, space.dofmap.dof_layout.num_dofs)
+
+
+def quadrature_positions(cell: str, degree: int) -> np.ndarray:
+    """Positions (n, d) of a rule in the reference cell, in the order of quadrature functions."""
+    return _quadrature(cell, degree)[0]
+
+
+def quadrature_weights(cell: str, degree: int) -> np.ndarray:
+    """Weights (n,) of a rule in the reference cell."""
+    return _quadrature(cell, degree)[1]
+
+
+def _quadrature(cell: str, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    import basix
+
+    kind = getattr(basix.CellType, cell)
+    try:
+        rule = basix.make_quadrature(kind, degree)
+    except TypeError:  # basix 0.5 wants the rule first
+        rule = basix.make_quadrature(basix.QuadratureType.Default, kind, degree)
+    return np.asarray(rule[0]), np.asarray(rule[1])
+
+
+_JIT = {"timeout": 600, "cffi_extra_compile_args": ["-O2"]}
+
+
+def compile_form(form: Any, optimisation: str = "-O2") -> Any:
+    """Compile a UFL form. Collective."""
+    from dolfinx import fem
+
+    key = "jit_options" if "jit_options" in inspect.signature(fem.form).parameters else "jit_params"
+    return fem.form(form, **{key: {**_JIT, "cffi_extra_compile_args": [optimisation]}})
+
+
+class Evaluator:
+    """Values of a UFL expression at the same reference positions of all cells."""
+
+    def __init__(self, mesh: Any, expression: Any, positions: np.ndarray):
+        from dolfinx import fem
+
+        parameters = inspect.signature(fem.Expression.__init__).parameters
+        key = "jit_options" if "jit_options" in parameters else "jit_params"
+        self._mesh, self._shape = mesh, (len(positions), math.prod(expression.ufl_shape))
+        self._expression = fem.Expression(expression, positions, **{key: _JIT})
+
+    def __call__(self, cells: np.ndarray) -> np.ndarray:
+        """(cells, positions, size)."""
+        by_mesh = next(iter(inspect.signature(self._expression.eval).parameters)) == "mesh"
+        values = self._expression.eval(*([self._mesh] if by_mesh else []), cells)
+        return np.asarray(values).reshape(len(cells), *self._shape)
+
+
+def add_reverse(function: Any) -> None:
+    """Add ghosts' values of a function to their owners'. Collective."""
+    from dolfinx import la
+
+    mode = la.ScatterMode if hasattr(la, "ScatterMode") else la.InsertMode
+    function.x.scatter_reverse(mode.add)
+
+
+def assemble_vector(form: Any, nodes: int) -> np.ndarray:
+    """Nodal values of a linear form, flattened; ghosts hold this rank's part."""
+    from dolfinx import fem
+
+    space = form.function_spaces[0]
+    out = np.zeros(nodes * space.dofmap.bs)
+    fem.assemble_vector(out, form)
+    return out
+
+
+def add_to_matrix(matrix: Any, form: Any) -> None:
+    """Add a bilinear form to a PETSc matrix, without the exchange between ranks."""
+    from dolfinx.fem import petsc
+
+    petsc.assemble_matrix(matrix, form)
+
+
+def create_matrix(form: Any) -> Any:
+    """PETSc matrix of dense node blocks with the pattern of a bilinear form. Collective."""
+    from dolfinx.fem import petsc
+
+    return petsc.create_matrix(form, "baij")  # a third less time than "aij" for the same assembly

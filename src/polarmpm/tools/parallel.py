@@ -1,0 +1,148 @@
+"""Sending rows of arrays between ranks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..errors import InputError
+
+_TAG = 7361  # of messages between ranks
+
+
+@dataclass
+class Traffic:
+    """What this rank has sent to others so far."""
+
+    messages: int = 0
+    bytes: int = 0
+
+
+traffic = Traffic()
+
+
+class Route:
+    """Sends row i of an array to rank `destination[i]`, and answers back. Collective.
+
+    `forward` returns the received rows ordered by source rank; `backward` returns rows that answer the
+    received ones to where they came from, in the original order. Ranks that have nothing for each other
+    exchange nothing but one number, when the route is made.
+    """
+
+    def __init__(self, comm: MPI.Comm, destination: np.ndarray):
+        self.comm = comm
+        self.order = np.argsort(destination, kind="stable")
+        self.sent = np.bincount(destination, minlength=comm.size).astype(np.int32)
+        self.received = np.empty(comm.size, dtype=np.int32)
+        comm.Alltoall(self.sent, self.received)
+
+    def _exchange(self, rows: np.ndarray, sent: np.ndarray, received: np.ndarray) -> np.ndarray:
+        comm, rows = self.comm, np.ascontiguousarray(rows)
+        out = np.empty((int(received.sum()), *rows.shape[1:]), dtype=rows.dtype)
+        width = int(np.prod(rows.shape[1:], dtype=int)) * rows.itemsize
+        if width == 0:
+            return out
+        parts, places = (np.concatenate([[0], np.cumsum(c)]) for c in (sent, received))
+        row, requests = MPI.BYTE.Create_contiguous(width).Commit(), []
+        try:
+            for rank in np.flatnonzero(received):
+                part = out[places[rank] : places[rank + 1]]
+                if rank == comm.rank:
+                    part[...] = rows[parts[rank] : parts[rank + 1]]
+                else:
+                    requests.append(comm.Irecv([part, len(part), row], int(rank), _TAG))
+            for rank in np.flatnonzero(sent):
+                if rank != comm.rank:
+                    part = rows[parts[rank] : parts[rank + 1]]
+                    requests.append(comm.Isend([part, len(part), row], int(rank), _TAG))
+                    traffic.messages += 1
+                    traffic.bytes += part.nbytes
+            MPI.Request.Waitall(requests)
+        finally:
+            row.Free()
+        return out
+
+    def forward(self, rows: np.ndarray) -> np.ndarray:
+        return self._exchange(rows[self.order], self.sent, self.received)
+
+    def backward(self, answers: np.ndarray) -> np.ndarray:
+        back = self._exchange(answers, self.received, self.sent)
+        out = np.empty_like(back)
+        out[self.order] = back
+        return out
+
+
+def look_up(comm: MPI.Comm, numbers: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Values (m, c) that ranks hold under numbers (m,), each on one rank, for the wanted numbers. Collective.
+
+    Numbers that nobody holds get zeros. A number tells which rank keeps the book on it.
+    """
+    home = Route(comm, numbers % comm.size)
+    known = np.append(home.forward(numbers), -1)
+    rows = np.vstack([home.forward(values), np.zeros((1, values.shape[1]))])
+    order = np.argsort(known)
+    ask = Route(comm, wanted % comm.size)
+    asked = ask.forward(wanted)
+    at = order[np.searchsorted(known, asked, sorter=order, side="right") - 1]
+    return ask.backward(np.where((known[at] == asked)[:, None], rows[at], 0.0))
+
+
+def lowest_ranks(comm: MPI.Comm, numbers: np.ndarray, claims: np.ndarray | None = None) -> np.ndarray:
+    """The lowest rank that holds each of the numbers (n,), all different on a rank. Collective.
+
+    With claims (n,), whole numbers, the lowest of those whose claim is the largest.
+    """
+    route = Route(comm, numbers % comm.size)
+    asked = route.forward(numbers)
+    source = np.repeat(np.arange(comm.size), route.received)
+    unique, inverse = np.unique(asked, return_inverse=True)
+    if claims is not None:
+        claimed = route.forward(claims)
+        most = np.zeros(len(unique), dtype=np.int64)
+        np.maximum.at(most, inverse, claimed)
+        source = np.where(claimed == most[inverse], source, comm.size)
+    lowest = np.full(len(unique), comm.size, dtype=np.int64)
+    np.minimum.at(lowest, inverse, source)
+    return route.backward(lowest[inverse])
+
+
+def sharing_ranks(comm: MPI.Comm, numbers: np.ndarray, most: int) -> np.ndarray:
+    """All ranks that hold each of the numbers (n,), all different on a rank. Collective.
+
+    Returns:
+        Ranks (n, most), ascending; -1 where there are fewer.
+    """
+    route = Route(comm, numbers % comm.size)
+    asked = route.forward(numbers)
+    source = np.repeat(np.arange(comm.size), route.received)
+    order = np.argsort(asked, kind="stable")
+    first = np.searchsorted(asked[order], asked)  # where the number's entries begin
+    place = np.empty(len(asked), dtype=np.int64)
+    place[order] = np.arange(len(asked)) - first[order]
+    table = np.full((len(asked), most), -1, dtype=np.int64)
+    table[first, place] = source
+    return route.backward(table[first])
+
+
+def collectively(comm: MPI.Comm, error: Exception | None) -> None:
+    """Raise on every rank what any rank has found wrong (the lowest rank's error)."""
+    errors = comm.allgather(error)
+    for e in errors:
+        if e is not None:
+            raise e
+
+
+@contextmanager
+def together(comm: MPI.Comm) -> Iterator[None]:
+    """Local work whose InputError is raised on every rank, so that no rank waits for ever. Collective."""
+    error = None
+    try:
+        yield
+    except InputError as e:
+        error = e
+    collectively(comm, error)
