@@ -10,13 +10,14 @@ import ufl
 from conftest import COMM
 
 import polarmpm as pm
-from polarmpm.forms.points import Kernel, PointSpace, compile_expressions
 from polarmpm.kernels import codegen, jit
 from polarmpm.kernels.codegen import FREE, Graph, Scalariser
-from polarmpm.tools import compat as _compat
+from polarmpm.kernels.csource import write_c
+from polarmpm.kernels.kernel import Kernel, PointSpace, compile_expressions
+from polarmpm.tools import compat
 
 ROWS = 11
-SPACE = PointSpace(_compat.point_domain())
+SPACE = PointSpace(compat.point_domain())
 C = SPACE.coefficient(18)
 SLOTS = {C: 0}
 VALUES = np.random.default_rng(0).uniform(0.2, 0.9, (ROWS, 18))
@@ -188,7 +189,7 @@ def test_coefficients_of_arguments():
     scalariser = Scalariser(SLOTS)
     linear = scalariser(codegen.expand(form)).data[()]
     nodes = codegen.coefficients(linear, (3, 3), scalariser.graph.zero)
-    source = codegen.write_c(scalariser.graph, {"evaluate": nodes})
+    source = write_c(scalariser.graph, {"evaluate": nodes})
     kernel = Kernel(jit.library(jit.digest("test", source), lambda: source, COMM), "evaluate", 18, 9)
     expected = np.zeros((ROWS, 3, 3))
     expected[:, 0, 1] = x / y

@@ -9,7 +9,8 @@ import pytest
 from conftest import COMM, MICROPOLAR, NEO_HOOKEAN, beam, by_id
 
 import polarmpm as pm
-from polarmpm.conditions.supports import Amplitude, point_loads
+from polarmpm.conditions.amplitudes import Amplitude
+from polarmpm.conditions.loads import point_loads
 
 
 def tip_of(problem: pm.QuasiStatic) -> pm.Selection:

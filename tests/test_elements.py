@@ -11,7 +11,7 @@ from bodies import DIMENSION, at_nodes, box, cantilever, everywhere
 from conftest import COMM, MICROPOLAR, NEO_HOOKEAN, assert_repeated
 
 import polarmpm as pm
-from polarmpm.tools import compat as _compat
+from polarmpm.tools import compat
 
 STIFF = pm.NeoHookean(lam=6e3, mu=4e3)
 
@@ -47,7 +47,7 @@ def test_points_are_numbered_along_the_cells_of_the_input():
     """Ids tell the cell in the order of the input, whatever dolfinx and the ranks made of it."""
     nodes = np.array([[0, 0], [1, 0], [3, 0], [6, 0], [0, 1], [1, 1], [3, 1], [6, 1]], dtype=float)
     cells = np.array([[2, 3, 6, 7], [0, 1, 4, 5], [1, 2, 5, 6]])
-    mesh = _compat.create_mesh(COMM, *on_first(cells, nodes), "quadrilateral")
+    mesh = compat.create_mesh(COMM, *on_first(cells, nodes), "quadrilateral")
     body = pm.Elements(mesh, material=NEO_HOOKEAN)
     p = body.points
     order = np.argsort(np.concatenate(COMM.allgather(p.id)))
@@ -96,7 +96,7 @@ def cells_of(kind, nodes, cells, dim):
 
     cells, x = on_first(np.array(cells), np.array(nodes, dtype=float)[:, :dim])
     if kind == "prism" or dim > DIMENSION[kind]:
-        if _compat._HAS_BASIX_ELEMENTS:
+        if compat._HAS_BASIX_ELEMENTS:
             import basix.ufl
 
             element = basix.ufl.element("Lagrange", kind, 1, shape=(dim,))
@@ -105,7 +105,7 @@ def cells_of(kind, nodes, cells, dim):
         domain = ufl.Mesh(element)
         names = list(inspect.signature(dmesh.create_mesh).parameters)
         return dmesh.create_mesh(COMM, cells, *((x, domain) if names[2] == "x" else (domain, x)))
-    return _compat.create_mesh(COMM, cells, x, kind)
+    return compat.create_mesh(COMM, cells, x, kind)
 
 
 def test_meshes_that_cannot_be_used():
@@ -126,7 +126,7 @@ def test_meshes_that_cannot_be_used():
     assert volume(pm.Elements(mirrored, material=NEO_HOOKEAN)) == pytest.approx(1.0, rel=1e-14)
 
 
-@pytest.mark.skipif(not _compat._HAS_BASIX_ELEMENTS, reason="ufl of this dolfinx has no prisms")
+@pytest.mark.skipif(not compat._HAS_BASIX_ELEMENTS, reason="ufl of this dolfinx has no prisms")
 def test_prisms_cannot_be_used():
     corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]]
     with pytest.raises(pm.InputError, match="of the type prism; allowed are triangle"):

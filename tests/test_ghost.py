@@ -17,11 +17,11 @@ from test_system import collected, residual_at, stored_matrix, tangent_at
 
 import polarmpm as pm
 from polarmpm.assembly.nodalterms import NodalTerms
-from polarmpm.forms.points import Layout
 from polarmpm.geometry import cells as cellmesh
 from polarmpm.geometry.nodes import ActiveNodes
+from polarmpm.kinematics.layout import Layout
 from polarmpm.terms.ghost import Ghost, boundary_faces, face_size, penalty_form, stencil
-from polarmpm.tools import compat as _compat
+from polarmpm.tools import compat
 
 
 def mine(values: Any) -> np.ndarray:
@@ -74,7 +74,7 @@ def test_faces_add_up_to_dolfinx_assembly(dim):
     x = np.random.default_rng(3).uniform(-1, 1, (len(nodes), dim))
 
     body = cellmesh.cell_mesh(grid, np.sort(cells)).mesh
-    space = _compat.function_space(body, 1, 1)
+    space = compat.function_space(body, 1, 1)
     at = np.rint(grid.local(space.tabulate_dof_coordinates()[:, :dim])).astype(np.int64)
     field = np.zeros((len(at), dim))
     known = np.isin(grid.node_number(at), nodes.lattice)
@@ -93,9 +93,9 @@ def test_faces_add_up_to_dolfinx_assembly(dim):
         assert len(facets) == len(below)
         tags = dmesh.meshtags(body, dim - 1, facets, np.ones(len(facets), dtype=np.int32))
         dS = ufl.Measure("dS", domain=body, subdomain_data=tags)(1)
-        form = _compat.compile_form(penalty_form(body, space, face_size(grid.cell, axis), facets=dS))
-        matrix = _compat.create_matrix(form)
-        _compat.add_to_matrix(matrix, form)
+        form = compat.compile_form(penalty_form(body, space, face_size(grid.cell, axis), facets=dS))
+        matrix = compat.create_matrix(form)
+        compat.add_to_matrix(matrix, form)
         matrix.assemble()
         k = np.arange(len(at), dtype=np.int32)
         total += 7.0 * matrix.getValues(k, k) @ field

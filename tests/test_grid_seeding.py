@@ -12,7 +12,7 @@ from conftest import COMM, HENCKY, MICROPOLAR, by_id, rotation
 import polarmpm as pm
 from polarmpm.geometry.cells import cell_mesh, occupied_cells
 from polarmpm.geometry.grid import MARGIN
-from polarmpm.tools import compat as _compat
+from polarmpm.tools import compat
 
 
 def block(dim: int = 2, cell: float = 0.5) -> pm.Grid:
@@ -364,13 +364,13 @@ def test_quadrature_of_a_skewed_triangle():
     if COMM.size > 1:
         pytest.skip("a mesh of one cell")
     x = np.array([[0.0, 0.0], [2.0, 0.3], [0.4, 1.1]])
-    domain = ufl.Mesh(_compat.coordinate_element("triangle", 2))
+    domain = ufl.Mesh(compat.coordinate_element("triangle", 2))
     cells = np.array([[0, 1, 2]], dtype=np.int64)
     try:
         made = mesh.create_mesh(COMM, cells, x, domain)
     except TypeError:  # newer versions take the domain first
         made = mesh.create_mesh(COMM, cells, domain, x)
-    position, volume = _compat.mesh_quadrature(made, 2)
+    position, volume = compat.mesh_quadrature(made, 2)
     assert volume.sum() == pytest.approx(0.5 * (2.0 * 1.1 - 0.3 * 0.4))
     np.testing.assert_allclose(volume @ position / volume.sum(), x.mean(axis=0))
 

@@ -7,16 +7,17 @@ import pytest
 import ufl
 from conftest import COMM, rotation
 
-from polarmpm.forms.points import Layout, PointSpace, compile_expressions
+from polarmpm.kernels.kernel import PointSpace, compile_expressions
 from polarmpm.kinematics import measures as kinematics
 from polarmpm.kinematics import rotations
+from polarmpm.kinematics.layout import Layout
 from polarmpm.kinematics.motion import Motion
-from polarmpm.tools import compat as _compat
+from polarmpm.tools import compat
 
 
 def evaluate(expression, *values: np.ndarray) -> np.ndarray:
     """A function of UFL vectors, compiled like any kernel, at rows of values."""
-    space = PointSpace(_compat.point_domain())
+    space = PointSpace(compat.point_domain())
     sizes = [v.shape[1] for v in values]
     coefficients = [space.coefficient(n) for n in sizes]
     slots = dict(zip(coefficients, np.cumsum([0, *sizes[:-1]]).tolist(), strict=True))

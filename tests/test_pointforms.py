@@ -9,9 +9,11 @@ from conftest import ANISOTROPIC, COMM, GENERAL, HENCKY, MICROPOLAR, NEO_HOOKEAN
 
 import polarmpm as pm
 from polarmpm.forms import points as pointforms
-from polarmpm.forms.points import CoupleForm, PointForm, compile_expressions
+from polarmpm.forms.couples import CoupleForm
+from polarmpm.forms.points import PointForm
+from polarmpm.kernels.kernel import compile_expressions
 from polarmpm.kinematics import rotations
-from polarmpm.tools import compat as _compat
+from polarmpm.tools import compat
 
 MATERIALS = {
     "rotated": MICROPOLAR,
@@ -247,7 +249,7 @@ class _Carrier:
 
         if size not in self.spaces:
             make = getattr(fem, "functionspace", None) or fem.FunctionSpace
-            self.spaces[size] = make(self.mesh, _compat.quadrature_element("interval", size))
+            self.spaces[size] = make(self.mesh, compat.quadrature_element("interval", size))
         return self.spaces[size]
 
     def coefficient(self, size):

@@ -15,12 +15,14 @@ from polarmpm.assembly.interpolation import Interpolation
 from polarmpm.assembly.points import LoadedPoints, PointSystem
 from polarmpm.assembly.projection import DEGREE, CellProjection, ProjectedSystem, lagrange
 from polarmpm.bodies.points import Points
-from polarmpm.conditions.supports import Prescribed, make_support
-from polarmpm.forms.points import CoupleForm, PointForm
+from polarmpm.conditions.prescribed import Prescribed
+from polarmpm.conditions.supports import make_support
+from polarmpm.forms.couples import CoupleForm
+from polarmpm.forms.points import PointForm
 from polarmpm.forms.stresses import FieldForm
 from polarmpm.io import restart
 from polarmpm.kinematics import rotations
-from polarmpm.tools import compat as _compat
+from polarmpm.tools import compat
 from polarmpm.tools.timing import Timer
 
 CELL = np.array([1.0, 0.8, 1.25])
@@ -204,7 +206,7 @@ def test_multiquadratic_functions_integrate_to_sums_over_points(dim):
 
     grid, points = body(dim, [MICROPOLAR], "many")
     cells = CellProjection(grid, points.x, dim)
-    volume = fem.Function(_compat.quadrature_space(cells.mesh, 1, DEGREE))
+    volume = fem.Function(compat.quadrature_space(cells.mesh, 1, DEGREE))
     cells.project(points.volume0[:, None].copy(), volume)
     dx = ufl.dx(domain=cells.mesh, metadata={"quadrature_degree": DEGREE})
     X = ufl.SpatialCoordinate(cells.mesh)
@@ -216,7 +218,7 @@ def test_multiquadratic_functions_integrate_to_sums_over_points(dim):
         (volume[0], points.volume0),
         (volume[0] * np.prod(quadratics(X)), points.volume0 * np.prod(quadratics(points.x.T), axis=0)),
     ):
-        found = COMM.allreduce(fem.assemble_scalar(_compat.compile_form(integrand * dx)))
+        found = COMM.allreduce(fem.assemble_scalar(compat.compile_form(integrand * dx)))
         assert found == pytest.approx(COMM.allreduce(values.sum()), rel=1e-13)
     lowest = COMM.allreduce(volume.x.array.min(initial=0.0), op=MPI.MIN)
     assert lowest < -0.01 * points.volume0.mean()  # moments, not volumes: some are negative
@@ -225,7 +227,7 @@ def test_multiquadratic_functions_integrate_to_sums_over_points(dim):
 def test_lagrange_polynomials_belong_to_the_quadrature_points():
     """One at their own point, zero at the others, in the order of quadrature functions."""
     for cell in ("quadrilateral", "hexahedron"):
-        x = _compat.quadrature_positions(cell, DEGREE)
+        x = compat.quadrature_positions(cell, DEGREE)
         np.testing.assert_allclose(lagrange(cell, x), np.eye(len(x)), rtol=0, atol=1e-14)
 
 
@@ -376,5 +378,5 @@ def test_the_direct_sum_does_without_the_projection(monkeypatch):
     """Nothing of it is imported or compiled."""
     for name in ("assembly.projection", "forms.numbers"):
         monkeypatch.setitem(sys.modules, f"polarmpm.{name}", None)
-    monkeypatch.setattr(_compat, "compile_form", None)
+    monkeypatch.setattr(compat, "compile_form", None)
     list(cantilever("direct").march(1))

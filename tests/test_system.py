@@ -26,8 +26,10 @@ import polarmpm as pm
 from polarmpm.assembly.interpolation import Interpolation
 from polarmpm.assembly.points import PointSystem
 from polarmpm.bodies.points import Points
-from polarmpm.conditions.supports import Prescribed, make_support
-from polarmpm.forms.points import CoupleForm, PointForm
+from polarmpm.conditions.prescribed import Prescribed
+from polarmpm.conditions.supports import make_support
+from polarmpm.forms.couples import CoupleForm
+from polarmpm.forms.points import PointForm
 from polarmpm.forms.stresses import FieldForm
 from polarmpm.kinematics import rotations
 from polarmpm.kinematics.motion import Motion

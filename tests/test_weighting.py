@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import polarmpm as pm
-from polarmpm.basis.lattice import Weights, node_positions, weights
-from polarmpm.bodies.points import domain_half_length
+from polarmpm.basis.base import Weights
+from polarmpm.basis.lattice import node_positions, weights
 from polarmpm.geometry.grid import MARGIN
+from polarmpm.kinematics.stretch import domain_half_length
 
 ORIGIN, CELL, CELLS = (-1.3, 0.4, 2.0), (0.5, 0.8, 1.25), (6, 5, 7)
 

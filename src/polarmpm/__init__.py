@@ -1,13 +1,14 @@
 """Large deformations of micropolar (Cosserat) solids with material points, on FEniCSx."""
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 from .bodies.elements import Elements, Facets
 from .bodies.points import Points, Selection
 from .bodies.seeding import seed, seed_mesh
-from .conditions.supports import plane
 from .errors import InputError, KernelError, NotConserved, NotConverged, PointsOutsideGrid, PolarMPMError
 from .geometry.grid import Grid
+from .geometry.planes import plane
 from .geometry.surfaces import Surface
 from .io import Recorder, Table
 from .io.restart import load as load_restart
@@ -21,17 +22,16 @@ from .solvers.stepping import Step
 from .terms.ghost import GhostPenalty
 
 if TYPE_CHECKING:
-    from .materials.plastic import DruckerPrager, Plastic, UserPlasticity, VonMises
+    from .materials.cones import DruckerPrager, VonMises
+    from .materials.plastic import Plastic, UserPlasticity
 
-_PLASTIC = ("DruckerPrager", "Plastic", "UserPlasticity", "VonMises")
+_PLASTIC = {"DruckerPrager": "cones", "VonMises": "cones", "Plastic": "plastic", "UserPlasticity": "plastic"}
 
 
 def __getattr__(name: str) -> Any:
     """Plastic materials, imported when a scene asks for one."""
     if name in _PLASTIC:
-        from .materials import plastic
-
-        return getattr(plastic, name)
+        return getattr(importlib.import_module(f"{__name__}.materials.{_PLASTIC[name]}"), name)
     raise AttributeError(f"module 'polarmpm' has no attribute {name!r}")
 
 

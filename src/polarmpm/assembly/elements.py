@@ -2,80 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
-
-from mpi4py import MPI
 
 import numpy as np
 
-from ..conditions.supports import Prescribed
+from ..conditions.prescribed import Prescribed
 from ..forms.elements import ElementForms
-from ..solvers.choice import make_solver
-from ..tools import compat as _compat
+from ..tools import compat
 from ..tools.timing import Timer
+from .formmatrix import FormMatrix
 from .system import NodalSystem
-
-
-class FormMatrix:
-    """Matrix of bilinear forms with prescribed unknowns, and its solver.
-
-    Args:
-        forms: compiled bilinear forms whose sum is the matrix; the first has the whole pattern.
-        fixed: prescribed unknowns (nodes, block) of this rank, bool.
-        symmetric: the matrix is symmetric.
-        far_from_symmetric: see `DirectSolver`.
-        solver, large, hints: see `solvers.make_solver`.
-    """
-
-    def __init__(
-        self,
-        forms: Sequence[Any],
-        fixed: np.ndarray,
-        symmetric: bool,
-        owned: int,
-        far_from_symmetric: bool,
-        solver: str,
-        large: bool,
-        hints: Callable[[], tuple[np.ndarray, np.ndarray, np.ndarray]],
-    ):
-        self.forms, self.owned, self.block = forms, owned, fixed.shape[1]
-        self.matrix = _compat.create_matrix(forms[0])
-        rows = np.flatnonzero(fixed[:owned].ravel())
-        self._fixed = (rows + self.matrix.getOwnershipRange()[0]).astype(np.int32)
-        self.solver = make_solver(solver, large, self.matrix, symmetric, far_from_symmetric, hints)
-        self._vector = self.matrix.createVecRight()
-
-    def assemble(self, lift: np.ndarray | None) -> np.ndarray | None:
-        """Fill the matrix; returns its product with `lift` (nodes, block), before rows and columns of
-        prescribed unknowns are left out. Collective."""
-        self.matrix.zeroEntries()
-        for form in self.forms:
-            _compat.add_to_matrix(self.matrix, form)
-        self.matrix.assemble()
-        product = None
-        if lift is not None:
-            self._vector.array[:] = lift[: self.owned].ravel()
-            moved = self.matrix.createVecLeft()
-            self.matrix.mult(self._vector, moved)
-            product = np.zeros_like(lift)
-            product[: self.owned] = moved.array.reshape(-1, self.block)
-            moved.destroy()
-        self.diagonal = self._diagonal()
-        scale = float(self.diagonal.max(initial=0.0)) or 1.0
-        self.matrix.zeroRowsColumns(self._fixed, self.matrix.comm.tompi4py().allreduce(scale, op=MPI.MAX))
-        return product
-
-    def _diagonal(self) -> np.ndarray:
-        diagonal = self.matrix.getDiagonal()
-        values = diagonal.array.reshape(-1, self.block).copy()
-        diagonal.destroy()
-        return values
-
-    def destroy(self) -> None:
-        """Release PETSc's objects."""
-        self._vector.destroy()
-        self.solver.destroy()
 
 
 class ElementSystem(NodalSystem):
@@ -143,7 +80,7 @@ class ElementSystem(NodalSystem):
         """Nodal sums of linear forms, complete on owned rows."""
         total = np.zeros_like(self.x)
         for form in linear:
-            total += _compat.assemble_vector(form, len(self.nodes)).reshape(total.shape)
+            total += compat.assemble_vector(form, len(self.nodes)).reshape(total.shape)
         if linear:
             self.nodes.add_to_owners(total)
         return total

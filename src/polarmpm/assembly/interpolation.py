@@ -17,35 +17,21 @@ from mpi4py import MPI
 import numpy as np
 
 from ..basis.aggregation import supporting_cells
-from ..basis.lattice import Weights, node_positions, weights
-from ..bodies.points import Points, domain_half_length
-from ..forms.points import Layout, PointForm
+from ..basis.base import Weights
+from ..basis.lattice import node_positions, weights
+from ..bodies.points import Points
+from ..bodies.reference import Increments, Reference
+from ..forms.points import PointForm
 from ..geometry.grid import Grid
 from ..geometry.nodes import ActiveNodes
 from ..kernels import native
+from ..kinematics.layout import Layout
 from ..kinematics.motion import Motion
+from ..kinematics.stretch import domain_half_length
 from ..materials.base import parameter_values
-from ..tools.parallel import Route, together
-from .nodalterms import TermSource
-
-
-@dataclass
-class Reference:
-    """State of the points from which increments count: F at the last reset, rotations at their last base."""
-
-    x: np.ndarray
-    F: np.ndarray
-    q: np.ndarray
-    wryness: np.ndarray
-
-    @classmethod
-    def of(cls, points: Points) -> Reference:
-        """The points' current state."""
-        return cls(points.x.copy(), points.F.copy(), points.q.copy(), points.wryness.copy())
-
-    def moved(self, route: Route) -> Reference:
-        """The same of points that have gone to other ranks. Collective."""
-        return Reference(*(route.forward(a) for a in (self.x, self.F, self.q, self.wryness)))
+from ..terms.base import TermSource
+from ..tools.parallel import together
+from .nodesets import Groups, claims_of, group_points, node_sets_of, reached_cells
 
 
 @dataclass
@@ -55,15 +41,6 @@ class PointBatch:
     form: PointForm
     rows: np.ndarray
     batch: native.Batch
-
-
-@dataclass
-class Increments:
-    """Interpolated increments at the points: value (n, block), du/dx~ (n, d, d), dw/dx~ (n, r, d)."""
-
-    value: np.ndarray
-    gradient: np.ndarray
-    rotation_gradient: np.ndarray
 
 
 class Interpolation:
@@ -94,13 +71,13 @@ class Interpolation:
         half = domain_half_length(r.F, points.half_length0) if basis == "gimpm" else points.half_length0
         with together(grid.comm):
             w = weights(basis, grid, r.x, half, cells)
-        order, groups = _group(points.material, w)
+        order, groups = group_points(points.material, w)
         degree = 2 if basis == "bspline" else 1
-        reached = _reached_cells(grid, groups, degree) if sources else np.zeros(0, dtype=np.int64)
+        reached = reached_cells(grid, groups, degree) if sources else np.zeros(0, dtype=np.int64)
         self.terms = [term for source in sources for term in source.terms(grid, reached)]
         more = [t.boxes.numbers(grid).ravel() for t in self.terms]
-        touched, node_sets, first = _node_sets(grid, groups, more)
-        claims = _claims(grid, groups, touched) if grid.comm.size > 1 else None
+        touched, node_sets, first = node_sets_of(grid, groups, more)
+        claims = claims_of(grid, groups, touched) if grid.comm.size > 1 else None
         self.nodes = ActiveNodes.build(grid, touched, partial(node_positions, basis, grid), claims)
         node_sets = self.nodes.local(touched).astype(np.int32)[node_sets]
         self.batches = [
@@ -116,7 +93,7 @@ class Interpolation:
         material: int,
         w: Weights,
         order: np.ndarray,
-        groups: _Groups,
+        groups: Groups,
         node_sets: tuple[np.ndarray, np.ndarray],
     ) -> PointBatch:
         # groups are sorted by material first
@@ -206,67 +183,3 @@ def _gather(batch: native.Batch, x: np.ndarray, framed: int, z: np.ndarray, valu
     to = None if value is None else value.ctypes.data
     if native.library().polarmpm_gather(ctypes.byref(batch), x.ctypes.data, framed, z.ctypes.data, to):
         raise MemoryError("no memory to interpolate nodal values")
-
-
-@dataclass
-class _Groups:
-    """Point groups that share a node set: material, first lattice node, nodes in each direction."""
-
-    material: np.ndarray
-    node: np.ndarray
-    count: np.ndarray
-    first: np.ndarray
-
-
-def _group(material: np.ndarray, w: Weights) -> tuple[np.ndarray, _Groups]:
-    """Sort points by material, first node and node count."""
-    n, dim = w.first.shape
-    # neighbours next to each other: their groups share rows of the matrix, which then stay in the cache
-    keys = [w.count[:, i] for i in range(dim)] + [w.first[:, i] for i in range(dim - 1, -1, -1)] + [material]
-    order = np.lexsort(keys)
-    columns = np.column_stack([material, w.first, w.count])[order]
-    new = np.ones(n, dtype=bool)
-    new[1:] = np.any(columns[1:] != columns[:-1], axis=1)
-    heads = columns[new]
-    first = np.append(np.flatnonzero(new), n)
-    return order, _Groups(heads[:, 0], heads[:, 1 : 1 + dim], heads[:, 1 + dim :], first)
-
-
-def _boxes(grid: Grid, sizes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """For each different size (n, d) of boxes of nodes: which rows have it, and its nodes' distances from the
-    first one, as lattice numbers."""
-    different, kind = np.unique(sizes, axis=0, return_inverse=True)
-    out = []
-    for k, size in enumerate(different):
-        index = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1).reshape(-1, grid.dim)
-        out.append((np.flatnonzero(kind.ravel() == k), index @ grid.strides))
-    return out
-
-
-def _reached_cells(grid: Grid, groups: _Groups, degree: int) -> np.ndarray:
-    """Lattice numbers, ascending, of the cells on which the groups' functions, of a degree, are weights."""
-    first = grid.node_number(groups.node.reshape(-1, grid.dim))
-    boxes = _boxes(grid, groups.count - degree)
-    return np.unique(np.concatenate([first[:0], *((first[g][:, None] + box).ravel() for g, box in boxes)]))
-
-
-def _claims(grid: Grid, groups: _Groups, touched: np.ndarray) -> np.ndarray:
-    """How many of this rank's points have each touched node as their first one: a piece of the body that is
-    cut between cells then owns the lower corners of its cells, and no rank more nodes than its share."""
-    first = grid.node_number(groups.node.reshape(-1, grid.dim))
-    at = np.searchsorted(touched, first)
-    return np.bincount(at, np.diff(groups.first), minlength=len(touched)).astype(np.int64)
-
-
-def _node_sets(
-    grid: Grid, groups: _Groups, more: Sequence[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """All lattice numbers touched, those in `more` too, ascending; the places among them of the groups'
-    nodes, one group after the other; and where each group's begin (groups + 1)."""
-    base = grid.node_number(groups.node.reshape(-1, grid.dim))
-    first = np.concatenate([[0], np.cumsum(np.prod(groups.count, axis=1))]).astype(np.int64)
-    numbers = np.empty(first[-1], dtype=np.int64)
-    for g, box in _boxes(grid, groups.count):
-        numbers[first[g][:, None] + np.arange(len(box))] = base[g][:, None] + box
-    touched, inverse = np.unique(np.concatenate([numbers, *more]), return_inverse=True)
-    return touched, inverse[: len(numbers)], first

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..conditions.supports import Prescribed
-from ..forms.points import Kernel
+from ..conditions.prescribed import Prescribed
 from ..geometry.nodes import ActiveNodes
 from ..kernels import native
+from ..kernels.kernel import Kernel
 from ..solvers.choice import make_solver, takes_multigrid
 from ..tools.timing import Timer
 from . import sparsity

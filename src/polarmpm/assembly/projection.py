@@ -15,18 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from ..bodies.elements import SpaceNodes
-from ..conditions.supports import Prescribed
+from ..conditions.prescribed import Prescribed
 from ..forms.numbers import BlockForms, tangent_size
-from ..forms.points import Kernel
 from ..geometry.cells import cell_mesh, occupied_cells
 from ..geometry.grid import Grid, snap
 from ..geometry.nodes import ActiveNodes
+from ..geometry.spacenodes import SpaceNodes
 from ..kernels import native
-from ..tools import compat as _compat
+from ..kernels.kernel import Kernel
+from ..tools import compat
 from ..tools.parallel import Route, look_up
 from ..tools.timing import Timer
-from .elements import FormMatrix
+from .formmatrix import FormMatrix
 from .interpolation import Interpolation
 from .points import LoadedPoints
 
@@ -35,7 +35,7 @@ DEGREE = 5  # three Gauss points in each direction: their Lagrange polynomials a
 
 def lagrange(cell: str, xi: np.ndarray) -> np.ndarray:
     """Lagrange polynomials of the quadrature points of a box at xi (n, d) in [0, 1], (n, 3^d)."""
-    positions = _compat.quadrature_positions(cell, DEGREE)
+    positions = compat.quadrature_positions(cell, DEGREE)
     out = np.ones((len(xi), len(positions)))
     for axis in range(xi.shape[1]):
         gauss = np.unique(np.round(positions[:, axis], 12))
@@ -63,7 +63,7 @@ class CellProjection:
     def __init__(self, grid: Grid, x: np.ndarray, block: int):
         self.grid = grid
         self.mesh = cell_mesh(grid, occupied_cells(grid, x)).mesh
-        self.space = _compat.function_space(self.mesh, block, 1)
+        self.space = compat.function_space(self.mesh, block, 1)
         self.nodes = SpaceNodes(self.space, grid.dim)
         self.lattice = grid.node_number(np.rint(grid.local(self.nodes.position)).astype(np.int64))
         self._send_points(x)
@@ -72,7 +72,7 @@ class CellProjection:
         """Tell the owners of the cells which points they have, and where."""
         comm, grid = self.grid.comm, self.grid
         own = self.mesh.topology.index_map(grid.dim).size_local
-        cells = self.lattice[_compat.cell_dofs(self.space)[:own]].min(
+        cells = self.lattice[compat.cell_dofs(self.space)[:own]].min(
             axis=1
         )  # a cell's number: its lowest node
         address = np.column_stack([np.full(own, comm.rank), np.arange(own)])
@@ -80,8 +80,8 @@ class CellProjection:
         at = look_up(comm, cells, address.astype(float), grid.cell_number(index)).astype(np.int64)
         self._route = Route(comm, at[:, 0])
         self._cells = self._route.forward(at[:, 1])
-        name = _compat.cell_name(self.mesh)
-        volume = _compat.quadrature_weights(name, DEGREE) * np.prod(grid.cell)
+        name = compat.cell_name(self.mesh)
+        volume = compat.quadrature_weights(name, DEGREE) * np.prod(grid.cell)
         self._weights = lagrange(name, self._route.forward(snap(grid.local(x)) - index)) / volume
 
     def project(self, moments: np.ndarray, function: Any) -> None:
@@ -89,7 +89,7 @@ class CellProjection:
         out = function.x.array
         out[:] = 0.0
         sent = self._route.forward(moments) if self.grid.comm.size > 1 else moments
-        place = _compat.cell_dofs(function.function_space)[self._cells].astype(np.int32)
+        place = compat.cell_dofs(function.function_space)[self._cells].astype(np.int32)
         native.library().polarmpm_project(
             len(sent),
             self._weights.shape[1],
@@ -173,7 +173,7 @@ class ProjectedSystem(LoadedPoints):
     def assemble(self, tangent: bool) -> np.ndarray:
         self._project(tangent)
         mesh_nodes, own = self.cells.nodes, self.nodes.owned
-        forces = _compat.assemble_vector(self.forms.residual, len(mesh_nodes))
+        forces = compat.assemble_vector(self.forms.residual, len(mesh_nodes))
         forces = forces.reshape(-1, self.layout.block)
         mesh_nodes.add_to_owners(forces)
         internal, self._lift_forces = np.zeros_like(self.x), np.zeros_like(self.x)

@@ -3,35 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 from mpi4py import MPI
 
 import numpy as np
 
-from ..conditions.supports import Prescribed
-from ..forms.points import Layout
+from ..conditions.prescribed import Prescribed
+from ..geometry.nodes import Nodes
+from ..kinematics.layout import Layout
 from ..solvers.choice import is_large
 from ..solvers.direct import ACCURACY
 from ..tools.timing import Timer
 
 _ROUNDING = 16 * float(np.finfo(float).eps)
-
-
-class Nodes(Protocol):
-    """Nodes of this rank: first the owned ones, then ghosts."""
-
-    owned: int
-    total: int
-
-    @property
-    def position(self) -> np.ndarray: ...
-
-    def __len__(self) -> int: ...
-
-    def add_to_owners(self, values: np.ndarray) -> None: ...
-
-    def update_ghosts(self, values: np.ndarray) -> None: ...
 
 
 class NodalSystem:
@@ -75,6 +59,16 @@ class NodalSystem:
         # a couple counts as a force at the distance of a cell, so that measures don't depend on units
         self._cell = float(np.prod(length)) ** (1.0 / len(length))
         self._as_force = np.array([1.0] * layout.dim + [1.0 / self._cell] * layout.rotations)
+
+    @property
+    def dim(self) -> int:
+        """Space dimension: so many components of a node's unknowns are displacements."""
+        return self.layout.dim
+
+    @property
+    def owned(self) -> int:
+        """Number of nodes that this rank owns."""
+        return self.nodes.owned
 
     # what an assembly provides --------------------------------------------------------------------
     def assemble(self, tangent: bool) -> np.ndarray:

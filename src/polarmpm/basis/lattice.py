@@ -17,45 +17,13 @@ positions: a linear field has its own values there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from ..errors import InputError
-from ..geometry.grid import MARGIN, Grid, snap
+from ..geometry.grid import Grid, snap
+from .base import Weights, check_basis, check_margin
+from .bspline import spline_weights
 
-BASES = ("gimpm", "mpm", "bspline")
 _SLIVER = 1e-4
-
-
-@dataclass
-class Weights:
-    """Weights of points in each direction; the weighting function is their product, T (2.28)-(2.30).
-
-    Attributes:
-        first: lattice index of the first node (n, d).
-        count: number of nodes in each direction (n, d).
-        table: values and gradients (1/m), (n, d, 2, slots); unused slots are zero.
-    """
-
-    first: np.ndarray
-    count: np.ndarray
-    table: np.ndarray
-
-    def products(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-        """Lattice numbers of each point's nodes and their weights, (n, slots^d); unused slots weigh zero."""
-        slots = self.table.shape[-1]
-        index = np.stack(np.unravel_index(np.arange(slots**grid.dim), (slots,) * grid.dim), axis=-1)
-        numbers = grid.node_number(self.first)[:, None] + index @ grid.strides
-        value = np.prod([self.table[:, i, 0, index[:, i]] for i in range(grid.dim)], axis=0)
-        return numbers, value
-
-
-def check_basis(basis: str) -> str:
-    """Raise InputError for an unknown basis."""
-    if basis not in BASES:
-        raise InputError(f"basis = {basis!r}: allowed are {', '.join(BASES)}")
-    return basis
 
 
 def weights(
@@ -70,7 +38,7 @@ def weights(
             Default: the cell that the point is in. See `aggregation`.
     """
     if check_basis(basis) == "bspline":
-        return _spline_weights(grid, x, grid.cells_of(x) if cells is None else cells)
+        return spline_weights(grid, x, grid.cells_of(x) if cells is None else cells)
     if basis == "mpm":
         return _tent_weights(grid, x)
     xi, cell = grid.local(x), np.array(grid.cell)
@@ -82,7 +50,7 @@ def weights(
     first = np.floor(low).astype(np.int64)
     first = np.where((high <= low) & (first >= inner), inner - 1, first)
     last = np.maximum(np.ceil(high).astype(np.int64), first + 1)
-    _check_margin(grid, first, last)
+    check_margin(grid, first, last)
     count = (last - first + 1).astype(np.int32)
     slots = int(count.max(initial=2))
     table = np.zeros((len(x), grid.dim, 2, slots))
@@ -100,40 +68,17 @@ def weights(
     return Weights(first, count, table)
 
 
-def _check_margin(grid: Grid, first: np.ndarray, last: np.ndarray) -> None:
-    if np.any(first < -MARGIN) or np.any(last > np.array(grid.shape) + MARGIN):
-        raise InputError(f"point domains reach more than {MARGIN} cells beyond the grid")
-
-
 def _tent_weights(grid: Grid, x: np.ndarray) -> Weights:
     """The tent functions at x (n, d). A point on a plane is in the cell above, but for the grid's last."""
     xi, inner = snap(grid.local(x)), np.array(grid.shape)
     first = np.floor(xi).astype(np.int64)
     first = np.where(first >= inner, inner - 1, first)
-    _check_margin(grid, first, first + 1)
+    check_margin(grid, first, first + 1)
     table = np.empty((*x.shape, 2, 2))
     table[:, :, 0, 1] = xi - first
     table[:, :, 0, 0] = 1.0 - table[:, :, 0, 1]
     table[:, :, 1, 0], table[:, :, 1, 1] = -1.0 / np.array(grid.cell), 1.0 / np.array(grid.cell)
     return Weights(first, np.full(x.shape, 2, dtype=np.int32), table)
-
-
-def _spline_weights(grid: Grid, x: np.ndarray, first: np.ndarray) -> Weights:
-    """Quadratic B-splines at x (n, d): of cell c = first the functions c, c + 1 and c + 2."""
-    cell = np.array(grid.cell)
-    right = snap(grid.local(x)) - first
-    left = 1.0 - right
-    # one over the cells that the outer two functions share with the middle one: two, or one at the boundary,
-    # where knots coincide
-    lower = np.where(first == 0, 1.0, 0.5)
-    upper = np.where(first == np.array(grid.shape) - 1, 1.0, 0.5)
-    values = [lower * left**2, upper * right**2]
-    slopes = [-2.0 * lower * left / cell, 2.0 * upper * right / cell]
-    table = np.empty((*x.shape, 2, 3))
-    for k, (below, above) in enumerate((values, slopes)):
-        table[:, :, k, 0], table[:, :, k, 2] = below, above
-        table[:, :, k, 1] = (1.0 if k == 0 else 0.0) - below - above
-    return Weights(first, np.full(x.shape, 3, dtype=np.int32), table)
 
 
 def node_positions(basis: str, grid: Grid, numbers: np.ndarray) -> np.ndarray:
@@ -156,3 +101,24 @@ def _without_slivers(xi: np.ndarray, half: np.ndarray) -> np.ndarray:
         sliver = (half - reach < _SLIVER) & (reach > _SLIVER)
         shorter = np.where(sliver, np.minimum(shorter, reach), shorter)
     return shorter
+
+
+def cell_weights(basis: str, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Values and gradients (1/m) of cells' functions at x (m, d), continued beyond the cells: (m, 1 + d,
+    n)."""
+    if basis == "bspline":
+        line = weights(basis, grid, x, np.zeros_like(x), cells).table  # (m, d, 2, 3)
+    else:
+        right = grid.local(x) - cells
+        slope = np.broadcast_to(1.0 / np.array(grid.cell), x.shape)
+        line = np.stack([np.stack([1.0 - right, right], -1), np.stack([-slope, slope], -1)], axis=2)
+    dim, slots = grid.dim, line.shape[-1]
+    index = np.stack(np.unravel_index(np.arange(slots**dim), (slots,) * dim), axis=-1)
+
+    def product(derivative: int) -> np.ndarray:
+        out = np.ones((len(x), len(index)))
+        for i in range(dim):
+            out *= line[:, i, int(i == derivative)][:, index[:, i]]
+        return out
+
+    return np.stack([product(k) for k in (-1, *range(dim))], axis=1)

@@ -11,46 +11,19 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
-from ..conditions.supports import PlaneSpec
 from ..errors import InputError
-from ..forms.points import Layout
 from ..geometry.meshes import BodyMesh
+from ..geometry.planes import PlaneSpec
+from ..geometry.spacenodes import SpaceNodes
 from ..kinematics import rotations
+from ..kinematics.layout import Layout
 from ..materials.base import Material, check_material
-from ..tools import compat as _compat
+from ..tools import compat
 from ..tools.parallel import collectively, together
 from .points import Points
 
 # exact for the stiffness of undistorted elements: 2 and 3 Gauss points a direction on boxes
 _QUADRATURE = {("tensor", 1): 3, ("tensor", 2): 5, ("simplex", 1): 2, ("simplex", 2): 4}
-
-
-class SpaceNodes:
-    """Nodes of a Lagrange space of this rank, owned ones first; implements `system.Nodes`."""
-
-    def __init__(self, space: Any, dim: int):
-        from dolfinx import fem
-
-        index_map = space.dofmap.index_map
-        self.owned, self.total = int(index_map.size_local), int(index_map.size_global)
-        self.position = space.tabulate_dof_coordinates()[:, :dim].copy()
-        self._work = fem.Function(space)
-        self._size = int(space.dofmap.index_map_bs)
-
-    def __len__(self) -> int:
-        return len(self.position)
-
-    def add_to_owners(self, values: np.ndarray) -> None:
-        """Add ghosts' rows of values (n, block) to their owners'; ghost rows keep their part. Collective."""
-        self._work.x.array[:] = values.ravel()
-        _compat.add_reverse(self._work)
-        values[: self.owned] = self._work.x.array.reshape(-1, self._size)[: self.owned]
-
-    def update_ghosts(self, values: np.ndarray) -> None:
-        """Overwrite ghosts' rows of values (n, block) with their owners'. Collective."""
-        self._work.x.array[:] = values.ravel()
-        self._work.x.scatter_forward()
-        values[self.owned :] = self._work.x.array.reshape(-1, self._size)[self.owned :]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +94,9 @@ class Elements:
         self.degree, self.quadrature_degree = degree, rule
         materials, of_cell = self._regions(material)
         self.layout = Layout.of(materials[0], self.dim)
-        self.space = _compat.function_space(self.mesh, self.layout.block, degree)
+        self.space = compat.function_space(self.mesh, self.layout.block, degree)
         self.nodes = SpaceNodes(self.space, self.dim)
-        self.cell_nodes = _compat.cell_dofs(self.space)
+        self.cell_nodes = compat.cell_dofs(self.space)
         self.points = self._quadrature_points(materials, of_cell)
         self.displacement: np.ndarray = np.zeros((len(self.nodes), self.dim))
         self.q: np.ndarray = rotations.identity(len(self.nodes))
@@ -156,14 +129,14 @@ class Elements:
     @property
     def reference_points(self) -> np.ndarray:
         """Quadrature positions in the reference cell (nq, d)."""
-        return _compat.quadrature_positions(self.body.cell, self.quadrature_degree)
+        return compat.quadrature_positions(self.body.cell, self.quadrature_degree)
 
     def _quadrature_points(self, materials: tuple[Material, ...], of_cell: np.ndarray) -> Points:
         own, xi = self.body.owned_cells, self.reference_points
-        weight = _compat.quadrature_weights(self.body.cell, self.quadrature_degree)
+        weight = compat.quadrature_weights(self.body.cell, self.quadrature_degree)
         position, determinant = ufl.SpatialCoordinate(self.mesh), ufl.JacobianDeterminant(self.mesh)
         geometry = ufl.as_vector([*(position[i] for i in range(self.dim)), determinant])
-        values = _compat.Evaluator(self.mesh, geometry, xi)(own)
+        values = compat.Evaluator(self.mesh, geometry, xi)(own)
         volume = (np.abs(values[:, :, -1]) * weight).ravel()
         error = None
         if len(volume) and not volume.min() > 0:
@@ -262,8 +235,8 @@ class Elements:
     def _integrals(self, facets: np.ndarray) -> np.ndarray:
         """Integrals of the shape functions over facets, in column 0 of (nodes, block); ghosts' part apart."""
         v = ufl.TestFunction(self.space)
-        form = _compat.compile_form(v[0] * self.surface_measure(facets))
-        return _compat.assemble_vector(form, len(self.nodes)).reshape(-1, self.layout.block)
+        form = compat.compile_form(v[0] * self.surface_measure(facets))
+        return compat.assemble_vector(form, len(self.nodes)).reshape(-1, self.layout.block)
 
     def surface_measure(self, facets: np.ndarray) -> Any:
         """UFL measure of boundary facets."""

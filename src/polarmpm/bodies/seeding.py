@@ -147,7 +147,8 @@ def seed_mesh(grid: Grid, mesh: Any, *, material: Material, degree: int = 2) -> 
             has weights that are not positive.
         PointsOutsideGrid: points lie outside the grid.
     """
-    from ..tools.compat import mesh_quadrature, read_gmsh
+    from ..geometry.gmsh import read_gmsh
+    from ..tools.compat import mesh_quadrature
 
     if isinstance(mesh, str | os.PathLike):
         mesh = read_gmsh(os.fspath(mesh), grid.dim, grid.comm)

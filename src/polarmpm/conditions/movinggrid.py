@@ -13,7 +13,9 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.grid import Grid
-from .supports import Amplitude, Plane, PlaneSpec, Support
+from ..geometry.planes import Plane, PlaneSpec
+from .amplitudes import Amplitude
+from .supports import Support
 
 
 @dataclass(frozen=True)

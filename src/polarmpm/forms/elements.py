@@ -17,9 +17,10 @@ import ufl
 
 from ..bodies.elements import Elements, Facets
 from ..kinematics import measures as kin
+from ..kinematics.layout import Layout, pack_state, state_size
 from ..materials.base import Material, parameter_values
-from ..tools import compat as _compat
-from .points import Layout, pack_state, state_size, strains, tangent_work, virtual_work
+from ..tools import compat
+from .strains import strains, tangent_work, virtual_work
 
 
 def point_unknowns(layout: Layout, x: Any) -> list[Any]:
@@ -54,10 +55,10 @@ class ElementForms:
         self.x, self.total = fem.Function(elements.space), fem.Function(elements.space)
         self.before, self.correction = fem.Function(elements.space), fem.Function(elements.space)
         size = state_size(self.layout, rotated=False)
-        space = _compat.quadrature_space(elements.mesh, size, elements.quadrature_degree)
+        space = compat.quadrature_space(elements.mesh, size, elements.quadrature_degree)
         self.state = fem.Function(space)
         own = len(elements.body.owned_cells)
-        self._rows = _compat.cell_dofs(space)[:own].ravel()  # of the quadrature points
+        self._rows = compat.cell_dofs(space)[:own].ravel()  # of the quadrature points
         self._numbers = [fem.Constant(elements.mesh, parameter_values(m)) for m in elements.points.materials]
         self.test = ufl.TestFunction(elements.space)
         self.trial = ufl.TrialFunction(elements.space)
@@ -119,19 +120,19 @@ class ElementForms:
 
     @cached_property
     def residual(self) -> Any:
-        return _compat.compile_form(self.residual_form)
+        return compat.compile_form(self.residual_form)
 
     @cached_property
     def tangent(self) -> Any:
-        return _compat.compile_form(self.tangent_form)
+        return compat.compile_form(self.tangent_form)
 
     @cached_property
-    def point_values(self) -> _compat.Evaluator:
+    def point_values(self) -> compat.Evaluator:
         """(Du, Dw) and their gradients with respect to X at the quadrature points."""
         gradient = ufl.grad(self.x)
         d, block = self.layout.dim, self.layout.block
         values = [self.x[i] for i in range(block)] + [gradient[i, j] for i in range(block) for j in range(d)]
-        return _compat.Evaluator(self.elements.mesh, ufl.as_vector(values), self.elements.reference_points)
+        return compat.Evaluator(self.elements.mesh, ufl.as_vector(values), self.elements.reference_points)
 
     # loads ----------------------------------------------------------------------------------------
     def body_work(self, density: Any) -> Any:

@@ -10,9 +10,9 @@ from typing import Any
 
 import ufl
 
-from ..tools import compat as _compat
+from ..kinematics.layout import Layout
+from ..tools import compat
 from .elements import point_unknowns
-from .points import Layout
 
 
 def tangent_size(layout: Layout, symmetric: bool) -> int:
@@ -39,9 +39,9 @@ class BlockForms:
         from dolfinx import fem
 
         mesh, n = space.mesh, layout.unknowns
-        self.residual_values = fem.Function(_compat.quadrature_space(mesh, n, degree))
+        self.residual_values = fem.Function(compat.quadrature_space(mesh, n, degree))
         size = tangent_size(layout, symmetric)
-        self.tangent_values = fem.Function(_compat.quadrature_space(mesh, size, degree))
+        self.tangent_values = fem.Function(compat.quadrature_space(mesh, size, degree))
         dx = ufl.Measure(
             "dx", domain=mesh, metadata={"quadrature_degree": degree, "quadrature_rule": "default"}
         )
@@ -57,6 +57,6 @@ class BlockForms:
 
         # one product with the trial function a column: FFCx then finds the product A z in two cheap steps
         columns = [sum(entry(i, j) * test[i] for i in range(n)) for j in range(n)]
-        self.residual = _compat.compile_form(sum(s[i] * test[i] for i in range(n)) * dx)
+        self.residual = compat.compile_form(sum(s[i] * test[i] for i in range(n)) * dx)
         # hundreds of sums in one loop: GCC takes minutes over them with -O2, for code that is no faster
-        self.tangent = _compat.compile_form(sum(columns[j] * trial[j] for j in range(n)) * dx, "-O1")
+        self.tangent = compat.compile_form(sum(columns[j] * trial[j] for j in range(n)) * dx, "-O1")

@@ -25,13 +25,16 @@ import ufl
 from ..errors import InputError
 from ..kernels import codegen, jit
 from ..kernels.codegen import Scalariser
+from ..kernels.csource import write_c
+from ..kernels.kernel import Kernel, generator_version, matrix
 from ..kinematics import measures as kin
 from ..kinematics import rotations
+from ..kinematics.layout import Layout, state_size
 from ..kinematics.spectral import exp_symmetric, squared_log_strain, strain_invariants
 from ..materials.base import Material, evaluate_energy, named_parameters
 from ..materials.plastic import SPRING, Plastic
-from ..tools import compat as _compat
-from .points import Kernel, Layout, PointForm, generator_version, matrix, state_size
+from ..tools import compat
+from .points import PointForm
 
 _PLANE = ((0, 0), (0, 1), (1, 0), (1, 1), (2, 2))  # entries of deformations in plane strain
 _PLANE_WRYNESS = ((0, 2), (1, 2), (2, 0), (2, 1))  # plastic flow brings in the third column
@@ -427,7 +430,7 @@ class PlasticForm(PointForm):
         inputs = self.inputs + (self.local_size if self.local in terminals else 0)
         order = {**{c: i for i, c in enumerate(terminals)}, self.space.domain: 0}
         parts = [part for list_ in functions.values() for part in list_]
-        key = [_compat.expression_signature(getattr(part, "form", part), order) for part in parts]
+        key = [compat.expression_signature(getattr(part, "form", part), order) for part in parts]
         layout = ",".join(f"{slot}" for slot in terminals.values())
 
         def source() -> str:
@@ -436,7 +439,7 @@ class PlasticForm(PointForm):
                 function: [node for part in parts for node in _nodes(scalarise, part)]
                 for function, parts in functions.items()
             }
-            return codegen.write_c(scalarise.graph, written)
+            return write_c(scalarise.graph, written)
 
         lib = jit.library(jit.digest(generator_version(), name, layout, *key), source, comm)
         sizes = {function: sum(_size(part) for part in parts) for function, parts in functions.items()}

@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from ..bodies.elements import Elements
+from ..kernels.kernel import Kernel
 from ..kinematics import rotations
+from ..kinematics.layout import Layout
 from ..materials.base import parameter_values
 from .choice import make_form
 from .elements import ElementForms
 from .numbers import BlockForms
-from .points import Kernel, Layout
 from .returnmapping import ReturnMapping
 
 

@@ -17,9 +17,10 @@ import numpy as np
 from ..bodies.points import Points
 from ..errors import LocalFailure
 from ..kernels import native
+from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from .plastic import PlasticForm, Return, entries
-from .points import Kernel, PointForm
+from .points import PointForm
 
 # Yield function over elastic modulus from which on a point counts as yielding. A point that yielded in the
 # last step sits on the surface: its tangent at the start of a step is the elastoplastic one.

@@ -8,10 +8,10 @@ from mpi4py import MPI
 
 import ufl
 
+from ..kernels.kernel import Kernel, PointSpace, compile_expressions, matrix
 from ..kinematics import measures as kin
 from ..materials.base import Material, evaluate_energy, named_parameters, parameter_values
-from ..tools import compat as _compat
-from .points import Kernel, PointSpace, compile_expressions, matrix
+from ..tools import compat
 
 
 class FieldForm:
@@ -19,7 +19,7 @@ class FieldForm:
 
     def __init__(self, material: Material):
         self.material = material
-        self.space = PointSpace(_compat.point_domain())
+        self.space = PointSpace(compat.point_domain())
         sizes = [9, 4, 9, *([9, 9, 1] if material.plastic else []), len(parameter_values(material))]
         self._inputs = [self.space.coefficient(n) for n in sizes]
         self.terminals = {c: sum(sizes[:k]) for k, c in enumerate(self._inputs)}

@@ -15,10 +15,11 @@ import ufl
 
 from ..kernels import codegen, jit
 from ..kernels.codegen import Scalariser
+from ..kernels.csource import write_c
+from ..kernels.kernel import Kernel, PointSpace, generator_version
 from ..kinematics import measures as kin
-from ..tools import compat as _compat
-from . import points as pointforms
-from .points import Kernel, Layout
+from ..kinematics.layout import Layout
+from ..tools import compat
 
 
 class SurfaceForm:
@@ -35,7 +36,7 @@ class SurfaceForm:
 
     def __init__(self, layout: Layout, *data: int):
         self.layout, self.data = layout, data
-        self.space = pointforms.PointSpace(_compat.point_domain())
+        self.space = PointSpace(compat.point_domain())
         self.size = layout.block + layout.dim**2
         self.y = self.space.coefficient(self.size)
         self.coefficients = [self.space.coefficient(n) for n in data]
@@ -77,7 +78,7 @@ class SurfaceForm:
         nodes = self._entries(scalarise, self.residual, (n,)) + (
             [zero] * n**2 if self.tangent.empty() else self._entries(scalarise, self.tangent, (n, n))
         )
-        return codegen.write_c(scalarise.graph, {"surface": nodes})
+        return write_c(scalarise.graph, {"surface": nodes})
 
     def _entries(self, scalarise: Scalariser, form: Any, shape: tuple[int, ...]) -> list[int]:
         scalar = scalarise.scalar(codegen.expand(codegen.integrand(form)))
@@ -86,10 +87,10 @@ class SurfaceForm:
     def compile(self, comm: MPI.Comm) -> Kernel:
         """Kernel (y, data...) -> residual (size) and tangent (size x size). Collective."""
         order = {c: i for i, c in enumerate(self._terminals())}
-        signature = _compat.expression_signature(
+        signature = compat.expression_signature(
             codegen.integrand(self.residual), {**order, self.space.domain: 0}
         )
-        key = jit.digest(pointforms.generator_version(), "surface", f"{self.layout}", signature)
+        key = jit.digest(generator_version(), "surface", f"{self.layout}", signature)
         lib = jit.library(key, self._source, comm)
         return Kernel(lib, "surface", self.size + sum(self.data), self.size + self.size**2)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..tools import compat as _compat
+from ..tools import compat
 from ..tools.parallel import lowest_ranks, sharing_ranks
 from .grid import Grid
 from .nodes import ActiveNodes
@@ -51,4 +51,4 @@ def cell_mesh(grid: Grid, cells: np.ndarray) -> CellMesh:
     sharing = sharing_ranks(grid.comm, nodes.lattice, most)[local].reshape(len(cells), most * most)
     name = "quadrilateral" if grid.dim == 2 else "hexahedron"
     positions = nodes.position[: nodes.owned].copy()
-    return CellMesh(_compat.create_mesh(grid.comm, table, positions, name, sharing), nodes)
+    return CellMesh(compat.create_mesh(grid.comm, table, positions, name, sharing), nodes)

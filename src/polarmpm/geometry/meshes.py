@@ -12,8 +12,9 @@ import numpy as np
 import ufl
 
 from ..errors import InputError
-from ..tools import compat as _compat
+from ..tools import compat
 from ..tools.parallel import collectively
+from .gmsh import read_gmsh_groups
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
@@ -45,14 +46,14 @@ class BodyMesh:
         elif hasattr(source, "topology") and hasattr(source, "geometry"):
             body = cls(source, cells, facets)
         elif isinstance(source, str | os.PathLike):
-            body = cls(*_compat.read_gmsh_groups(os.fspath(source), 0, comm))
+            body = cls(*read_gmsh_groups(os.fspath(source), 0, comm))
         elif hasattr(source, "getPhysicalGroups") or (source is None and comm.rank > 0):
-            body = cls(*_compat.read_gmsh_groups(source, 0, comm))
+            body = cls(*read_gmsh_groups(source, 0, comm))
         else:
             raise InputError(
                 f"mesh = {source!r}: a dolfinx mesh, the path of a .msh file or a gmsh model is needed"
             )
-        _compat.name_variant(body.mesh)
+        compat.name_variant(body.mesh)
         body.check()
         return body
 
@@ -63,7 +64,7 @@ class BodyMesh:
     @property
     def cell(self) -> str:
         """Name of the cells' type."""
-        return _compat.cell_name(self.mesh)
+        return compat.cell_name(self.mesh)
 
     @property
     def owned_cells(self) -> np.ndarray:
@@ -87,8 +88,8 @@ class BodyMesh:
             )
         own = self.owned_cells
         determinant = ufl.JacobianDeterminant(self.mesh)
-        positions = np.vstack([_compat.quadrature_positions(self.cell, 3), _corners(self.cell)])
-        values = _compat.Evaluator(self.mesh, determinant, positions)(own)[:, :, 0]
+        positions = np.vstack([compat.quadrature_positions(self.cell, 3), _corners(self.cell)])
+        values = compat.Evaluator(self.mesh, determinant, positions)(own)[:, :, 0]
         size = np.abs(values).max(axis=1, initial=0.0)
         # the sign itself tells nothing: it depends on the order in which a cell's nodes are given
         bad = np.any(values * np.sign(values[:, :1]) <= 1e-10 * size[:, None], axis=1)

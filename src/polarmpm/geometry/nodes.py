@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -92,3 +93,28 @@ class ActiveNodes:
         if self.grid.comm.size > 1:
             route, rows = self._route
             values[self.owned :] = route.backward(values[rows])
+
+
+class Positioned(Protocol):
+    """Nodes of this rank."""
+
+    @property
+    def position(self) -> np.ndarray: ...
+
+    def __len__(self) -> int: ...
+
+
+class Nodes(Protocol):
+    """Nodes of this rank: first the owned ones, then ghosts."""
+
+    owned: int
+    total: int
+
+    @property
+    def position(self) -> np.ndarray: ...
+
+    def __len__(self) -> int: ...
+
+    def add_to_owners(self, values: np.ndarray) -> None: ...
+
+    def update_ghosts(self, values: np.ndarray) -> None: ...

@@ -19,11 +19,12 @@ from mpi4py import MPI
 import h5py
 import numpy as np
 
-from ..assembly.interpolation import Reference
+from ..bodies.reference import Reference
 from ..errors import InputError
-from ..problems.base import Problem, Progress
+from ..problems.base import Problem
 from ..problems.elements import QuasiStaticFEM
 from ..problems.points import QuasiStatic
+from ..problems.state import Progress
 from ..tools.parallel import collectively
 from . import meshstate
 

@@ -12,9 +12,10 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
-from ..forms.points import Kernel, Layout, PointSpace, compile_expressions, matrix
-from ..tools import compat as _compat
+from ..kernels.kernel import Kernel, PointSpace, compile_expressions, matrix
+from ..tools import compat
 from . import measures as kin
+from .layout import Layout
 
 
 class Motion:
@@ -22,7 +23,7 @@ class Motion:
 
     def __init__(self, layout: Layout, comm: MPI.Comm):
         self.layout = layout
-        space = PointSpace(_compat.point_domain())
+        space = PointSpace(compat.point_domain())
         size = 22 if layout.rotations else 9
         self._state, self._z = space.coefficient(size), space.coefficient(layout.unknowns)
         terminals = {self._state: 0, self._z: size}

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from numbers import Real
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,6 +12,7 @@ import numpy as np
 import ufl
 
 from ..errors import InputError
+from ..tools.checks import require_finite
 
 _LOCKING = 0.49  # Poisson's ratio, see docs/stability.md
 
@@ -144,15 +143,3 @@ def warn_of_locking(materials: Sequence[Material], functions: str, remedy: str) 
                 f"{_LOCKING}: displacements are far too small; take {remedy}",
                 stacklevel=3,
             )
-
-
-def require_finite(name: str, value: Any) -> None:
-    """Raise InputError unless `value` is a finite number."""
-    if not isinstance(value, Real) or not math.isfinite(value):
-        raise InputError(f"{name} = {value!r} is not a finite number")
-
-
-def require(condition: bool, name: str, value: float, allowed: str) -> None:
-    """Raise InputError with the argument's name, value and what is allowed."""
-    if not condition:
-        raise InputError(f"{name} = {value:g} is out of range: {allowed}")

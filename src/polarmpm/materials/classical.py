@@ -8,8 +8,9 @@ from typing import Any
 import ufl
 
 from ..kinematics.spectral import squared_log_strain, strain_invariants
-from .base import Material, require, require_finite
-from .micropolar import _lame
+from ..tools.checks import require, require_finite
+from .base import Material
+from .moduli import lame
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class _Classical(Material):
     @classmethod
     def from_engineering(cls, *, E: float, nu: float) -> Any:
         """From Young's modulus E > 0 (Pa) and Poisson's ratio -1 < nu < 1/2."""
-        lam, mu = _lame(E, nu)
+        lam, mu = lame(E, nu)
         return cls(lam=lam, mu=mu)
 
     def parameters(self) -> dict[str, float]:

@@ -8,7 +8,9 @@ from typing import Any
 
 import ufl
 
-from .base import Material, require, require_finite
+from ..tools.checks import require, require_finite
+from .base import Material
+from .moduli import lame
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ class MicropolarElastic(Material):
                 l_t^2 = gamma / mu; 0 <= l_t <= 2 l_b.
             psi: polar ratio, psi = 2 gamma / (2 gamma + alpha), 0 < psi <= 3/2.
         """
-        lam, mu = _lame(E, nu)
+        lam, mu = lame(E, nu)
         for name, value in (("n", n), ("l_b", l_b), ("l_t", l_t), ("psi", psi)):
             require_finite(name, value)
         require(0 <= n < 1, "n", n, "0 <= n < 1")
@@ -111,12 +113,3 @@ class MicropolarElastic(Material):
             return 0.5 * (trace * ufl.tr(a) ** 2 + both)
 
         return quadratic(E, p.lam, p.mu, p.kappa) + quadratic(Gamma, p.alpha, p.gamma, p.beta)
-
-
-def _lame(E: float, nu: float) -> tuple[float, float]:
-    """Lame's constants of Young's modulus (Pa) and Poisson's ratio."""
-    require_finite("E", E)
-    require_finite("nu", nu)
-    require(E > 0, "E", E, "E > 0")
-    require(-1 < nu < 0.5, "nu", nu, "-1 < nu < 1/2")
-    return E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))

@@ -10,7 +10,7 @@ import ufl
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
-from ..tools import compat as _compat
+from ..tools import compat
 from .base import Material, evaluate_energy
 
 
@@ -23,7 +23,7 @@ def stiffness_at_rest(material: Material) -> tuple[float, float]:
 
 
 def _second_derivative(material: Material, place: tuple[int, int], *, wryness: bool) -> float:
-    space = ufl.FunctionSpace(_compat.point_domain(), _compat.quadrature_element("interval", 1))
+    space = ufl.FunctionSpace(compat.point_domain(), compat.quadrature_element("interval", 1))
     size = ufl.Coefficient(space)
     t = ufl.variable(size[0])
     direction = np.zeros((3, 3))

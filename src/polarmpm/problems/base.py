@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from ..assembly.interpolation import Increments
-from ..assembly.system import NodalSystem, Nodes
+from ..assembly.system import NodalSystem
 from ..bodies.points import Points, Selection
+from ..bodies.reference import Increments
 from ..conditions import supports as conditions
-from ..conditions.supports import Amplitude, Load, Prescribed, Support
+from ..conditions.amplitudes import Amplitude
+from ..conditions.loads import Load, make_loads
+from ..conditions.prescribed import Prescribed
+from ..conditions.proportional import check_loads, check_supports
+from ..conditions.supports import Support
 from ..errors import InputError
-from ..forms.points import Layout
 from ..forms.stresses import FieldForm
+from ..geometry.nodes import Nodes
 from ..kinematics import rotations
+from ..kinematics.layout import Layout
 from ..materials.base import parameter_values
 from ..solvers import arclength, newton
 from ..solvers.arclength import ArcSchedule, Path
@@ -26,48 +30,8 @@ from ..solvers.newton import Controls, Outcome
 from ..solvers.stepping import Schedule, Step, march
 from ..tools.parallel import together
 from ..tools.timing import Timer
+from .state import Fields, Progress
 from .work import StepStart, step_work
-
-
-@dataclass
-class Progress:
-    """How far a run has come.
-
-    Attributes:
-        factor: load factor of the last converged state.
-        step: number of converged steps.
-        since_reset: converged steps since the last reset.
-        reset_factor, rotation_factor: load factor at the last reset and rotation base.
-        reset_due: the grid is to be reset before the next step.
-        factor_change: of the last step.
-        external_work, carried_work, ghost_work: work (J) so far, see `Problem.energies`.
-    """
-
-    factor: float = 0.0
-    step: int = 0
-    since_reset: int = 0
-    reset_factor: float = 0.0
-    rotation_factor: float = 0.0
-    reset_due: bool = True
-    factor_change: float = 0.0
-    external_work: float = 0.0
-    carried_work: float = 0.0
-    ghost_work: float = 0.0
-
-
-@dataclass
-class Fields:
-    """Stresses of the current state, for output.
-
-    Attributes:
-        energy: strain energy per reference volume (Pa), scalar.
-        stress: Cauchy stress (Pa), tensor.
-        couple_stress: Cauchy couple stress (N/m), tensor.
-    """
-
-    energy: np.ndarray
-    stress: np.ndarray
-    couple_stress: np.ndarray
 
 
 class Problem:
@@ -191,7 +155,7 @@ class Problem:
     def _add_loads(
         self, name: str, selection: Selection | None, force: Any, couple: Any, density: bool, share: float
     ) -> None:
-        self.loads += conditions.make_loads(name, selection, force, couple, self.layout, density, share)
+        self.loads += make_loads(name, selection, force, couple, self.layout, density, share)
         self._stale = True
 
     # solving --------------------------------------------------------------------------------------
@@ -267,8 +231,8 @@ class Problem:
         system = self._prepare()
         with together(self.comm):
             places = self._load_places()
-        arclength.check_loads(self.comm, places)
-        arclength.check_supports(self.comm, system.prescribed)
+        check_loads(self.comm, places)
+        check_supports(self.comm, system.prescribed)
         return arclength.march(self, schedule)
 
     def attempt_along(

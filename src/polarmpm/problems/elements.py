@@ -10,19 +10,21 @@ import numpy as np
 import ufl
 
 from ..assembly.elements import ElementSystem
-from ..assembly.interpolation import Increments
 from ..bodies.elements import Elements, Facets
-from ..conditions import supports as conditions
-from ..conditions.supports import Amplitude, PlaneSpec
+from ..bodies.reference import Increments
+from ..conditions.amplitudes import Amplitude
+from ..conditions.loads import point_loads
 from ..errors import InputError
 from ..forms.elements import ElementForms
+from ..geometry.planes import PlaneSpec
 from ..kinematics import rotations
 from ..materials.base import warn_of_locking
 from ..solvers.choice import check_solver
 from ..solvers.newton import Controls
-from ..tools import compat as _compat
+from ..tools import compat
 from ..tools.parallel import together
-from .base import Problem, Progress
+from .base import Problem
+from .state import Progress
 
 
 def _make_forms(elements: Elements) -> ElementForms:
@@ -164,19 +166,19 @@ class QuasiStaticFEM(Problem):
         spatial = self.layout.rotations == 3
 
         def add(form: Any, changes: bool) -> None:
-            compiled = _compat.compile_form(form)
+            compiled = compat.compile_form(form)
             if changes:
-                tangent = _compat.compile_form(-ufl.derivative(form, f.x, f.trial))
+                tangent = compat.compile_form(-ufl.derivative(form, f.x, f.trial))
                 varying.append(_Varying(compiled, tangent))
             else:
                 dead.append(compiled)
 
         if self.loads:
             size, degree = self.layout.block, e.quadrature_degree
-            self._body = fem.Function(_compat.quadrature_space(e.mesh, size, degree))
+            self._body = fem.Function(compat.quadrature_space(e.mesh, size, degree))
             add(f.body_work(self._body), spatial and any(load.couple for load in self.loads))
         for load in self.surface_loads:
-            space = _compat.function_space(e.mesh, load.amplitude.size, e.degree)
+            space = compat.function_space(e.mesh, load.amplitude.size, e.degree)
             load.function = fem.Function(space)
             load.rows = fem.locate_dofs_topological(space, self.layout.dim - 1, load.facets.facets)
             load.position = space.tabulate_dof_coordinates()[load.rows, : self.layout.dim]
@@ -191,7 +193,7 @@ class QuasiStaticFEM(Problem):
     def _set_loads(self, system: ElementSystem, factor: float) -> None:
         with together(self.comm):
             if self._body is not None:
-                forces, couples = conditions.point_loads(self.loads, self.points, self.layout, factor)
+                forces, couples = point_loads(self.loads, self.points, self.layout, factor)
                 density = np.concatenate([forces, couples], axis=1) / self.points.volume0[:, None]
                 self.forms.put_at_points(self._body, density)
             for load in self.surface_loads:

@@ -10,20 +10,24 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..assembly.interpolation import Increments, Interpolation, Reference
+from ..assembly.interpolation import Interpolation
 from ..assembly.points import LoadedPoints, PointSystem
-from ..basis.lattice import check_basis
+from ..basis.base import check_basis
 from ..bodies.partition import Balance, distribute
 from ..bodies.points import Points, Selection
+from ..bodies.reference import Increments, Reference
 from ..bodies.seeding import check_inside
 from ..conditions import movinggrid
-from ..conditions import supports as conditions
+from ..conditions.amplitudes import Amplitude
+from ..conditions.loads import point_loads
 from ..conditions.movinggrid import MovingPlane
-from ..conditions.supports import Amplitude, Plane, PlaneSpec, Support
+from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.choice import make_form
-from ..forms.points import CoupleForm, Kernel
+from ..forms.couples import CoupleForm
 from ..geometry.grid import Grid
+from ..geometry.planes import Plane, PlaneSpec
+from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from ..kinematics.motion import Motion
 from ..materials.base import warn_of_locking
@@ -32,8 +36,8 @@ from ..solvers.newton import Controls
 from ..solvers.resetting import ResetPolicy, WhenDistorted, make_policy
 from ..terms.ghost import Ghost, GhostPenalty, make_penalty
 from ..tools.parallel import look_up, together
-from .base import Progress
 from .conservation import Conservation, Totals
+from .state import Progress
 from .surfaces import SurfaceProblem
 
 ASSEMBLIES = ("direct", "projection")
@@ -186,7 +190,7 @@ class QuasiStatic(SurfaceProblem):
 
     def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
         with together(self.comm):
-            return conditions.point_loads(self.loads, self.points, self.layout, factor)
+            return point_loads(self.loads, self.points, self.layout, factor)
 
     def _loads_before(self, system: LoadedPoints) -> np.ndarray:
         if system.terms.external:

@@ -6,14 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from ..assembly.nodalterms import TermSource
 from ..conditions import supports as conditions
 from ..errors import InputError
 from ..geometry.grid import Grid
 from ..geometry.surfaces import Surface
-from ..materials.base import Material, require_finite
+from ..materials.base import Material
+from ..terms.base import TermSource
 from ..terms.surfaces import Pressure, SurfaceSupport, Traction
 from ..terms.surfaceterms import SurfaceCondition
+from ..tools.checks import require_finite
 from .base import Problem
 
 _PENALTY = 1e3  # default springs: a layer of a thousandth of a cell, of the body's stiffness

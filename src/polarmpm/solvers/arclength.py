@@ -20,8 +20,6 @@ from mpi4py import MPI
 import numpy as np
 from tqdm import tqdm
 
-from ..assembly.system import NodalSystem
-from ..conditions.supports import Amplitude, Prescribed
 from ..errors import InputError, LocalFailure, NotConverged
 from . import newton
 from .direct import SingularTangent
@@ -29,7 +27,6 @@ from .newton import Controls, Outcome, expected_to_end
 from .stepping import Step
 
 _LENGTH_TOLERANCE = 1e-8  # of a step's length; the state is an equilibrium however long the step is
-_PROBES = (0.0, 1.0, 0.5, 2.0)  # load factors at which loads are compared
 # Least cosine between a step and its tangent; what is farther off may be another branch. If steps of a fifth
 # of the first one's length bend as much, it is the path that does: where points unload it has a kink.
 _BEND, _KINK, _SHORT = 0.8, 0.0, 0.2
@@ -77,44 +74,41 @@ def _is_number(value: Any) -> bool:
 
 
 # what may depend on the load factor -----------------------------------------------------------------
-def check_loads(comm: MPI.Comm, loads: list[tuple[Amplitude, np.ndarray]]) -> None:
-    """Raise InputError unless loads, given with the positions where they act, are linear in the load factor
-    and some grow with it. Collective."""
-    grows = False
-    for amplitude, position in loads:
-        zero, one, half, two = (amplitude.at(f, position) for f in _PROBES)
-        size = max(float(np.abs(v).max(initial=0.0)) for v in (zero, one, two))
-        wrong = max(
-            float(np.abs(v - (zero + f * (one - zero))).max(initial=0.0))
-            for f, v in ((0.5, half), (2.0, two))
-        )
-        change = float(np.abs(one - zero).max(initial=0.0))
-        size, wrong, change = (comm.allreduce(v, op=MPI.MAX) for v in (size, wrong, change))
-        if wrong > 1e-9 * size:
-            raise InputError(
-                f"{amplitude.name} is not linear in the load factor; with the arc-length method all loads are"
-            )
-        grows = grows or change > 0.0
-    if not grows:
-        raise InputError("march_arc_length: no load grows with the load factor")
-
-
-def check_supports(comm: MPI.Comm, prescribed: Prescribed) -> None:
-    """Raise InputError for a support that depends on the load factor. Collective."""
-    for support, mask in zip(prescribed.supports, prescribed.masks, strict=True):
-        position = prescribed.nodes.position[mask]
-        for amplitude, k in support.columns.values():
-            values = [amplitude.at(f, position)[:, k] for f in _PROBES]
-            change = max(float(np.abs(v - values[0]).max(initial=0.0)) for v in values)
-            if comm.allreduce(change, op=MPI.MAX) > 0.0:
-                raise InputError(
-                    f"{amplitude.name} depends on the load factor; with the arc-length method only loads do"
-                )
 
 
 def least_cosine(kink: bool) -> float:
     """Between a step and its tangent."""
     return _KINK if kink else _BEND
+
+
+class PathSystem(newton.System, Protocol):
+    """What following a path needs of a nonlinear system, beside what Newton's method needs.
+
+    Attributes:
+        comm: its ranks.
+        dim: leading components of a node's unknowns that are displacements.
+        owned: nodes of this rank that it owns, the first ones.
+        x: nodal increments (nodes, block).
+        residual: of the last evaluation (nodes, block).
+    """
+
+    comm: MPI.Comm
+    x: np.ndarray
+    residual: np.ndarray
+
+    @property
+    def dim(self) -> int: ...
+
+    @property
+    def owned(self) -> int: ...
+
+    def put_external(self, forces: np.ndarray) -> None: ...
+
+    def solve_free(self, forces: np.ndarray, fresh: bool) -> np.ndarray: ...
+
+    def add(self, step: np.ndarray) -> None: ...
+
+    def jump(self, x: np.ndarray) -> None: ...
 
 
 # one step ---------------------------------------------------------------------------------------------
@@ -138,7 +132,7 @@ class Path:
         bend: least cosine between the step and its tangent.
     """
 
-    system: NodalSystem
+    system: PathSystem
     loads: tuple[np.ndarray, np.ndarray]
     volume: np.ndarray
     length: float
@@ -147,7 +141,7 @@ class Path:
     bend: float = _BEND
 
     def __post_init__(self) -> None:
-        self.own = slice(0, self.system.nodes.owned)
+        self.own = slice(0, self.system.owned)
         self.begin = self.factor
         self.start: np.ndarray = self.system.x.copy()
         self.size = self.length**2 * self.system.comm.allreduce(float(self.volume[self.own].sum()))
@@ -157,7 +151,7 @@ class Path:
 
     def inner(self, a: np.ndarray, b: np.ndarray) -> float:
         """Sum of V a . b over all nodes, displacements only. Collective."""
-        d = self.system.layout.dim
+        d = self.system.dim
         here = np.einsum("n,ni,ni->", self.volume[self.own], a[self.own, :d], b[self.own, :d])
         return float(self.system.comm.allreduce(here))
 

@@ -15,12 +15,12 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
-from ..forms.points import compile_expressions
+from ..kernels.kernel import compile_expressions
 from ..kinematics import measures as kin
 from ..materials import Material
 from ..materials.base import named_parameters, parameter_values
 from ..problems.base import Problem
-from ..tools import compat as _compat
+from ..tools import compat
 
 
 class Solution:
@@ -38,11 +38,11 @@ class Solution:
         rotation: Callable[[Any], Any],
         comm: MPI.Comm,
     ):
-        domain = _compat.point_domain()
-        space = ufl.FunctionSpace(domain, _compat.quadrature_element("interval", 3))
+        domain = compat.point_domain()
+        space = ufl.FunctionSpace(domain, compat.quadrature_element("interval", 3))
         names = material.parameters()
         numbers = ufl.Coefficient(
-            ufl.FunctionSpace(domain, _compat.quadrature_element("interval", len(names)))
+            ufl.FunctionSpace(domain, compat.quadrature_element("interval", len(names)))
         )
         point = ufl.Coefficient(space)
         X = ufl.variable(ufl.as_vector([point[i] for i in range(3)]))

@@ -25,12 +25,13 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..assembly.nodalterms import Boxes, Term, multiply
 from ..errors import InputError
-from ..forms.points import Layout
 from ..geometry.grid import Grid
-from ..materials.base import Material, require_finite
+from ..kinematics.layout import Layout
+from ..materials.base import Material
+from ..tools.checks import require_finite
 from ..tools.parallel import look_up, lowest_ranks
+from .base import Boxes, Term, multiply
 
 _SHARES = {"thesis": 1e-2, "light": 1e-5}  # of the moduli; "thesis" as in T 4.4
 _POWERS = {"thesis": 3, "light": 1}
@@ -158,7 +159,7 @@ def face_size(cell: Sequence[float], axis: int) -> float:
 @lru_cache(maxsize=32)
 def stencil(cell: tuple[float, ...], axis: int, power: int = 3) -> np.ndarray:
     """Matrix (n, n) of a face across an axis on the box of its two cells' nodes, assembled by dolfinx."""
-    from ..tools import compat as _compat
+    from ..tools import compat
 
     dim, name = len(cell), "quadrilateral" if len(cell) == 2 else "hexahedron"
     boxes = Boxes(tuple(3 if k == axis else 2 for k in range(dim)), np.zeros(1, dtype=np.int64))
@@ -166,12 +167,12 @@ def stencil(cell: tuple[float, ...], axis: int, power: int = 3) -> np.ndarray:
     corner = np.array([[(k >> a) & 1 for a in range(dim)] for k in range(2**dim)])  # dolfinx' order
     lower = [np.ravel_multi_index(tuple(corner.T), count)]
     upper = [np.ravel_multi_index(tuple((corner + (np.arange(dim) == axis)).T), count)]
-    mesh = _compat.create_mesh(MPI.COMM_SELF, np.array(lower + upper, dtype=np.int64), positions, name)
-    _compat.name_variant(mesh)
-    space = _compat.function_space(mesh, 1, 1)
-    form = _compat.compile_form(penalty_form(mesh, space, face_size(cell, axis), power))
-    matrix = _compat.create_matrix(form)
-    _compat.add_to_matrix(matrix, form)
+    mesh = compat.create_mesh(MPI.COMM_SELF, np.array(lower + upper, dtype=np.int64), positions, name)
+    compat.name_variant(mesh)
+    space = compat.function_space(mesh, 1, 1)
+    form = compat.compile_form(penalty_form(mesh, space, face_size(cell, axis), power))
+    matrix = compat.create_matrix(form)
+    compat.add_to_matrix(matrix, form)
     matrix.assemble()
     at = np.arange(len(positions), dtype=np.int32)
     dense = matrix.getValues(at, at)

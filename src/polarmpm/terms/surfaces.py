@@ -8,12 +8,13 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..conditions.supports import Amplitude, Support
+from ..conditions.amplitudes import Amplitude
+from ..conditions.supports import Support
 from ..errors import InputError
-from ..forms.points import Layout
 from ..forms.surfaces import DeadTraction, FollowerPressure, Penalty, SurfaceForm
 from ..geometry.surfaces import Surface
 from ..kinematics import rotations
+from ..kinematics.layout import Layout
 from .surfaceterms import SurfaceCondition
 
 

@@ -13,14 +13,15 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..assembly.nodalterms import Boxes, Term
-from ..basis.lattice import weights
+from ..basis.lattice import cell_weights
 from ..errors import InputError
-from ..forms.points import Kernel, Layout
 from ..forms.surfaces import SurfaceForm
 from ..geometry.grid import Grid
 from ..geometry.surfaces import Surface
+from ..kernels.kernel import Kernel
 from ..kinematics import rotations
+from ..kinematics.layout import Layout
+from .base import Boxes, Term
 
 _INWARD = 1e-6  # cells: a point on a plane of the grid belongs to the cell behind it, against its normal
 _AHEAD = (
@@ -150,7 +151,7 @@ class SurfaceCondition:
         x = self.surface.x + self._at["u"]
         owner, cells = self._find(grid, x, reached)
         rows = np.flatnonzero(owner == self.comm.rank)
-        table = _weights(self.basis, grid, x[rows], cells[rows])
+        table = cell_weights(self.basis, grid, x[rows], cells[rows])
         count = (3 if self.basis == "bspline" else 2,) * grid.dim
         return [SurfaceTerm(self, rows, Boxes(count, grid.node_number(cells[rows])), table)]
 
@@ -221,24 +222,3 @@ class SurfaceCondition:
             setattr(self, name, np.array(arrays[name], dtype=float))
             self._at[name] = np.array(arrays[f"{name}_at"], dtype=float)
         self.committed = True
-
-
-def _weights(basis: str, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Values and gradients (1/m) of cells' functions at x (m, d), continued beyond the cells: (m, 1 + d,
-    n)."""
-    if basis == "bspline":
-        line = weights(basis, grid, x, np.zeros_like(x), cells).table  # (m, d, 2, 3)
-    else:
-        right = grid.local(x) - cells
-        slope = np.broadcast_to(1.0 / np.array(grid.cell), x.shape)
-        line = np.stack([np.stack([1.0 - right, right], -1), np.stack([-slope, slope], -1)], axis=2)
-    dim, slots = grid.dim, line.shape[-1]
-    index = np.stack(np.unravel_index(np.arange(slots**dim), (slots,) * dim), axis=-1)
-
-    def product(derivative: int) -> np.ndarray:
-        out = np.ones((len(x), len(index)))
-        for i in range(dim):
-            out *= line[:, i, int(i == derivative)][:, index[:, i]]
-        return out
-
-    return np.stack([product(k) for k in (-1, *range(dim))], axis=1)

@@ -1,0 +1,74 @@
+"""Matrix of bilinear forms that dolfinx assembles, and its solver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..solvers.choice import make_solver
+from ..tools import compat
+
+
+class FormMatrix:
+    """Matrix of bilinear forms with prescribed unknowns, and its solver.
+
+    Args:
+        forms: compiled bilinear forms whose sum is the matrix; the first has the whole pattern.
+        fixed: prescribed unknowns (nodes, block) of this rank, bool.
+        symmetric: the matrix is symmetric.
+        far_from_symmetric: see `DirectSolver`.
+        solver, large, hints: see `solvers.make_solver`.
+    """
+
+    def __init__(
+        self,
+        forms: Sequence[Any],
+        fixed: np.ndarray,
+        symmetric: bool,
+        owned: int,
+        far_from_symmetric: bool,
+        solver: str,
+        large: bool,
+        hints: Callable[[], tuple[np.ndarray, np.ndarray, np.ndarray]],
+    ):
+        self.forms, self.owned, self.block = forms, owned, fixed.shape[1]
+        self.matrix = compat.create_matrix(forms[0])
+        rows = np.flatnonzero(fixed[:owned].ravel())
+        self._fixed = (rows + self.matrix.getOwnershipRange()[0]).astype(np.int32)
+        self.solver = make_solver(solver, large, self.matrix, symmetric, far_from_symmetric, hints)
+        self._vector = self.matrix.createVecRight()
+
+    def assemble(self, lift: np.ndarray | None) -> np.ndarray | None:
+        """Fill the matrix; returns its product with `lift` (nodes, block), before rows and columns of
+        prescribed unknowns are left out. Collective."""
+        self.matrix.zeroEntries()
+        for form in self.forms:
+            compat.add_to_matrix(self.matrix, form)
+        self.matrix.assemble()
+        product = None
+        if lift is not None:
+            self._vector.array[:] = lift[: self.owned].ravel()
+            moved = self.matrix.createVecLeft()
+            self.matrix.mult(self._vector, moved)
+            product = np.zeros_like(lift)
+            product[: self.owned] = moved.array.reshape(-1, self.block)
+            moved.destroy()
+        self.diagonal = self._diagonal()
+        scale = float(self.diagonal.max(initial=0.0)) or 1.0
+        self.matrix.zeroRowsColumns(self._fixed, self.matrix.comm.tompi4py().allreduce(scale, op=MPI.MAX))
+        return product
+
+    def _diagonal(self) -> np.ndarray:
+        diagonal = self.matrix.getDiagonal()
+        values = diagonal.array.reshape(-1, self.block).copy()
+        diagonal.destroy()
+        return values
+
+    def destroy(self) -> None:
+        """Release PETSc's objects."""
+        self._vector.destroy()
+        self.solver.destroy()

@@ -1,0 +1,67 @@
+"""Dead loads on points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..bodies.points import Points, Selection
+from ..errors import InputError
+from ..kinematics.layout import Layout
+from .amplitudes import Amplitude
+
+
+@dataclass
+class Load:
+    """Dead force or couple on points: a total shared by a selection, or a density per reference volume."""
+
+    name: str
+    amplitude: Amplitude
+    couple: bool
+    selection: Selection | None
+    density: bool = False
+    share: float = 1.0
+
+    def add_to(self, out: np.ndarray, points: Points, factor: float) -> None:
+        """Add this load's values (np, size) at the local points."""
+        rows = points.rows(self.selection)
+        values = self.amplitude.at(factor, points.X[rows]) * self.share
+        out[rows] += values * points.volume0[rows, None] if self.density else values
+
+
+def make_loads(
+    name: str,
+    selection: Selection | None,
+    force: Any,
+    couple: Any,
+    layout: Layout,
+    density: bool,
+    share: float,
+) -> list[Load]:
+    """Check a user's force and couple; one Load for each that is given."""
+    if force is None and couple is None:
+        raise InputError(f"{name}: neither force nor couple is given")
+    if selection is not None and len(selection) == 0:
+        raise InputError(f"{name}: the selection contains no point")
+    if couple is not None and not layout.rotations:
+        raise InputError(f"{name}: couple = {couple!r}, but the material has no microrotation")
+    loads = []
+    for value, is_couple, size in ((force, False, layout.dim), (couple, True, layout.rotations)):
+        if value is not None:
+            what = f"{name}, {'couple' if is_couple else 'force'}"
+            loads.append(Load(what, Amplitude(what, value, size), is_couple, selection, density, share))
+    return loads
+
+
+def point_loads(
+    loads: Sequence[Load], points: Points, layout: Layout, factor: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Forces (np, d) and couples (np, r) at the local points at a load factor."""
+    forces = np.zeros((len(points), layout.dim))
+    couples = np.zeros((len(points), layout.rotations))
+    for load in loads:
+        load.add_to(couples if load.couple else forces, points, factor)
+    return forces, couples

@@ -1,0 +1,121 @@
+"""Planes of the grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..errors import InputError
+from .grid import Grid
+
+
+class Located(Protocol):
+    """Points of this rank."""
+
+    comm: MPI.Comm
+    x: np.ndarray
+
+
+@dataclass
+class Plane:
+    """Nodes on a grid plane, and those beyond it where the body isn't (walls: T 2.3.2's domains overlap
+    them).
+
+    Attributes:
+        axis, value: the plane x_axis = value (m).
+        side: -1: nodes at and below, +1: at and above, 0: only on the plane.
+        cell: cell size (m), which tells what rounding is.
+        index: lattice index of the plane along its axis.
+    """
+
+    axis: int
+    value: float
+    side: int
+    cell: float
+    index: int
+
+    def follow(self, grid: Grid) -> None:
+        """Stand where the plane of this index is in a grid that has been stretched."""
+        self.cell = grid.cell[self.axis]
+        self.value = grid.origin[self.axis] + self.index * self.cell
+
+    def __call__(self, position: np.ndarray) -> np.ndarray:
+        distance = position[:, self.axis] - self.value
+        on = np.abs(distance) < 1e-6 * self.cell
+        return on | (distance * self.side > 0)
+
+
+@dataclass(frozen=True)
+class PlaneSpec:
+    """A plane as the user writes it; see `plane`."""
+
+    axis: int
+    value: float
+    beyond: str
+    moving: bool = False
+
+    @property
+    def name(self) -> str:
+        """For messages, such as x = 0."""
+        return f"{'xyz'[self.axis]} = {self.value:g}"
+
+    def check_basis(self, basis: str, grid: Grid) -> None:
+        """Raise InputError for a plane on which this basis can't prescribe values.
+
+        B-splines only have functions of their own on the boundary planes of the grid.
+        """
+        if basis != "bspline" or self.axis >= grid.dim:
+            return
+        walls, cell = (grid.origin[self.axis], grid.upper[self.axis]), grid.cell[self.axis]
+        if min(abs(self.value - wall) for wall in walls) > 1e-6 * cell:
+            raise InputError(
+                f"plane {'xyz'[self.axis]} = {self.value:g} is not a boundary plane of the grid; with "
+                f"basis = 'bspline' allowed are {walls[0]:g} and {walls[1]:g}"
+            )
+
+    def resolve(self, grid: Grid, points: Located, now: Grid | None = None) -> Plane:
+        """Check the plane against the grid and find which side the body is on; `now` is the same grid as it
+        has been stretched since. Collective."""
+        if self.axis >= grid.dim:
+            raise InputError(f"plane {'xyz'[self.axis]}: the grid has {grid.dim} dimensions")
+        at = (self.value - grid.origin[self.axis]) / grid.cell[self.axis]
+        if abs(at - round(at)) > 1e-6 or not -0.5 < at < grid.shape[self.axis] + 0.5:
+            raise InputError(
+                f"plane {'xyz'[self.axis]} = {self.value:g} is not a plane of the grid, whose planes are "
+                f"{grid.origin[self.axis]:g} + k {grid.cell[self.axis]:g} up to {grid.upper[self.axis]:g}"
+            )
+        found = Plane(self.axis, self.value, 0, grid.cell[self.axis], round(at))
+        if now is not None and now is not grid:
+            found.follow(now)
+        side = {"below": -1, "above": 1, "none": 0}.get(self.beyond)
+        if side is None:
+            low = points.comm.allreduce(points.x[:, self.axis].min(initial=np.inf), op=MPI.MIN)
+            high = points.comm.allreduce(points.x[:, self.axis].max(initial=-np.inf), op=MPI.MAX)
+            side = -1 if low >= found.value else (1 if high <= found.value else 0)
+        found.side = side
+        return found
+
+
+def plane(*, beyond: str = "auto", moving: bool = False, **coordinate: float) -> PlaneSpec:
+    """A grid plane such as `plane(x=0.0)`, for `fix`.
+
+    Args:
+        beyond: "below" or "above" adds the nodes on that side of the plane, "none" adds none; "auto" adds
+            the side on which the body has no point.
+        moving: the plane follows the displacement that is prescribed on it, as the face of a platen: at
+            every reset the grid is stretched along the plane's axis so that it stands where the platen is
+            (T 2.2.4). The grid's wall on the other side stays; it is the place for a support that holds the
+            body against the platen. A mesh of finite elements moves anyway.
+    """
+    if len(coordinate) != 1 or next(iter(coordinate)) not in ("x", "y", "z"):
+        raise InputError(f"plane({coordinate!r}): exactly one of x, y, z")
+    if beyond not in ("auto", "below", "above", "none"):
+        raise InputError(f"beyond = {beyond!r}: allowed are auto, below, above, none")
+    if not isinstance(moving, bool):
+        raise InputError(f"moving = {moving!r}: True or False")
+    name, value = next(iter(coordinate.items()))
+    return PlaneSpec("xyz".index(name), float(value), beyond, moving)

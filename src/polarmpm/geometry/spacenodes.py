@@ -1,0 +1,37 @@
+"""Nodes of a Lagrange space."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..tools import compat
+
+
+class SpaceNodes:
+    """Nodes of a Lagrange space of this rank, owned ones first; implements `system.Nodes`."""
+
+    def __init__(self, space: Any, dim: int):
+        from dolfinx import fem
+
+        index_map = space.dofmap.index_map
+        self.owned, self.total = int(index_map.size_local), int(index_map.size_global)
+        self.position = space.tabulate_dof_coordinates()[:, :dim].copy()
+        self._work = fem.Function(space)
+        self._size = int(space.dofmap.index_map_bs)
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def add_to_owners(self, values: np.ndarray) -> None:
+        """Add ghosts' rows of values (n, block) to their owners'; ghost rows keep their part. Collective."""
+        self._work.x.array[:] = values.ravel()
+        compat.add_reverse(self._work)
+        values[: self.owned] = self._work.x.array.reshape(-1, self._size)[: self.owned]
+
+    def update_ghosts(self, values: np.ndarray) -> None:
+        """Overwrite ghosts' rows of values (n, block) with their owners'. Collective."""
+        self._work.x.array[:] = values.ravel()
+        self._work.x.scatter_forward()
+        values[self.owned :] = self._work.x.array.reshape(-1, self._size)[self.owned :]

@@ -1,0 +1,98 @@
+"""Compiled expressions of arrays, evaluated row by row."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import ufl
+
+from ..tools import compat
+from . import codegen, csource, graph, jit, native
+from .codegen import Scalariser
+from .csource import write_c
+
+
+@cache
+def generator_version() -> str:
+    """Digest of the code that writes kernels: another generator compiles them anew."""
+    return jit.digest(*(Path(str(module.__file__)).read_text() for module in (codegen, csource, graph)))
+
+
+class Kernel:
+    """Compiled functions of arrays (n, inputs) -> (n, outputs), eight rows a call."""
+
+    def __init__(self, lib: ctypes.CDLL, name: str, inputs: int, outputs: int):
+        self.inputs, self.outputs = inputs, outputs
+        self.address: int = ctypes.cast(getattr(lib, name), ctypes.c_void_p).value or 0
+        self._library = lib  # keeps the code loaded
+
+    def __call__(self, *columns: np.ndarray) -> np.ndarray:
+        """Evaluate for all rows, (n, outputs). The sums over points call the code from C."""
+        rows = len(columns[0])
+        flat = [np.ascontiguousarray(c, dtype=float).reshape(rows, _width(c)) for c in columns]
+        widths = np.array([c.shape[1] for c in flat], dtype=np.int32)
+        if widths.sum() != self.inputs:
+            raise ValueError(f"kernel has {self.inputs} inputs, {widths.sum()} are given")
+        blocks = np.array([c.ctypes.data for c in flat], dtype=np.uintp)
+        out = np.empty((rows, self.outputs))
+        if native.library().polarmpm_evaluate(
+            self.address,
+            rows,
+            len(flat),
+            widths.ctypes.data,
+            blocks.ctypes.data,
+            self.outputs,
+            out.ctypes.data,
+        ):
+            raise MemoryError("no memory to evaluate a kernel")
+        return out
+
+
+def _width(columns: np.ndarray) -> int:
+    """Numbers in a row, also where there are no rows."""
+    return int(np.prod(columns.shape[1:]))
+
+
+@dataclass
+class PointSpace:
+    """Vector-valued functions on the points' quadrature space."""
+
+    domain: Any
+
+    def function_space(self, size: int) -> Any:
+        return ufl.FunctionSpace(self.domain, compat.quadrature_element("interval", size))
+
+    def coefficient(self, size: int) -> Any:
+        return ufl.Coefficient(self.function_space(size))
+
+
+def matrix(c: Any, rows: int, columns: int, start: int = 0) -> Any:
+    return ufl.as_tensor([[c[start + columns * i + j] for j in range(columns)] for i in range(rows)])
+
+
+def compile_expressions(
+    expressions: list[Any], terminals: dict[Any, int], inputs: int, domain: Any, comm: MPI.Comm
+) -> Kernel:
+    """One kernel that evaluates UFL expressions (any shape, flattened row by row) of its inputs."""
+    order = {c: i for i, c in enumerate(terminals)}
+    signatures = [compat.expression_signature(e, {**order, domain: 0}) for e in expressions]
+    size = sum(int(np.prod(e.ufl_shape, dtype=int)) for e in expressions)
+
+    def source() -> str:
+        scalarise = Scalariser(terminals)
+        nodes = []
+        for e in expressions:
+            data = scalarise(codegen.expand(e)).data
+            nodes += [scalarise.plain(data[index]) for index in np.ndindex(*data.shape)]
+        return write_c(scalarise.graph, {"evaluate": nodes})
+
+    layout = ",".join(f"{slot}" for slot in terminals.values())
+    lib = jit.library(jit.digest(generator_version(), "expr", layout, *signatures), source, comm)
+    return Kernel(lib, "evaluate", inputs, size)

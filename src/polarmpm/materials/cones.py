@@ -1,0 +1,173 @@
+"""Yield surfaces of the invariants p and q: Drucker-Prager's cone and von Mises' cylinder."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import ufl
+
+from ..errors import InputError
+from ..tools.checks import require, require_finite
+from .base import Material
+from .plastic import SPRING, Plastic, check_elastic, check_names
+
+
+def check_flow(elastic: Any, name: str, strength: Any, H: Any, l_p: Any) -> None:
+    """Checks of what the cone and the cylinder share; `name` is the argument that gives the strength."""
+    check_elastic(elastic)
+    require_finite("H", H)
+    require_finite(name, strength)
+    require(strength > 0, name, strength, f"{name} > 0")
+    if elastic.micropolar:
+        if l_p is None:
+            raise InputError("l_p = None: a micropolar material needs the plastic length, l_p > 0")
+        require_finite("l_p", l_p)
+        require(l_p > 0, "l_p", l_p, "l_p > 0")
+    elif l_p is not None:
+        raise InputError(f"l_p = {l_p!r}: a classical material has no plastic length")
+    if H < 0 and not elastic.micropolar:
+        warnings.warn(
+            f"H = {H:g}: softening without a length scale; the width of a shear band is that of the cells",
+            stacklevel=4,
+        )
+
+
+def generalised_stress(tau: Any, nu: Any, length: Any, tip: Any = None) -> Any:
+    """q = sqrt(3/2 (s : s + nu : nu / l_p^2)), s the deviator of sym tau: T (4.37)-(4.38); with a rounded
+    tip."""
+    s = ufl.dev(ufl.sym(tau))
+    square = ufl.inner(s, s)
+    if nu is not None:
+        square += ufl.inner(nu, nu) / length**2
+    return ufl.sqrt(1.5 * square if tip is None else 1.5 * square + tip**2)
+
+
+@dataclass(frozen=True)
+class DruckerPrager(Plastic):
+    """Drucker-Prager plasticity with linear hardening, T (4.34)-(4.40); classical or micropolar.
+
+    f = q + a p - (k + H chi), g = q + b p with a, b = 6 sin(angle)/(3 - sin(angle)) of the angles of
+    friction and dilatancy, p = tr(tau)/3 and the generalised q with couple stress. States beyond the apex of
+    the cone return to it.
+
+    Args:
+        elastic: e.g. `MicropolarElastic` or `Hencky`.
+        phi, psi: angles of friction and dilatancy (rad), 0 <= psi <= phi < pi/2.
+        c: cohesion (Pa), which makes k = 6 c cos(phi)/(3 - sin(phi)); or
+        k: yield strength (Pa) at p = 0. Exactly one of both.
+        H: hardening modulus (Pa), negative for softening.
+        l_p: plastic length (m); needed by micropolar materials.
+        tip: rounds the apex off: q becomes sqrt(q^2 + tip^2) (Pa). With 0 the apex is sharp.
+
+    Raises:
+        InputError: an argument is out of range.
+    """
+
+    elastic: Material
+    phi: float = 0.0
+    psi: float = 0.0
+    c: float | None = None
+    k: float | None = None
+    H: float = 0.0
+    l_p: float | None = None
+    tip: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("phi", "psi", "tip"):
+            require_finite(name, getattr(self, name))
+        require(self.tip >= 0, "tip", self.tip, "tip >= 0")
+        allowed = "0 <= phi < pi/2, in radians (math.radians converts degrees)"
+        require(0 <= self.phi < math.pi / 2, "phi", self.phi, allowed)
+        require(0 <= self.psi <= self.phi, "psi", self.psi, f"0 <= psi <= phi = {self.phi:g} rad")
+        if (self.c is None) == (self.k is None):
+            raise InputError(f"c = {self.c!r}, k = {self.k!r}: exactly one of both is needed")
+        name, strength = ("c", self.c) if self.k is None else ("k", self.k)
+        check_flow(self.elastic, name, strength, self.H, self.l_p)
+        check_names(self)
+
+    @property
+    def length(self) -> float:  # type: ignore[override]
+        return self.l_p or 1.0
+
+    @property
+    def has_apex(self) -> bool:  # type: ignore[override]
+        return self.phi > 0 and self.tip == 0
+
+    @property
+    def strength(self) -> float:
+        """k (Pa), T (4.36)."""
+        if self.k is not None:
+            return self.k
+        assert self.c is not None
+        return 6 * self.c * math.cos(self.phi) / (3 - math.sin(self.phi))
+
+    def plastic_parameters(self) -> dict[str, float]:
+        a, b = (6 * math.sin(angle) / (3 - math.sin(angle)) for angle in (self.phi, self.psi))
+        numbers = {"friction": a, "dilatancy": b, "k": self.strength, "H": self.H, "tip": self.tip}
+        if self.micropolar:
+            numbers |= {"l_p": self.length, "spring": SPRING * self._couple_modulus()}
+        return numbers
+
+    def _couple_modulus(self) -> float:
+        numbers = self.elastic.parameters()
+        named = [abs(numbers[name]) for name in ("alpha", "beta", "gamma") if name in numbers]
+        return (max(named) if named else self._at_rest[1]) or 1.0
+
+    def yield_function(self, tau: Any, nu: Any, chi: Any, p: Any) -> Any:
+        return self._q(tau, nu, p) + p.friction * ufl.tr(tau) / 3 - (p.k + p.H * chi)
+
+    def potential(self, tau: Any, nu: Any, chi: Any, p: Any) -> Any:
+        return self._q(tau, nu, p) + p.dilatancy * ufl.tr(tau) / 3
+
+    def _q(self, tau: Any, nu: Any, p: Any) -> Any:
+        return generalised_stress(tau, nu, p.l_p if self.micropolar else 1.0, p.tip)
+
+    def hardening_energy(self, chi: Any, p: Any) -> Any:
+        return p.H * chi**2 / 2
+
+    # the apex -------------------------------------------------------------------------------------
+    def beyond_apex(self, tau: Any, nu: Any, chi: Any, p: Any) -> Any:
+        """3 mu Dgamma - q with the multiplier of the small-strain cone."""
+        if not self.has_apex or not {"lam", "mu"} <= set(self.elastic.parameters()):
+            return ufl.as_ufl(-1.0)
+        bulk = p.lam + 2 * p.mu / 3
+        f = self.yield_function(tau, nu, chi, p)
+        multiplier = f / (3 * p.mu + bulk * p.friction * p.dilatancy + p.H)
+        return 3 * p.mu * multiplier - self._q(tau, nu, p)
+
+
+@dataclass(frozen=True)
+class VonMises(Plastic):
+    """Von Mises plasticity with linear hardening, T (4.32) with the generalised q (4.38).
+
+    Args:
+        elastic: e.g. `MicropolarElastic` or `Hencky`.
+        k: yield strength (Pa), > 0.
+        H: hardening modulus (Pa), negative for softening.
+        l_p: plastic length (m); needed by micropolar materials.
+    """
+
+    elastic: Material
+    k: float = math.nan
+    H: float = 0.0
+    l_p: float | None = None
+
+    def __post_init__(self) -> None:
+        check_flow(self.elastic, "k", self.k, self.H, self.l_p)
+        check_names(self)
+
+    @property
+    def length(self) -> float:  # type: ignore[override]
+        return self.l_p or 1.0
+
+    def plastic_parameters(self) -> dict[str, float]:
+        return {"k": self.k, "H": self.H, **({"l_p": self.length} if self.micropolar else {})}
+
+    def yield_function(self, tau: Any, nu: Any, chi: Any, p: Any) -> Any:
+        return generalised_stress(tau, nu, p.l_p if self.micropolar else 1.0) - (p.k + p.H * chi)
+
+    def hardening_energy(self, chi: Any, p: Any) -> Any:
+        return p.H * chi**2 / 2
