@@ -1,0 +1,312 @@
+"""Quadratic B-splines: supports, slivers, patch test, bending, order of convergence, output, ranks."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import meshio
+import numpy as np
+import pytest
+import ufl
+
+import polarmpm as pm
+from polarmpm.basis.aggregation import supporting_cells
+from polarmpm.basis.lattice import node_positions, weights
+from polarmpm.bodies.points import Points
+from polarmpm.study import manufactured
+from tests.conftest import COMM, HENCKY, MICROPOLAR, NEO_HOOKEAN, by_id
+
+STRETCH = np.array([[0.2, 0.3, -0.1], [-0.15, -0.1, 0.2], [0.1, 0.05, 0.15]])
+
+
+def full(problem: pm.QuasiStatic, steps: int = 1) -> list[pm.Step]:
+    return list(problem.march(steps, progress=False))
+
+
+# the basis ----------------------------------------------------------------------------------------
+def test_one_and_two_cells_are_bernstein_and_half_open():
+    """The polynomials of a single cell, and of two cells with a knot between them, as in the books."""
+    x = np.linspace(0.05, 0.95, 10)
+    bernstein = np.stack([(1 - x) ** 2, 2 * x * (1 - x), x**2], axis=1)
+    first = np.stack([(1 - x) ** 2, 2 * x - 1.5 * x**2, 0.5 * x**2], axis=1)
+    for cells, lower, upper in ((1, bernstein, bernstein), (2, first, first[::-1, ::-1])):
+        grid = pm.Grid.box((0, 0), (cells, cells), 1.0)
+        at = np.stack([x, x + cells - 1], axis=1)
+        w = weights("bspline", grid, at, np.zeros_like(at))
+        np.testing.assert_array_equal(w.first, np.broadcast_to([0, cells - 1], w.first.shape))
+        np.testing.assert_allclose(w.table[:, 0, 0], lower, atol=1e-14)
+        np.testing.assert_allclose(w.table[:, 1, 0], upper, atol=1e-14)
+
+
+@pytest.mark.parametrize("cells", [1, 2, 3, 6])
+def test_functions_are_smooth_across_planes(cells):
+    """Values and gradients don't jump at the inner planes; second derivatives do."""
+    grid = pm.Grid.box((0, 0), (0.5 * cells, 1.0), (0.5, 1.0))
+
+    def dense(x: float) -> np.ndarray:
+        w = weights("bspline", grid, np.array([[x, 0.5]]), np.zeros((1, 2)))
+        out = np.zeros((2, cells + 2))
+        out[:, w.first[0, 0] : w.first[0, 0] + 3] = w.table[0, 0]
+        return out
+
+    for k in range(1, cells):
+        np.testing.assert_allclose(dense(0.5 * k - 1e-7), dense(0.5 * k + 1e-7), atol=1e-5)
+    walls = dense(0.0)[0], dense(0.5 * cells)[0]
+    np.testing.assert_array_equal(walls[0], np.eye(cells + 2)[0])
+    np.testing.assert_array_equal(walls[1], np.eye(cells + 2)[-1])
+
+
+def test_positions_of_nodes():
+    """Cells' centres and the boundary planes."""
+    grid = pm.Grid.box((1, 0), (4, 2), (1.0, 2.0))
+    numbers = grid.node_number(np.array([[0, 0], [1, 1], [3, 2], [4, 2]]))
+    expected = [[1, 0], [1.5, 1], [3.5, 2], [4, 2]]
+    np.testing.assert_allclose(node_positions("bspline", grid, numbers), expected)
+    np.testing.assert_allclose(node_positions("mpm", grid, numbers), grid.node_position(numbers))
+
+
+# slivers ------------------------------------------------------------------------------------------
+def test_slivers_take_the_polynomials_of_the_cell_behind_the_face():
+    """In one direction, in two, and not if nothing is behind the face."""
+    grid = pm.Grid.box((0, 0), (6, 6), 1.0)
+    x = np.array([[2.5, 2.5], [3.02, 2.5], [3.04, 2.4], [2.4, 1.97], [3.03, 1.95], [5.01, 5.5], [0.5, 4.0]])
+    expected = [[2, 2], [2, 2], [2, 2], [2, 2], [2, 2], [5, 5], [0, 4]]
+    share = np.arange(len(x)) % COMM.size == COMM.rank
+    np.testing.assert_array_equal(supporting_cells(grid, x[share]), np.array(expected)[share])
+
+
+def test_deep_cells_stay_as_they_are():
+    """One point that is far from the face makes its whole cell one that stands by itself."""
+    grid = pm.Grid.box((0, 0), (6, 6), 1.0)
+    x = np.array([[2.5, 2.5], [3.02, 2.5], [3.5, 2.5]])
+    share = np.arange(len(x)) % COMM.size == COMM.rank
+    np.testing.assert_array_equal(supporting_cells(grid, x[share])[:, 0], np.array([2, 3, 3])[share])
+
+
+def test_cells_that_are_all_thin_stay_as_they_are():
+    """One point a cell near the cells' lower planes is no reason to lean on each other."""
+    grid = pm.Grid.box((0, 0), (6, 6), 1.0)
+    x = np.stack(np.meshgrid(np.arange(6) + 0.05, np.arange(6) + 0.05), axis=-1).reshape(-1, 2)
+    x = np.array_split(x, COMM.size)[COMM.rank]
+    np.testing.assert_array_equal(supporting_cells(grid, x), grid.cells_of(x))
+
+
+def block(dim: int, material: pm.Material, offset: float, **options) -> pm.QuasiStatic:
+    """A block of 4 x 1 (x 1) cells that stands on the grid's lower x boundary, in between other planes."""
+    per_cell, size = 3, (4, 1, 1)[:dim]
+    axes = [(np.arange(n * per_cell) + 0.5) / per_cell for n in size]
+    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
+    x[:, 1:] += offset
+    x = np.array_split(x, COMM.size)[COMM.rank]
+    volume, half = np.full(len(x), per_cell**-dim * 1.0), np.full(x.shape, 0.5 / per_cell)
+    grid = pm.Grid.box((0, -5, -5)[:dim], (8, 6, 6)[:dim], 1.0)
+    options = {**pm.PUBLISHED, "basis": "bspline", **options}
+    problem = pm.QuasiStatic(grid, Points(x, volume, half, material, COMM), **options)
+    problem.fix(pm.plane(x=0.0), u=0, **({"theta": 0} if material.micropolar else {}))
+    return problem
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_newton_converges_wherever_the_body_is_cut(dim):
+    """Positions just across a plane and in between: as few iterations as in any other place."""
+    tips = []
+    for offset in (0.0, 1e-9, 1e-4, 0.01, 0.05, 0.11, 0.17, 0.4, 0.66, 0.67, 0.83, 0.99):
+        problem = block(dim, MICROPOLAR, offset, reset=None)
+        tip = problem.points.farthest((1, 0, 0)[:dim])
+        problem.load(tip, force=(400.0, -40.0, 20.0)[:dim])
+        assert max(s.iterations for s in full(problem, 5)) <= 9
+        tips.append(problem.points.mean_displacement(tip))
+    assert np.abs(np.array(tips) - tips[0]).max() < 0.03 * np.linalg.norm(tips[0])
+
+
+# patch test ---------------------------------------------------------------------------------------
+@pytest.mark.parametrize("reset", [1, None])
+@pytest.mark.parametrize(
+    ("dim", "material"),
+    [
+        pytest.param(2, MICROPOLAR, id="2d"),
+        pytest.param(2, HENCKY, id="2d-hencky"),
+        pytest.param(3, MICROPOLAR, id="3d"),
+        pytest.param(3, NEO_HOOKEAN, id="3d-neo-hookean"),
+    ],
+)
+def test_patch_of_a_body_that_cuts_cells(dim, material, reset, strict):
+    """Prescribed around the body's middle, a homogeneous stretch is exact; with and without resets."""
+    grid = pm.Grid.box((0,) * dim, (7,) * dim, 1.0)
+    lower, upper = np.full(dim, 0.85), np.full(dim, 5.6)
+    points = pm.seed(grid, material=material, points_per_cell=3, bounds=(lower, upper))
+    shift = 0.003 * np.arange(1, dim + 1)
+    points.x = points.X = points.x + shift
+    problem = pm.QuasiStatic(
+        grid, points, basis="bspline", reset=reset, controls=strict, balanced_reset=False
+    )
+    grad = 0.5 * (STRETCH + STRETCH.T)[:dim, :dim]
+    theta = {"theta": 0} if material.micropolar else {}
+    problem.fix(
+        lambda x: np.any((x < 2.4) | (x > 4.0), axis=1), u=lambda t, x: t * (x - 3.0) @ grad.T, **theta
+    )
+    full(problem)
+    F = np.eye(3)
+    F[:dim, :dim] += grad
+    np.testing.assert_allclose(points.F, np.broadcast_to(F, points.F.shape), rtol=0, atol=1e-10)
+    expected = points.X + (points.X - 3.0) @ grad.T
+    np.testing.assert_allclose(points.x, expected, rtol=0, atol=1e-10)
+
+
+def test_rigid_rotation(strict):
+    """A body that cuts cells turns without strain; control values of a linear field are the field's."""
+    problem = block(2, MICROPOLAR, 0.37, reset=None, controls=strict)
+    problem.supports.clear()
+
+    def turn(t: float, x: np.ndarray) -> np.ndarray:
+        c, s = np.cos(0.5 * t), np.sin(0.5 * t)
+        return x @ np.array([[c - 1, s], [-s, c - 1]])
+
+    problem.fix(lambda x: x[:, 0] < 1.0, u=turn, theta=0.5)
+    full(problem, 5)
+    strain = np.swapaxes(problem.points.F, 1, 2) @ problem.points.F - np.eye(3)
+    np.testing.assert_allclose(strain, 0.0, atol=1e-9)
+    np.testing.assert_allclose(problem.points.rotation_vector[:, 2], 0.5, atol=1e-9)
+
+
+# accuracy -----------------------------------------------------------------------------------------
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("offset", [0.0, 0.02, 0.3])
+def test_tension_of_a_body_that_cuts_cells(dim, offset, strict):
+    """Free faces anywhere in their cells: without lateral strain the state is homogeneous to rounding."""
+    material = pm.MicropolarElastic(lam=0.0, mu=2e3, kappa=7e2, alpha=11.0, beta=13.0, gamma=17.0)
+    problem = block(dim, material, offset, reset=None, controls=strict)
+    problem.fix(lambda x: x[:, 0] > 2.0, ux=lambda t, x: 0.3 * t * x[:, 0], theta=0)
+    full(problem, 2)
+    F = np.diag([1.3, 1.0, 1.0])
+    np.testing.assert_allclose(problem.points.F, np.broadcast_to(F, problem.points.F.shape), atol=1e-9)
+
+
+def strip_deflection(basis: str, offset: float) -> float:
+    """Deflection of a strip of 10 x 1 cells over that of Timoshenko's beam, for a tiny end force."""
+    length, mu, force = 10.0, 1e3, 1e-4
+    points = pm.seed(
+        pm.Grid.box((0, offset), (length, 1 + offset), 1.0),
+        material=pm.NeoHookean(lam=0.0, mu=mu),
+        points_per_cell=3,
+        layout="gauss",
+    )
+    problem = pm.QuasiStatic(
+        pm.Grid.box((0, -2), (12, 4), 1.0), points, basis=basis, reset=None, balanced_reset=False
+    )
+    problem.fix(pm.plane(x=0.0), u=0)
+    # the last layer of points is one Gauss position short of the end
+    end = points.farthest((1, 0))
+    at = float(points.mean(points.X[:, 0], end))
+    problem.load(end, force=(0, -force))
+    full(problem)
+    beam_deflection = force * (at**3 / (3 * 2 * mu / 12) + 1.2 * at / mu)
+    return -problem.points.mean_displacement(end)[1] / beam_deflection
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.05, 0.35, 0.5])
+def test_thin_strip_does_not_lock(offset):
+    """One or two cells through the thickness: splines find the beam's deflection, bilinear weights don't."""
+    assert strip_deflection("bspline", offset) == pytest.approx(1.0, abs=0.03)
+    assert strip_deflection("mpm", offset) < 0.9
+
+
+WAVE = pm.MicropolarElastic(lam=3e3, mu=2e3, kappa=7e2, alpha=11.0, beta=13.0, gamma=170.0)
+
+
+def wave(X):
+    product = ufl.sin(np.pi * X[0]) * ufl.sin(np.pi * X[1]) * ufl.sin(np.pi * X[2]) / 30
+    return ufl.as_vector((product, -product, product))
+
+
+@pytest.mark.slow
+def test_orders_of_convergence():
+    """In a smooth problem without resets: displacement and rotation of order 3, stresses of order 2."""
+    errors = []
+    for cells in (3, 6):
+        grid = pm.Grid.box((0, 0, 0), (1, 1, 1), 1 / cells)
+        points = pm.seed(grid, material=WAVE, points_per_cell=3, layout="gauss")
+        exact = manufactured.Solution(WAVE, wave, wave, grid.comm)
+        problem = pm.QuasiStatic(grid, points, basis="bspline", reset=None, balanced_reset=False)
+        for axis in "xyz":
+            for wall in (0.0, 1.0):
+                problem.fix(pm.plane(**{axis: wall}), u=0, theta=0)
+        problem.body_load(
+            force=lambda t, X, s=exact: t * s.sources(X)[:, :3],
+            couple=lambda t, X, s=exact: t * s.sources(X)[:, 3:],
+        )
+        full(problem)
+        errors.append(exact.errors(problem))
+    order = {k: np.log2(errors[0][k] / errors[1][k]) for k in errors[0]}
+    assert min(order["displacement"], order["rotation"]) > 2.7
+    assert min(order["stress"], order["couple_stress"]) > 1.7
+
+
+# use ----------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_grid_of_one_or_two_cells(dim):
+    """A tension test in one cell and in two gives the same; upper boundary planes can be supports."""
+    found = []
+    for cells in (1, 2):
+        grid = pm.Grid.box((0,) * dim, (1,) * dim, 1 / cells)
+        points = pm.seed(grid, material=NEO_HOOKEAN, points_per_cell=4 // cells)
+        problem = pm.QuasiStatic(grid, points, basis="bspline", reset=None, balanced_reset=False)
+        for axis in "xyz"[:dim]:
+            problem.fix(pm.plane(**{axis: 0.0}), **{f"u{axis}": 0})
+        right = problem.fix(pm.plane(x=1.0), ux=0.2)
+        full(problem, 2)
+        found.append([problem.reaction(right)[0][0], *by_id(points, points.F)[0, :dim, :dim].diagonal()])
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
+    assert found[0][1] == pytest.approx(1.2)
+
+
+def test_interior_planes_are_refused():
+    """The message names the plane and the planes that are allowed; boundary planes are accepted."""
+    grid = pm.Grid.box((-1, -3), (6, 3), 0.5)
+    with pytest.raises(pm.InputError, match=r"plane x = 0 .*bspline.*allowed are -1 and 6"):
+        pm.plane(x=0.0).check_basis("bspline", grid)
+    pm.plane(x=6.0).check_basis("bspline", grid)
+    pm.plane(x=0.0).check_basis("mpm", grid)
+    with pytest.raises(pm.InputError, match="plane y = 0 is not a boundary plane"):
+        block(2, MICROPOLAR, 0.0).fix(pm.plane(y=0.0), u=0)
+
+
+@pytest.mark.parametrize("reset", [1, None])
+def test_grid_file_shows_the_field_at_the_corners(folder, reset):
+    """Displacements at the cells' corners, not the control values; slivers are left out."""
+    problem = block(2, MICROPOLAR, 0.05, reset=reset)
+    problem.supports.clear()
+    problem.fix(lambda x: np.full(len(x), True), ux=lambda t, x: 0.1 * t * x[:, 0], uy=0, theta=0.2)
+    with pm.Recorder(folder / "strip.pvd", problem, grid=True) as record:
+        for step in problem.march(1, progress=False):
+            record(step)
+    pieces = ET.parse(folder / "strip_grid.pvd").getroot().iter("DataSet")
+    meshes = [meshio.read(folder / p.get("file")) for p in pieces if float(p.get("timestep")) == 1.0]
+    x, u, w = (
+        np.concatenate(rows)
+        for rows in zip(
+            *(
+                (m.points, m.point_data["displacement_increment"], m.point_data["rotation_increment"])
+                for m in meshes
+            ),
+            strict=True,
+        )
+    )
+    assert {float(y) for y in x[:, 1]} == {0.0, 1.0}
+    np.testing.assert_allclose(u[:, 0], 0.1 * x[:, 0], atol=1e-12)
+    np.testing.assert_allclose(w[:, 2], 0.2, atol=1e-12)
+
+
+def test_restart_between_resets(folder):
+    """Lattice numbers and control values are enough to go on to the same digits."""
+    runs = [block(2, MICROPOLAR, 0.05, reset=None) for _ in range(2)]
+    for problem in runs:
+        tip = problem.points.farthest((1, 0))
+        problem.load(tip, force=(0.0, -60.0))
+    for step in runs[0].march(4, progress=False):
+        if step.number == 2:
+            pm.save_restart(runs[0], folder / "strip.h5")
+    pm.load_restart(runs[1], folder / "strip.h5")
+    list(runs[1].march(2, progress=False))
+    found, expected = (by_id(p.points, p.points.x) for p in runs)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)

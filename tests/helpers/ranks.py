@@ -1,0 +1,50 @@
+"""Running a test module as a script on several ranks."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+import polarmpm as pm
+
+ROOT = str(Path(__file__).parents[2])  # of the repository, for `import tests` in other processes
+
+
+def on_ranks(ranks: int, case: str, script: str, timeout: float = 120.0) -> list[dict]:
+    """What each rank of a fresh mpirun of a script found."""
+    keep = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_", "OMPI_", "PRTE_"))}
+    package = str(Path(pm.__file__).parents[1])
+    env = {
+        **keep,
+        "OMP_NUM_THREADS": "1",
+        "OMPI_ALLOW_RUN_AS_ROOT": "1",
+        "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+        "OMPI_MCA_rmaps_base_oversubscribe": "1",
+        "OMPI_MCA_mpi_yield_when_idle": "1",  # ranks that wait let the others work
+        "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
+        "PYTHONPATH": os.pathsep.join([package, ROOT, *filter(None, [os.environ.get("PYTHONPATH")])]),
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        command = ["mpirun", "-n", str(ranks), sys.executable, script, case, folder]
+        run = subprocess.run(
+            command,
+            env=env,
+            timeout=timeout,
+            capture_output=True,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            check=False,
+        )
+        assert run.returncode == 0, run.stdout + run.stderr
+        return [json.loads(Path(folder, f"{rank}.json").read_text()) for rank in range(ranks)]
+
+
+def close(found: list, expected: list) -> None:
+    found, expected = np.asarray(found), np.asarray(expected)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * max(abs(expected).max(), 1e-300))

@@ -1,0 +1,122 @@
+"""The order of the package's folders: no import goes up, or round in a circle (docs/architecture.md)."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import polarmpm
+
+PACKAGE = Path(polarmpm.__file__).parent
+ORDER = (
+    *("errors", "tools", "solvers", "kernels", "geometry", "kinematics", "basis", "materials", "bodies"),
+    *("forms", "conditions", "terms", "assembly", "problems", "io", "plot", "study"),
+)
+USE = ("io", "plot", "study")  # what the solver does without
+MODULE_LINES, FUNCTION_LINES = 450, 60
+
+Name = tuple[str, ...]
+
+
+def modules() -> dict[Name, Path]:
+    """All modules by their dotted names, as tuples without the package's own."""
+    found = {}
+    for path in PACKAGE.rglob("*.py"):
+        parts = path.relative_to(PACKAGE).with_suffix("").parts
+        found[parts[:-1] if parts[-1] == "__init__" else parts] = path
+    return found
+
+
+MODULES = modules()
+
+
+def imports(name: Name) -> Iterator[Name]:
+    """Modules of the package that a module imports, wherever in it."""
+    path = MODULES[name]
+    package = name if path.name == "__init__.py" else name[:-1]
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            start = package[: len(package) - node.level + 1]
+            target = (*start, *(node.module.split(".") if node.module else ()))
+            for alias in node.names:
+                yield (*target, alias.name) if (*target, alias.name) in MODULES else target
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "polarmpm":
+            pytest.fail(f"{'.'.join(name)} imports {node.module} by its absolute name")
+
+
+IMPORTS = {name: set(imports(name)) for name in MODULES}
+
+
+def test_every_folder_has_its_place():
+    assert {name[0] for name in MODULES if name} == set(ORDER)
+    assert len(list(PACKAGE.glob("*.py"))) <= 6
+
+
+def test_no_folder_imports_from_a_higher_one():
+    upward = [
+        f"{'.'.join(name)} imports {'.'.join(other)}"
+        for name, others in IMPORTS.items()
+        for other in others
+        if name and other and ORDER.index(other[0]) > ORDER.index(name[0])
+    ]
+    assert not upward, "\n".join(upward)
+
+
+def test_nothing_is_imported_in_a_circle():
+    open_: list[Name] = []
+    done: set[Name] = set()
+
+    def visit(name: Name) -> None:
+        assert name not in open_, " -> ".join(".".join(n) for n in (*open_, name))
+        if name not in done:
+            open_.append(name)
+            for other in IMPORTS[name]:
+                visit(other)
+            done.add(open_.pop())
+
+    for name in MODULES:
+        if name:  # the package's own face imports everything
+            visit(name)
+
+
+def test_the_solver_does_without_files_and_figures():
+    found = {
+        ".".join(name): ".".join(other)
+        for name, others in IMPORTS.items()
+        for other in others
+        if name and other and other[0] in USE and name[0] not in USE
+    }
+    assert not found
+
+
+def test_the_face_only_re_exports():
+    tree = ast.parse((PACKAGE / "__init__.py").read_text())
+    own = [n.name for n in tree.body if isinstance(n, ast.FunctionDef | ast.ClassDef)]
+    assert own in ([], ["__getattr__"])
+    for name in polarmpm.__all__:
+        assert getattr(polarmpm, name) is not None
+
+
+def test_modules_and_functions_are_short():
+    long = []
+    for name, path in MODULES.items():
+        text = path.read_text()
+        if text.count("\n") > MODULE_LINES:
+            long.append(f"{'.'.join(name)}: {text.count(chr(10))} lines")
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef) and node.end_lineno - node.lineno >= FUNCTION_LINES:
+                long.append(f"{'.'.join(name)}.{node.name}: {node.end_lineno - node.lineno + 1} lines")
+    assert not long, "\n".join(long)
+
+
+def test_only_the_basis_folder_asks_for_a_basis_by_name():
+    found = [
+        f"{'.'.join(name)}: {line.strip()}"
+        for name, path in MODULES.items()
+        for line in path.read_text().splitlines()
+        if ("basis ==" in line or "basis !=" in line) and name[:1] != ("basis",)
+    ]
+    assert not found, "\n".join(found)
