@@ -43,7 +43,7 @@ def problem_of(demo, basis, box=((0, -40, -8), (80, 40, 64))):
     problem = pm.QuasiStatic(grid, points, basis=basis, reset=1, balanced_reset=False)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     problem.load(points.farthest((1, -1, 0)), force=(0, 0, demo.FORCE))
-    problem._prepare()
+    problem.system_at(0.0)
     return problem, time.perf_counter() - begin
 
 

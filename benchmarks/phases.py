@@ -75,7 +75,7 @@ def measure(name):
     problem, options = SCENES[name]()
     seeded, built = megabytes(), time.process_time()
     points = len(problem.points)
-    system = problem._prepare()
+    system = problem.system_at(0.0)
     system.evaluate(True)
     row = {"scene": name, "points": points, "build_s": built - begin}
     row |= {"seeded_bytes": (seeded - empty) * 2**20 / points}

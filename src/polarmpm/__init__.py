@@ -19,7 +19,9 @@ from .problems.points import PUBLISHED, QuasiStatic
 from .solvers.newton import Controls
 from .solvers.resetting import EverySteps, Never, WhenDistorted
 from .solvers.stepping import Step
+from .terms.base import Boxes, Piece, Term
 from .terms.ghost import GhostPenalty
+from .terms.surfaceterms import SurfaceTerm
 
 if TYPE_CHECKING:
     from .materials.cones import DruckerPrager, VonMises
@@ -39,6 +41,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "PUBLISHED",
+    "Boxes",
     "Controls",
     "DruckerPrager",
     "Elements",
@@ -55,6 +58,7 @@ __all__ = [
     "Never",
     "NotConserved",
     "NotConverged",
+    "Piece",
     "Plastic",
     "Points",
     "PointsOutsideGrid",
@@ -65,7 +69,9 @@ __all__ = [
     "Selection",
     "Step",
     "Surface",
+    "SurfaceTerm",
     "Table",
+    "Term",
     "UserEnergy",
     "UserPlasticity",
     "VonMises",

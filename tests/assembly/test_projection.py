@@ -190,7 +190,7 @@ def test_prescribed_increments_load_the_free_unknowns(dim):
         system.set_prescribed(system.prescribed.increments(1.0, 0.0, 0.0))
         assert system.pending()
         system.evaluate(True)
-    lifts = [collected(s, s._lift_forces)[~fixed] for s in (projected, direct)]
+    lifts = [collected(s, s.step.lifted)[~fixed] for s in (projected, direct)]
     close(*lifts)
     for system in both:
         system.advance(fresh=True)

@@ -246,7 +246,7 @@ def test_prescribed_increments_load_the_free_unknowns(dim, full, solver):
     reduced = reduced + np.triu(reduced, 1).T if system.pattern.symmetric else reduced
     expected = np.where(fixed[:, None] | fixed[None, :], np.diag(np.diag(k)), k)
     np.testing.assert_allclose(reduced, expected, rtol=0, atol=1e-14 * abs(k).max())
-    lift = collected(system, system._lift_forces)[~fixed]
+    lift = collected(system, system.step.lifted)[~fixed]
     np.testing.assert_allclose(
         lift, (k @ np.where(fixed, target - x, 0.0))[~fixed], rtol=0, atol=1e-12 * abs(k).max()
     )

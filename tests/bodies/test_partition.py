@@ -470,7 +470,7 @@ def test_bad_limits(bad):
 
 def test_limit(monkeypatch):
     """Due at first, then when work or ghosts have grown by the limit."""
-    points, nodes = by_points(cone()).points, cantilever()._prepare().nodes
+    points, nodes = by_points(cone()).points, cantilever().system_at(0.0).nodes
     balance = partition.Balance(COMM, 1.2)
     if COMM.size == 1:
         balance.built(points, nodes)

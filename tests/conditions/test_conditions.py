@@ -228,7 +228,7 @@ def test_plane_takes_the_nodes_behind_the_wall():
         problem = pm.QuasiStatic(grid, points, **pm.PUBLISHED)
         problem.fix(pm.plane(x=0.0, beyond=beyond), u=0, theta=0)
         problem.fix(pm.plane(y=2.0), uy=0)
-        system = problem._prepare()
+        system = problem.system_at(0.0)
         x = system.nodes.position
         fixed = system.prescribed.fixed
         held = COMM.allgather(set(np.unique(x[fixed[:, 0], 0])))

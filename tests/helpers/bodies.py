@@ -66,8 +66,7 @@ def own_rows(problem: pm.QuasiStaticFEM, nodal: np.ndarray) -> np.ndarray:
 
 def prepared(problem: pm.QuasiStaticFEM, factor: float = 1.0) -> Any:
     """The system with the loads of a load factor. Collective."""
-    system = problem._prepare()
-    problem._set_loads(system, factor)
+    system = problem.system_at(factor)
     return system
 
 

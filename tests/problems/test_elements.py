@@ -89,7 +89,7 @@ def points_and_element(cell, material):
 def test_one_element_is_one_cell_of_points(cell, material):
     """Residual and tangent of an element and of points at its quadrature points agree to 1e-12."""
     by_points, by_elements = points_and_element(cell, material)
-    system, other = by_elements._prepare(), by_points._prepare()
+    system, other = by_elements.system_at(0.0), by_points.system_at(0.0)
     size, block = by_elements.unknowns, by_elements.layout.block
     body = by_elements.elements
     here = own_rows(by_elements, body.nodes.position + body.displacement).reshape(-1, body.dim)

@@ -68,7 +68,7 @@ def on_surface(kind: str, **options: Any) -> Any:
     elif kind == "traction":
         problem.traction(surface, force=lambda t: (10.0 * t, -60.0 * t**2), couple=8.0)
     else:
-        problem.fix_surface(surface, u=(0.2, -0.5), stiffness=5e4)
+        problem.fix(surface, u=(0.2, -0.5), stiffness=5e4)
     return problem
 
 

@@ -158,7 +158,7 @@ def test_one_element_is_one_cell_of_points(material):
             p.plastic_wryness = 1.01 * p.wryness
         p.plastic_F = shear @ transposed(turn) @ p.F
         p.hardening = 0.1 * mark**2
-    system, other = elements._prepare(), points._prepare()
+    system, other = elements.system_at(0.0), points.system_at(0.0)
     size, block, body = elements.unknowns, elements.layout.block, elements.elements
     here = own_rows(elements, body.nodes.position + body.displacement).reshape(-1, 2)
     there = collected(other, other.nodes.position).reshape(-1, 2)

@@ -299,10 +299,10 @@ def test_a_failure_at_the_points_shortens_the_step(body, monkeypatch):
     system = type(arch.problem.system)
     assemble = system.assemble
 
-    def fails(self: Any, tangent: bool) -> np.ndarray:
+    def fails(self: Any, tangent: bool, lift: Any = None) -> Any:
         if self.comm.allreduce(float(np.abs(self.x).max(initial=0.0)), op=MPI.MAX) > limit:
             raise LocalFailure("too far for the points")
-        return assemble(self, tangent)
+        return assemble(self, tangent, lift)
 
     limit = abs(arch.problem.system.x).max() + 0.015
     limit = COMM.allreduce(limit, op=MPI.MAX)

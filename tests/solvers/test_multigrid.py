@@ -74,8 +74,7 @@ def solver_of(problem: Any) -> Any:
 
 def tangent(problem: Any) -> Any:
     """The system with residual and tangent of the full load at the start. Collective."""
-    system = problem._prepare()
-    problem._set_loads(system, 1.0)
+    system = problem.system_at(1.0)
     system.set_prescribed(system.prescribed.increments(1.0, 0.0, 0.0))
     system.evaluate(True)
     return system
@@ -165,7 +164,7 @@ def free_body(dim: int, of: pm.Material) -> Any:
     problem = beam(dim, of, solver="multigrid")
     problem.supports.clear()
     problem._stale = True
-    return problem._prepare()
+    return problem.system_at(0.0)
 
 
 def resistance(system: Any, motions: np.ndarray) -> np.ndarray:
@@ -375,16 +374,16 @@ def test_the_choice_goes_by_the_section(monkeypatch):
     assert is_large(3, 200.0, 2)
     assert is_large(3, 400.0, 1)
     problem, _ = block(3)
-    problem._prepare()
+    problem.system_at(0.0)
     assert isinstance(solver_of(problem), DirectSolver)
     assert not problem.system.is_large()
     for limit in ("_LARGE", "_LARGE_ON_RANKS"):
         monkeypatch.setattr(solvers, limit, 20.0)
     problem, _ = block(3)
-    problem._prepare()
+    problem.system_at(0.0)
     assert isinstance(solver_of(problem), MultigridSolver)
     slender = beam(3)
-    slender._prepare()
+    slender.system_at(0.0)
     assert isinstance(solver_of(slender), DirectSolver)
 
 

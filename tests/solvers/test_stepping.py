@@ -432,8 +432,7 @@ def test_a_retreat_leaves_prescribed_values_to_be_put_in():
     """Half of a correction is taken back; the supports' part of it is pending again."""
     problem = beam(2)
     problem.fix(pm.plane(x=4.0), ux=0.2)
-    system = problem._prepare()
-    problem._set_loads(system, 1.0)
+    system = problem.system_at(1.0)
     system.set_prescribed(system.prescribed.increments(1.0, 0.0, 0.0))
     assert not system.retreat()
     system.evaluate(True)

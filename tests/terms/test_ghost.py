@@ -68,9 +68,9 @@ def test_faces_add_up_to_dolfinx_assembly(dim):
     index = np.stack(np.unravel_index(np.arange(np.prod(shape)), shape), axis=1)
     cells = grid.cell_number(index[(index.sum(axis=1) > 1) & (index.sum(axis=1) < 7)])
     layout = Layout(dim, 0)
-    terms = Ghost(pm.GhostPenalty(7.0, power=3), layout).terms(grid, cells)
+    terms = Ghost(pm.GhostPenalty(7.0, power=3), layout).faces(grid, cells)
     nodes = ActiveNodes.build(grid, np.unique(np.concatenate([t.boxes.numbers(grid).ravel() for t in terms])))
-    bound = NodalTerms(nodes, terms)
+    bound = NodalTerms(nodes, terms, COMM)
     x = np.random.default_rng(3).uniform(-1, 1, (len(nodes), dim))
 
     body = cellmesh.cell_mesh(grid, np.sort(cells)).mesh
@@ -100,7 +100,7 @@ def test_faces_add_up_to_dolfinx_assembly(dim):
         k = np.arange(len(at), dtype=np.int32)
         total += 7.0 * matrix.getValues(k, k) @ field
         matrix.destroy()
-    forces = bound.forces(x, external=False)
+    forces = bound.forces(x, lambda piece: True)
     assert np.abs(forces[rows] - total[known]).max() < 1e-12 * np.abs(total).max()
     assert np.abs(total[~known]).max(initial=0.0) < 1e-12 * np.abs(total).max()
     assert len(rows) == len(nodes)
@@ -110,17 +110,17 @@ def test_linear_fields_have_no_ghost_forces():
     grid = pm.Grid.box((-1.0, 0.0, 0.0), (2.0, 4.0, 6.0), (0.5, 1.0, 1.5))
     cells = np.array([[1, 1, 1], [2, 1, 1], [2, 2, 1], [2, 2, 2], [3, 2, 2]])
     reached = np.unique(mine(grid.cell_number(cells)))
-    terms = Ghost(pm.GhostPenalty(3.0, 2.0, power=3), Layout(3, 3)).terms(grid, reached)
+    terms = Ghost(pm.GhostPenalty(3.0, 2.0, power=3), Layout(3, 3)).faces(grid, reached)
     numbers = [t.boxes.numbers(grid).ravel() for t in terms]
     nodes = ActiveNodes.build(grid, np.unique(np.concatenate(numbers)))
-    bound = NodalTerms(nodes, terms)
+    bound = NodalTerms(nodes, terms, COMM)
     rng = np.random.default_rng(1)
     slope, bent = rng.uniform(-1, 1, (3, 6)), rng.uniform(-1, 1, (3, 6))
     linear = 0.3 + nodes.position @ slope
     curved = linear + nodes.position**2 @ bent
 
     def largest(x: np.ndarray) -> float:
-        forces = bound.forces(x, external=False)
+        forces = bound.forces(x, lambda piece: True)
         nodes.add_to_owners(forces)
         return max(COMM.allgather(float(np.abs(forces[: nodes.owned]).max(initial=0.0))))
 
@@ -175,8 +175,8 @@ def test_domains_reach_cells_without_points():
             grid, points, basis=basis, ghost=pm.GhostPenalty(1.0), reset=1, balanced_reset=False
         )
         problem.fix(pm.plane(x=0.0), u=0)
-        system = problem._prepare()
-        count = COMM.allreduce(sum(len(t.boxes.first) for t in system.terms.terms))
+        system = problem.system_at(0.0)
+        count = COMM.allreduce(sum(len(t.boxes.first) for t in system.terms.pieces))
         assert count == faces
 
 
@@ -199,14 +199,12 @@ CASES = [(2, MICROPOLAR), (2, HENCKY), (3, MICROPOLAR), (3, NEO_HOOKEAN)]
 def test_tangent_with_ghost_is_the_derivative_of_the_residual(dim, material, basis):
     problem = beam(dim, material, basis=basis, ghost=PENALTY)
     problem.supports.clear()
-    system = problem._prepare()
-    problem._set_loads(system, 1.0)
+    system = problem.system_at(1.0)
     x = np.random.default_rng(5).uniform(-0.05, 0.05, system.nodes.total * system.layout.block)
     k = tangent_at(system, x)
     plain = beam(dim, material, basis=basis)
     plain.supports.clear()
-    without = plain._prepare()
-    plain._set_loads(without, 1.0)
+    without = plain.system_at(1.0)
     assert abs(k - tangent_at(without, x)).max() > 1e-2 * abs(k).max()
     error = derivative_error(
         lambda y: residual_at(system, y[0])[None], lambda y: tangent_at(system, y[0])[None], x[None]
@@ -232,8 +230,7 @@ def test_unsymmetric_tangent_with_ghost():
     for ghost in (None, PENALTY):
         problem = beam(3, ghost=ghost)
         problem.load(problem.points.farthest((1.0, 0.0, 0.0)), couple=(0.0, 0.0, 3.0))
-        system = problem._prepare()
-        problem._set_loads(system, 1.0)
+        system = problem.system_at(1.0)
         assert not system.pattern.symmetric
         x = np.random.default_rng(5).uniform(-0.05, 0.05, system.nodes.total * system.layout.block)
         matrices.append(tangent(system, x))
@@ -241,8 +238,7 @@ def test_unsymmetric_tangent_with_ghost():
     symmetric = []
     for ghost in (None, PENALTY):
         problem = beam(3, ghost=ghost)
-        system = problem._prepare()
-        problem._set_loads(system, 1.0)
+        system = problem.system_at(1.0)
         symmetric.append(tangent(system, x))
     assert np.abs(part - (symmetric[1] - symmetric[0])).max() < 1e-12 * np.abs(part).max()
     assert np.abs(part).max() > 1.0
@@ -261,8 +257,7 @@ def test_small_cut(ghost):
         points = pm.Points(mine(x), mine(volume), mine(half), MICROPOLAR, COMM)
         problem = pm.QuasiStatic(grid, points, basis="mpm", ghost=ghost, reset=1, balanced_reset=False)
         problem.fix(pm.plane(x=0.0), u=0, theta=0)
-        system = problem._prepare()
-        problem._set_loads(system, 0.0)
+        system = problem.system_at(0.0)
         system.evaluate(True)
         k = stored_matrix(system)
         k = k + np.triu(k, 1).T
@@ -288,8 +283,7 @@ def test_prescribed_displacements_with_ghost(dim):
     # the same by hand: the whole matrix of a problem without supports
     free = beam(dim, ghost=PENALTY)
     free.supports.clear()
-    system = free._prepare()
-    free._set_loads(system, 0.0)
+    system = free.system_at(0.0)
     k = tangent_at(system, np.zeros(system.nodes.total * system.layout.block))
     solved = problem.system
     x, fixed = collected(solved, solved.x), collected(solved, solved.prescribed.fixed.astype(float)) > 0.5
@@ -330,13 +324,13 @@ def test_work_of_the_ghost_forces():
     problem = stabilised("thesis")
     list(problem.march(1, to=0.5, progress=False))
     system = problem.system
-    forces = system._term_forces()
+    forces = system.term_forces()
     own = system.nodes.owned
     expected = 0.5 * COMM.allreduce(float(np.sum(forces[:own] * system.x[:own])))
-    assert problem.ghost_work == pytest.approx(expected, rel=1e-12)
+    assert problem.progress.ghost_work == pytest.approx(expected, rel=1e-12)
     list(problem.march(4, progress=False))
-    assert expected < problem.ghost_work < 0.05 * problem.energy()
-    assert stabilised(None).ghost_work == 0.0
+    assert expected < problem.progress.ghost_work < 0.05 * problem.energy()
+    assert stabilised(None).progress.ghost_work == 0.0
 
 
 def test_restart_between_resets(folder):
@@ -364,7 +358,7 @@ def test_new_rotation_base_keeps_the_equilibrium():
     system.rebase_rotations()
     system.evaluate(False)
     after = system.residual[: system.nodes.owned][free]
-    scale = COMM.allreduce(float(np.abs(system._term_forces()).max()))
+    scale = COMM.allreduce(float(np.abs(system.term_forces()).max()))
     lost = COMM.allreduce(float(np.abs(system.carried).max(initial=0.0)))
     assert lost > 1e-6 * scale
     assert np.abs(after - before).max(initial=0.0) < 1e-9 * scale
@@ -374,7 +368,7 @@ def answer() -> dict[str, Any]:
     """A body in space whose resets keep it in equilibrium."""
     problem = stabilised("thesis", 3, balanced_reset=True)
     list(problem.march(2, progress=False))
-    return {"x": by_id(problem.points, problem.points.x).tolist(), "work": problem.ghost_work}
+    return {"x": by_id(problem.points, problem.points.x).tolist(), "work": problem.progress.ghost_work}
 
 
 @pytest.mark.mpi

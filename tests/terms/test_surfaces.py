@@ -153,9 +153,8 @@ def test_traction_on_a_grid_plane_is_the_load_of_the_points_there():
     problem = block(low, high, NEO_HOOKEAN, basis="mpm")
     problem.traction(face(low, high, 0, 1), force=(6.0, 0.0))
     problem.fix(pm.plane(x=0.0), u=0)
-    system = problem._prepare()
-    problem._set_loads(system, 1.0)
-    forces = -system._term_forces()
+    system = problem.system_at(1.0)
+    forces = -system.term_forces()
     own = slice(0, system.nodes.owned)
     x = system.nodes.position[own]
     on = np.abs(x[:, 0] - 2.0) < 1e-9
@@ -176,8 +175,7 @@ def test_couples_do_work_on_the_spin():
             problem.traction(face(low, high, 0, 1), couple=moment)
         else:
             problem.load(problem.points.where(lambda x: x[:, 0] > 0.5), couple=moment)
-        system = problem._prepare()
-        problem._set_loads(system, 1.0)
+        system = problem.system_at(1.0)
         assert not system.pattern.symmetric
         w = np.array([0.4, -0.7, 0.3])
         x = np.zeros((system.nodes.total, 6))
@@ -218,7 +216,7 @@ def test_face_runs_ahead_of_the_points(basis):
         )
         problem.fix(pm.plane(x=0.0), ux=0)
         if on_surface:
-            bottom = problem.fix_surface(face(low, high, 1, 0), normal=0)
+            bottom = problem.fix(face(low, high, 1, 0), normal=0)
             problem.traction(face(low, high, 0, 1), force=(1000.0, 0.0))
         else:
             problem.fix(pm.plane(y=0.0), uy=0)
@@ -252,10 +250,10 @@ def conditioned(kind: str, dim: int, material: pm.Material, **options: Any) -> p
         couple = {2: 90.0, 3: (90.0, 30.0, -60.0)}[dim] if material.micropolar else None
         problem.traction(surface, force=np.arange(dim) * 100.0 + 50.0, couple=couple)
     elif kind == "rollers":
-        problem.fix_surface(surface, normal=0.02)
+        problem.fix(surface, normal=0.02)
     else:
         theta = {"theta": 0.05} if material.micropolar else {}
-        problem.fix_surface(surface, stiffness=3e4, u=0.03, **theta)
+        problem.fix(surface, stiffness=3e4, u=0.03, **theta)
     return problem
 
 
@@ -274,8 +272,7 @@ def test_tangent_is_the_derivative_of_the_residual(kind, dim, material, basis):
     problem = conditioned(kind, dim, material, basis=basis)
     for condition in problem.surfaces:  # an earlier deformation that is no rotation
         condition.F = condition.F + 0.1 * np.arange(dim * dim).reshape(dim, dim)
-    system = problem._prepare()
-    problem._set_loads(system, 1.0)
+    system = problem.system_at(1.0)
     n = system.nodes.total * system.layout.block
     x = np.random.default_rng(5).uniform(-0.05, 0.05, n)
     some = np.random.default_rng(6).choice(n, 12, replace=False)  # directions
@@ -323,7 +320,7 @@ def clamped(h: float, offset: float, surface_support: bool, stiffness: float | N
     problem = pm.QuasiStatic(grid, points, basis="mpm", reset=1, balanced_reset=False)
     if surface_support:
         line = pm.Surface.line((0.0, 0.5), (0.0, 0.0), 8 * round(0.5 / h))
-        problem.fix_surface(line, stiffness=stiffness, rotation_stiffness=stiffness, u=0, theta=0)
+        problem.fix(line, stiffness=stiffness, rotation_stiffness=stiffness, u=0, theta=0)
     else:
         problem.fix(pm.plane(x=0.0), u=0, theta=0)
     problem.load(points.farthest((1.0, 0.0)), force=(0.0, -0.5))
@@ -371,13 +368,13 @@ def test_clamped_line_turns_the_body(dim, basis, reset):
 
     surface = face(low, high, 0, 0)
     surface.x[:, 0] += 0.35  # into the body
-    support = problem.fix_surface(surface, u=turned, theta=vector)
+    support = problem.fix(surface, u=turned, theta=vector)
     list(problem.march(4, progress=False))
     p = problem.points
     assert np.abs(p.x - p.X - turned(1.0, p.X)).max(initial=0.0) < 1e-8
     assert np.abs(support.u - turned(1.0, surface.x)).max() < 1e-8
     assert support.gap.max() < 1e-8
-    force, couple = problem.surface_reaction(support)
+    force, couple = problem.reaction(support)
     assert np.abs(force).max() < 1e-5 * MU
     assert np.abs(couple).max() < 1e-5 * MU
 
@@ -386,8 +383,8 @@ def test_rollers():
     """A box between rollers on two faces, pulled at a third: uniaxial stress, whatever the springs do."""
     low, high = BOXES[2]
     problem = block(low, high, MICROPOLAR, controls=pm.Controls(force_tolerance=1e-12))
-    left = problem.fix_surface(face(low, high, 0, 0), normal=0, stiffness=1e6)
-    problem.fix_surface(face(low, high, 1, 0), normal=0, stiffness=1e6)
+    left = problem.fix(face(low, high, 0, 0), normal=0, stiffness=1e6)
+    problem.fix(face(low, high, 1, 0), normal=0, stiffness=1e6)
     t = 500.0
     problem.traction(face(low, high, 0, 1), force=(t, 0.0))
     list(problem.march(1, progress=False))
@@ -395,7 +392,7 @@ def test_rollers():
     a, b = np.linalg.solve([[LAM + 2 * MU, LAM], [LAM, LAM + 2 * MU]], [t, 0.0])
     F = np.diag([1 + a, 1 + b])
     assert np.abs(problem.points.F[:, :2, :2] - F).max(initial=0.0) < 1e-9
-    force, _ = problem.surface_reaction(left)
+    force, _ = problem.reaction(left)
     assert np.allclose(force, (-t * 1.5, 0.0), atol=1e-6)
     assert np.allclose(left.gap, t / 1e6, rtol=1e-8)
 
@@ -406,16 +403,16 @@ def test_reaction_balances_the_load(dim):
     problem = block(low, high, MICROPOLAR, controls=pm.Controls(force_tolerance=1e-11))
     inside = face(low, high, 0, 0)
     inside.x[:, 0] += 0.2
-    support = problem.fix_surface(inside, u=0, theta=0)
+    support = problem.fix(inside, u=0, theta=0)
     load = np.array([3.0, -5.0, 2.0])[:dim]
     problem.load(problem.points.farthest(np.eye(dim)[0]), force=load)
     with pytest.raises(pm.InputError, match="no load step has been solved yet"):
-        problem.surface_reaction(support)
+        problem.reaction(support)
     list(problem.march(2, progress=False))
-    force, _ = problem.surface_reaction(support)
+    force, _ = problem.reaction(support)
     assert np.abs(force + load).max() < 1e-7
-    with pytest.raises(pm.InputError, match="is not what fix_surface returned"):
-        problem.surface_reaction(problem.surfaces)
+    with pytest.raises(pm.InputError, match="is not what fix has returned"):
+        problem.reaction(problem.surfaces)
 
 
 @pytest.mark.parametrize("balanced", [False, True])
@@ -428,13 +425,13 @@ def test_augmentation_closes_the_gap(balanced):
         problem = block(low, high, MICROPOLAR, balanced_reset=balanced, controls=controls)
         inside = face(low, high, 0, 0)
         inside.x[:, 0] += 0.2
-        support = problem.fix_surface(inside, u=0, theta=0, stiffness=1e5, augment=augment)
+        support = problem.fix(inside, u=0, theta=0, stiffness=1e5, augment=augment)
         problem.load(problem.points.farthest((1.0, 0.0)), force=lambda f: (min(1.0, 4 * f) * 300.0, 0.0))
         history = []
         for _ in problem.march(4, progress=False):
             history.append(float(support.gap.max()))
         gaps[augment] = history
-        force, _ = problem.surface_reaction(support)
+        force, _ = problem.reaction(support)
         assert force[0] == pytest.approx(-300.0, rel=1e-7)
     assert gaps[False][3] > 0.5 * gaps[False][0]
     assert gaps[True][0] == pytest.approx(gaps[False][0], rel=1e-9)
@@ -449,7 +446,7 @@ def everything_at_once(dim: int, **options: Any) -> pm.QuasiStatic:
     problem = block(low, high, MICROPOLAR, ghost="thesis", **options)
     inside = face(low, high, 0, 0)
     inside.x[:, 0] += 0.2
-    problem.fix_surface(inside, u=lambda f, x: 0.1 * f * x, theta=0.1, augment=True)
+    problem.fix(inside, u=lambda f, x: 0.1 * f * x, theta=0.1, augment=True)
     problem.pressure(face(low, high, 1, 0), 60.0)
     problem.traction(face(low, high, 0, 1), force=np.array([40.0, -30.0, 20.0])[:dim], couple=5.0)
     return problem
@@ -470,8 +467,8 @@ def test_restart_between_resets(dim, folder):
     assert np.abs(a - by_id(whole.points, whole.points.X)).max() > 0.01
     for c, e in zip(whole.surfaces, second.surfaces, strict=True):
         assert np.abs(c.u - e.u).max() < 1e-9
-    with pytest.raises(pm.InputError, match="the saved state has 3 surface"):
-        beam(2).restore_surfaces(first.surface_state())
+    with pytest.raises(pm.InputError, match="the saved state has 3 term"):
+        beam(2).restore_terms(first.term_state())
 
 
 def test_new_condition_in_a_balanced_run():
@@ -489,7 +486,7 @@ def test_new_condition_in_a_balanced_run():
 def answer() -> dict[str, Any]:
     problem = everything_at_once(3, balanced_reset=True)
     list(problem.march(2, progress=False))
-    force, couple = problem.surface_reaction(problem.surfaces[0])
+    force, couple = problem.reaction(problem.surfaces[0])
     return {
         "x": by_id(problem.points, problem.points.x).tolist(),
         "reaction": [*force.tolist(), *couple.tolist()],
@@ -519,15 +516,15 @@ LINE = pm.Surface.line((0.5, 0.5), (2.5, 0.5), 4)
         (lambda p: p.traction(slanted(3), force=1.0), "the surface has 3 dimensions, the grid has 2"),
         (lambda p: p.pressure(LINE, (1, 2)), "pressure 1, p = .* one number or 1 of them"),
         (lambda p: p.pressure(LINE, np.inf), "finite numbers are allowed"),
-        (lambda p: p.fix_surface(LINE), "names no component"),
-        (lambda p: p.fix_surface(LINE, uz=0), "unknown component 'uz'"),
-        (lambda p: p.fix_surface(LINE, normal=0, ux=0), "normal is given together with ux"),
-        (lambda p: p.fix_surface(LINE, u=0, stiffness=0.0), "stiffness = 0 is not positive"),
+        (lambda p: p.fix(LINE), "names no component"),
+        (lambda p: p.fix(LINE, uz=0), "unknown component 'uz'"),
+        (lambda p: p.fix(LINE, normal=0, ux=0), "normal is given together with ux"),
+        (lambda p: p.fix(LINE, u=0, stiffness=0.0), "stiffness = 0 is not positive"),
         (
-            lambda p: p.fix_surface(LINE, theta=0, rotation_stiffness=-1),
+            lambda p: p.fix(LINE, theta=0, rotation_stiffness=-1),
             "rotation_stiffness = -1 is not positive",
         ),
-        (lambda p: p.fix_surface(LINE, u=0, augment=1), "augment = 1: True or False"),
+        (lambda p: p.fix(LINE, u=0, augment=1), "augment = 1: True or False"),
     ],
 )
 def test_bad_conditions(act, message):
@@ -535,7 +532,7 @@ def test_bad_conditions(act, message):
     with pytest.raises(pm.InputError, match=message):
         act(problem)
     assert not problem.surfaces
-    assert not problem._sources
+    assert not problem.terms
 
 
 def test_bad_conditions_of_a_material():
@@ -543,10 +540,8 @@ def test_bad_conditions_of_a_material():
         beam(2, NEO_HOOKEAN).traction(LINE, couple=1.0)
     nameless = pm.UserEnergy(lambda E, G, p: p.a * (ufl.inner(E, E) + ufl.inner(G, G)), {"a": 1.0})
     with pytest.raises(pm.InputError, match="UserEnergy has no parameters named lam and mu; give stiffness"):
-        beam(2, nameless).fix_surface(LINE, u=0)
-    beam(2, nameless).fix_surface(LINE, u=0, stiffness=1e5)
-    with pytest.raises(pm.InputError, match="traction: assembly = 'projection' has no surfaces"):
-        beam(2, basis="mpm", assembly="projection").traction(LINE, force=1.0)
+        beam(2, nameless).fix(LINE, u=0)
+    beam(2, nameless).fix(LINE, u=0, stiffness=1e5)
 
 
 def test_points_outside_of_the_body():

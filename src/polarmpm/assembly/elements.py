@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from ..conditions.prescribed import Prescribed
 from ..forms.elements import ElementForms
+from ..geometry.spacenodes import SpaceNodes
+from ..terms.base import Piece
 from ..tools import compat
 from ..tools.timing import Timer
 from .formmatrix import FormMatrix
-from .system import NodalSystem
+from .nodalterms import NodalTerms
+from .system import Assembled, NodalSystem
 
 
 class ElementSystem(NodalSystem):
     """Residual and tangent of the increments since the last converged state.
 
     Args:
+        pieces: of the terms, as of now.
         dead: compiled linear forms of loads that don't depend on the unknowns.
         varying: loads that do (followers; couples in space), compiled; they make the tangent unsymmetric.
     """
+
+    nodes: SpaceNodes
 
     def __init__(
         self,
@@ -31,16 +37,17 @@ class ElementSystem(NodalSystem):
         prescribed: Prescribed,
         timer: Timer,
         solver: str = "auto",
+        pieces: Sequence[Piece] = (),
     ):
         e = forms.elements
         length = np.full(e.dim, e.cell_size)
-        super().__init__(e.nodes, forms.layout, prescribed, length, e.comm, timer)
+        super().__init__(e.nodes, forms.layout, prescribed, length, e.comm, timer, pieces)
         self.forms, self._dead, self._varying = forms, dead, varying
         with timer("compile"):
             self._residual = forms.residual
             tangents = [forms.tangent, *(v.tangent for v in varying)]
         with timer("pattern"):
-            symmetric = forms.symmetric and not varying
+            symmetric = forms.symmetric and not varying and self.terms.symmetric
             self.matrix = FormMatrix(
                 tangents,
                 prescribed.fixed,
@@ -51,21 +58,41 @@ class ElementSystem(NodalSystem):
                 self.is_large(),
                 self.solver_hints,
             )
-        self._dead_forces: np.ndarray = np.zeros_like(self.x)
 
     @property
     def varying(self) -> bool:
         """Some loads depend on the unknowns."""
-        return bool(self._varying)
+        return bool(self._varying) or self.terms.external
+
+    def put_pieces(self, pieces: Sequence[Piece]) -> None:
+        """Replace the terms' pieces: increments count from the present state on. They act on the same
+        nodes."""
+        self.terms = NodalTerms(self.nodes, pieces, self.comm)
 
     def set_loads(self) -> None:
-        """Assemble the dead loads whose functions have been set. Collective."""
+        """Assemble the loads whose functions have been set. Collective."""
         self._put(self.x)
-        self._dead_forces = self._sum(self._dead)
-        self.external = self._dead_forces + self._sum([v.residual for v in self._varying])
+        self.put_external(self._sum(self._dead))
 
-    def put_external(self, forces: np.ndarray) -> None:
-        self._dead_forces = self.external = forces
+    def working_loads(self) -> np.ndarray:
+        return self.with_terms(self._body_loads())
+
+    def _body_loads(self) -> np.ndarray:
+        """Dead loads, and those that depend on the unknowns (nodes, block)."""
+        return self.loads + self._sum([v.residual for v in self._varying]) if self._varying else self.loads
+
+    def node_volumes(self) -> np.ndarray:
+        """An equal share of its volume for each node of an element: positive for all degrees."""
+        e = self.forms.elements
+        nodes = e.cell_nodes[: len(e.body.owned_cells)]
+        of_cells = e.points.volume0.reshape(len(nodes), -1).sum(axis=1)
+        share = np.repeat(of_cells / nodes.shape[1], nodes.shape[1])
+        total = np.bincount(nodes.ravel(), share, minlength=len(self.nodes)).astype(
+            float
+        )  # also of no elements
+        out = np.tile(total[:, None], (1, self.layout.block))  # what the mesh's vectors hold
+        self.nodes.add_to_owners(out)
+        return out[:, 0]
 
     def start_elastic(self, on: bool) -> bool:
         return self.forms.start_elastic(on)
@@ -85,18 +112,20 @@ class ElementSystem(NodalSystem):
             self.nodes.add_to_owners(total)
         return total
 
-    def assemble(self, tangent: bool) -> np.ndarray:
+    def assemble(self, tangent: bool, lift: np.ndarray | None = None) -> Assembled:
         self._put(self.x, self.before if tangent else None)
         self.forms.update(tangent)
         internal = self._sum([self._residual])
-        if self._varying:
-            self.external = self._dead_forces + self._sum([v.residual for v in self._varying])
-        self._lift_forces = np.zeros_like(self.x)
-        if tangent:
-            product = self.matrix.assemble(self._lift if self._pending else None)
-            if product is not None:
-                self._lift_forces = product
-        return internal - self.external
+        loads = self.external = self._body_loads()
+        if len(self.terms):
+            internal += self.term_forces()
+        lifted = self.matrix.assemble(lift, self._dense_terms()) if tangent else None
+        return Assembled(internal - loads, lifted)
+
+    def _dense_terms(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Global numbers of the nodes of each of the terms' sets, and its tangent."""
+        for rows, matrix in self.terms.dense(self.x):
+            yield self.nodes.numbers[rows], matrix
 
     def positions(self) -> np.ndarray:
         return super().positions() + self.forms.elements.displacement

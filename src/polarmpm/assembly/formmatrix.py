@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 
@@ -42,12 +43,18 @@ class FormMatrix:
         self.solver = make_solver(solver, large, self.matrix, symmetric, far_from_symmetric, hints)
         self._vector = self.matrix.createVecRight()
 
-    def assemble(self, lift: np.ndarray | None) -> np.ndarray | None:
-        """Fill the matrix; returns its product with `lift` (nodes, block), before rows and columns of
-        prescribed unknowns are left out. Collective."""
+    def assemble(
+        self, lift: np.ndarray | None, dense: Iterable[tuple[np.ndarray, np.ndarray]] = ()
+    ) -> np.ndarray | None:
+        """Fill the matrix, with dense parts (global nodes (n,), entries (n block, n block)) beside the forms.
+        Returns its product with `lift` (nodes, block), from before rows and columns of prescribed unknowns
+        are left out. Collective."""
         self.matrix.zeroEntries()
         for form in self.forms:
             compat.add_to_matrix(self.matrix, form)
+        for nodes, entries in dense:
+            at = nodes.astype(np.int32)
+            self.matrix.setValuesBlocked(at, at, entries, PETSc.InsertMode.ADD_VALUES)
         self.matrix.assemble()
         product = None
         if lift is not None:

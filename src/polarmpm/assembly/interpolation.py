@@ -21,6 +21,7 @@ from ..basis.base import Weights
 from ..basis.lattice import node_positions, weights
 from ..bodies.points import Points
 from ..bodies.reference import Increments, Reference
+from ..errors import InputError
 from ..forms.points import PointForm
 from ..geometry.grid import Grid
 from ..geometry.nodes import ActiveNodes
@@ -29,7 +30,8 @@ from ..kinematics.layout import Layout
 from ..kinematics.motion import Motion
 from ..kinematics.stretch import domain_half_length
 from ..materials.base import parameter_values
-from ..terms.base import TermSource
+from ..terms.base import Boxes, Piece, Term
+from ..terms.settings import GridSetting
 from ..tools.parallel import together
 from .nodesets import Groups, claims_of, group_points, node_sets_of, reached_cells
 
@@ -49,10 +51,10 @@ class Interpolation:
     Args:
         forms: point form of each of the points' materials.
         reference: state at the last reset; default: the points' current state, which makes it a reset.
-        sources: of contributions to the nodal system that don't come from material points.
+        terms: contributions to the nodal system besides the points' stresses.
 
     Attributes:
-        terms: what the sources have made of this reset.
+        pieces: what the terms have made of this reset.
     """
 
     def __init__(
@@ -62,7 +64,7 @@ class Interpolation:
         basis: str,
         forms: Sequence[PointForm],
         reference: Reference | None = None,
-        sources: Sequence[TermSource] = (),
+        terms: Sequence[Term] = (),
     ):
         self.grid, self.points, self.forms = grid, points, forms
         self.layout: Layout = forms[0].layout
@@ -73,9 +75,11 @@ class Interpolation:
             w = weights(basis, grid, r.x, half, cells)
         order, groups = group_points(points.material, w)
         degree = 2 if basis == "bspline" else 1
-        reached = reached_cells(grid, groups, degree) if sources else np.zeros(0, dtype=np.int64)
-        self.terms = [term for source in sources for term in source.terms(grid, reached)]
-        more = [t.boxes.numbers(grid).ravel() for t in self.terms]
+        reached = partial(reached_cells, grid, groups, degree)
+        setting = GridSetting(grid, basis, self.layout, points, w, reached)
+        self.pieces = [piece for term in terms for piece in term.pieces(setting)]
+        boxes = [_boxes_of(piece) for piece in self.pieces]
+        more = [b.numbers(grid).ravel() for b in boxes]
         touched, node_sets, first = node_sets_of(grid, groups, more)
         claims = claims_of(grid, groups, touched) if grid.comm.size > 1 else None
         self.nodes = ActiveNodes.build(grid, touched, partial(node_positions, basis, grid), claims)
@@ -83,7 +87,7 @@ class Interpolation:
         self.batches = [
             self._batch(form, m, w, order, groups, (node_sets, first)) for m, form in enumerate(forms)
         ]
-        sides = [int(groups.count.max(initial=2)), *(max(t.boxes.count) for t in self.terms)]
+        sides = [int(groups.count.max(initial=2)), *(max(b.count) for b in boxes)]
         self.reach = int(grid.comm.allreduce(max(sides) - 1, op=MPI.MAX))
         self.pack()
 
@@ -177,6 +181,14 @@ class Interpolation:
             return
         z = np.concatenate([z, inc.rotation_gradient.reshape(n, self.layout.rotations * d)], axis=1)
         p.F, p.q, p.wryness = motion((ref.F, ref.q, ref.wryness), z)
+
+
+def _boxes_of(piece: Piece) -> Boxes:
+    if not isinstance(piece.boxes, Boxes):
+        raise InputError(
+            f"{piece.name}: acts on {piece.boxes!r}; on a grid boxes of lattice nodes are needed"
+        )
+    return piece.boxes
 
 
 def _gather(batch: native.Batch, x: np.ndarray, framed: int, z: np.ndarray, value: np.ndarray | None) -> None:

@@ -12,12 +12,12 @@ from ..conditions.prescribed import Prescribed
 from ..geometry.nodes import ActiveNodes
 from ..kernels import native
 from ..kernels.kernel import Kernel
+from ..kinematics import rotations
 from ..solvers.choice import make_solver, takes_multigrid
 from ..tools.timing import Timer
 from . import sparsity
 from .interpolation import Interpolation, PointBatch
-from .nodalterms import NodalTerms
-from .system import NodalSystem
+from .system import Assembled, NodalSystem
 
 if TYPE_CHECKING:
     from ..forms.returnmapping import ReturnMapping
@@ -40,11 +40,11 @@ class LoadedPoints(NodalSystem):
         timer: Timer,
     ):
         grid, layout = interpolation.grid, interpolation.layout
-        super().__init__(interpolation.nodes, layout, prescribed, np.array(grid.cell), grid.comm, timer)
+        length, pieces = np.array(grid.cell), interpolation.pieces
+        super().__init__(interpolation.nodes, layout, prescribed, length, grid.comm, timer, pieces)
         self.interpolation, self.kernels, self.couple_kernel = interpolation, kernels, couple_kernel
-        self.terms = NodalTerms(self.nodes, interpolation.terms)
         self.mappings = [self._mapping(b) for b in interpolation.batches]
-        self._point_loads = self.external
+        self._at_points: tuple[np.ndarray, np.ndarray] | None = None  # forces and couples
         self._couples: list[tuple[np.ndarray, np.ndarray]] = [
             (np.full(len(b.rows), -1, dtype=np.int32), np.zeros((1, 3))) for b in interpolation.batches
         ]
@@ -69,13 +69,15 @@ class LoadedPoints(NodalSystem):
         return elastic and self.couple_kernel is None and self.terms.symmetric
 
     def weak_nodes(self) -> np.ndarray:
-        volumes = self.interpolation.spread(self.interpolation.points.volume0[:, None])[:, 0]
-        return volumes[: self.nodes.owned] < _WEAK * np.prod(self.length)
+        return self.node_volumes()[: self.nodes.owned] < _WEAK * np.prod(self.length)
+
+    def node_volumes(self) -> np.ndarray:
+        return self.interpolation.spread(self.interpolation.points.volume0[:, None])[:, 0]
 
     def set_loads(self, forces: np.ndarray, couples: np.ndarray) -> None:
         """Forces (np, d) and couples (np, r) at the points. Collective."""
-        self._point_loads = self.interpolation.spread(np.concatenate([forces, couples], axis=1))
-        self.external = self._point_loads
+        self._at_points = forces, couples
+        self.put_external(self.interpolation.spread(np.concatenate([forces, couples], axis=1)))
         if self.couple_kernel is not None:
             for k, b in enumerate(self.interpolation.batches):
                 mine = couples[b.rows]
@@ -84,8 +86,15 @@ class LoadedPoints(NodalSystem):
                 table = np.concatenate([mine[loaded], np.zeros((1, 3))])  # never empty
                 self._couples[k] = (row, np.ascontiguousarray(table))
 
-    def put_external(self, forces: np.ndarray) -> None:
-        self._point_loads = self.external = forces
+    def working_loads(self) -> np.ndarray:
+        """In space a couple m does work on the increments as J_r(Dw) m."""
+        if self.couple_kernel is None:
+            return super().working_loads()
+        assert self._at_points is not None
+        forces, couples = self._at_points
+        w = self.interpolation.gather(self.x).value[:, self.layout.dim :]
+        turned = np.einsum("nij,nj->ni", rotations.right_tangent(w), couples)
+        return self.with_terms(self.interpolation.spread(np.concatenate([forces, turned], axis=1)))
 
     def _law(self, k: int, tangent: bool) -> native.Law:
         """Compiled kernels of batch k."""
@@ -116,38 +125,15 @@ class LoadedPoints(NodalSystem):
     def _dead_forces(self) -> np.ndarray:
         """External forces (nodes, block) that the kernels' residual doesn't hold already, as it does dead
         couples in three dimensions."""
-        external = self._point_loads.copy()
+        external = self.loads.copy()
         if self.couple_kernel is not None:
             external[:, self.layout.dim :] = 0.0
         return external
 
-    def term_work(self, start: np.ndarray, end: np.ndarray) -> dict[str, float]:
-        """Work (J) done against the forces of `terms` that aren't loads or supports between two states of the
-        nodal increments (nodes, block), by the trapezoidal rule, by name ("ghost"). Collective."""
-        return self.terms.work(start, end)
-
     def rebase_rotations(self) -> None:
-        """Count rotation increments from the points' current rotations on; the equilibrium stays.
-        Collective."""
-        before = self.x.copy()
+        """Count rotation increments from the points' current rotations on. Collective."""
         self.interpolation.rebase_rotations()
-        self.x[:, self.layout.dim :] = 0.0
-        if len(self.terms):  # forces of the increments that are forgotten
-            lost = self.terms.forces(before, external=False) - self.terms.forces(self.x, external=False)
-            self.nodes.add_to_owners(lost)
-            self.carried -= np.where(self.prescribed.fixed, 0.0, lost)
-
-    def _term_forces(self) -> np.ndarray:
-        """Residual forces (nodes, block) of `terms`, complete on owned rows; external ones are added to
-        `external`, too. Collective."""
-        forces = self.terms.forces(self.x, external=False)
-        if self.terms.external:
-            loads = self.terms.forces(self.x, external=True)
-            forces += loads
-            self.nodes.add_to_owners(loads)
-            self.external = self._point_loads - loads
-        self.nodes.add_to_owners(forces)
-        return forces
+        self.forget_rotations()
 
 
 class PointSystem(LoadedPoints):
@@ -187,28 +173,35 @@ class PointSystem(LoadedPoints):
             )
 
     # assembly ---------------------------------------------------------------------------------------
-    def assemble(self, tangent: bool) -> np.ndarray:
-        internal, self._lift_forces = np.zeros_like(self.x), np.zeros_like(self.x)
+    def assemble(self, tangent: bool, lift: np.ndarray | None = None) -> Assembled:
+        internal = np.zeros_like(self.x)
+        lifted = None if lift is None else np.zeros_like(self.x)
         matrix = self.pattern.matrix
         if tangent:
             self.pattern.values[:] = 0.0
-            native.fill(matrix, lift=self._lift if self._pending else None)
+            native.fill(matrix, lift=lift)
         for k, batch in enumerate(self.interpolation.batches):
-            self._assemble(k, batch, matrix if tangent else None, internal)
+            self._assemble(k, batch, matrix if tangent else None, internal, lifted)
         self.nodes.add_to_owners(internal)
+        self.external = self.loads
         if len(self.terms):
-            internal += self._term_forces()
+            internal += self.term_forces()
         if tangent:
             self.pattern.mirror()
             self.terms.add_tangents(self.x, self.pattern.values)
             self.pattern.collect()
-            if self._pending:
-                self._lift_forces += self.terms.products(self.x, self._lift)
-                self.nodes.add_to_owners(self._lift_forces)
-        return internal - self._dead_forces()
+        if lift is not None and lifted is not None:
+            lifted += self.lifted_by_terms(lift)
+            self.nodes.add_to_owners(lifted)
+        return Assembled(internal - self._dead_forces(), lifted)
 
     def _assemble(
-        self, k: int, batch: PointBatch, matrix: native.Matrix | None, internal: np.ndarray
+        self,
+        k: int,
+        batch: PointBatch,
+        matrix: native.Matrix | None,
+        internal: np.ndarray,
+        lifted: np.ndarray | None,
     ) -> None:
         failed = native.library().polarmpm_assemble(
             ctypes.byref(batch.batch),
@@ -216,7 +209,7 @@ class PointSystem(LoadedPoints):
             ctypes.byref(matrix) if matrix is not None else None,
             self.x.ctypes.data,
             internal.ctypes.data,
-            self._lift_forces.ctypes.data,
+            None if lifted is None else lifted.ctypes.data,
         )
         if failed:
             raise MemoryError("no memory for the sums over material points")

@@ -10,12 +10,13 @@ others send their points' moments there.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from ..conditions.prescribed import Prescribed
+from ..errors import InputError
 from ..forms.numbers import BlockForms, tangent_size
 from ..geometry.cells import cell_mesh, occupied_cells
 from ..geometry.grid import Grid, snap
@@ -23,12 +24,14 @@ from ..geometry.nodes import ActiveNodes
 from ..geometry.spacenodes import SpaceNodes
 from ..kernels import native
 from ..kernels.kernel import Kernel
+from ..terms.base import Boxes
 from ..tools import compat
 from ..tools.parallel import Route, look_up
 from ..tools.timing import Timer
 from .formmatrix import FormMatrix
 from .interpolation import Interpolation
 from .points import LoadedPoints
+from .system import Assembled
 
 DEGREE = 5  # three Gauss points in each direction: their Lagrange polynomials are all multiquadratics
 
@@ -147,6 +150,7 @@ class ProjectedSystem(LoadedPoints):
             self.cells = CellProjection(interpolation.grid, x, self.layout.block)
             self.exchange = NodeExchange(self.nodes, self.cells)
             fixed = self.exchange.to_mesh(prescribed.fixed[: self.nodes.owned].astype(float)) > 0.5
+            self._numbers = self._numbers_on_mesh()
         with timer("compile"):
             self.forms = BlockForms(self.cells.space, self.layout, DEGREE, self.symmetric)
         with timer("pattern"):
@@ -162,6 +166,25 @@ class ProjectedSystem(LoadedPoints):
                 self._mesh_hints,
             )
 
+    def _numbers_on_mesh(self) -> np.ndarray:
+        """Global numbers of the nodes (n,) in the mesh's matrix; only terms ask for them. Collective.
+
+        Raises:
+            InputError: a term couples nodes of several cells.
+        """
+        if not len(self.terms):
+            return np.zeros(0, dtype=np.int64)
+        for piece in self.terms.pieces:
+            if not isinstance(piece.boxes, Boxes) or max(piece.boxes.count) > 2:
+                raise InputError(
+                    f"{piece.name}: couples nodes of several cells, for which assembly = 'projection' has no "
+                    "room; allowed is 'direct'"
+                )
+        own = self.cells.nodes.owned
+        numbers = self.cells.nodes.numbers[:own, None].astype(float)
+        lattice = self.cells.lattice[:own]
+        return look_up(self.comm, lattice, numbers, self.nodes.lattice)[:, 0].astype(np.int64)
+
     def _mesh_hints(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Hints for the solver in the mesh's order."""
         own, (motions, weak, as_force) = self.cells.nodes.owned, self.solver_hints()
@@ -170,20 +193,29 @@ class ProjectedSystem(LoadedPoints):
         return on_mesh[:-1], on_mesh[-1, :, 0] > 0.5, as_force
 
     # assembly ---------------------------------------------------------------------------------------
-    def assemble(self, tangent: bool) -> np.ndarray:
+    def assemble(self, tangent: bool, lift: np.ndarray | None = None) -> Assembled:
         self._project(tangent)
         mesh_nodes, own = self.cells.nodes, self.nodes.owned
         forces = compat.assemble_vector(self.forms.residual, len(mesh_nodes))
         forces = forces.reshape(-1, self.layout.block)
         mesh_nodes.add_to_owners(forces)
-        internal, self._lift_forces = np.zeros_like(self.x), np.zeros_like(self.x)
+        internal, lifted = np.zeros_like(self.x), None
         internal[:own] = self.exchange.to_points(forces[: mesh_nodes.owned])
         if tangent:
-            lift = self.exchange.to_mesh(self._lift[:own]) if self._pending else None
-            product = self.matrix.assemble(lift)
+            on_mesh = None if lift is None else self.exchange.to_mesh(lift[:own])
+            product = self.matrix.assemble(on_mesh, self._dense_terms())
             if product is not None:
-                self._lift_forces[:own] = self.exchange.to_points(product[: mesh_nodes.owned])
-        return internal - self._dead_forces()
+                lifted = np.zeros_like(self.x)
+                lifted[:own] = self.exchange.to_points(product[: mesh_nodes.owned])
+        self.external = self.loads
+        if len(self.terms):
+            internal += self.term_forces()
+        return Assembled(internal - self._dead_forces(), lifted)
+
+    def _dense_terms(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Global numbers of the mesh's nodes of each of the terms' sets, and its tangent."""
+        for rows, matrix in self.terms.dense(self.x):
+            yield self._numbers[rows], matrix
 
     def _project(self, tangent: bool) -> None:
         """Put stresses, and moduli if asked, at the present increments on the quadrature points."""

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from mpi4py import MPI
 
@@ -13,22 +16,63 @@ from ..geometry.nodes import Nodes
 from ..kinematics.layout import Layout
 from ..solvers.choice import is_large
 from ..solvers.direct import ACCURACY
+from ..terms.base import Piece
 from ..tools.timing import Timer
+from .nodalterms import NodalTerms
 
 _ROUNDING = 16 * float(np.finfo(float).eps)
 
 
-class NodalSystem:
+@dataclass
+class Assembled:
+    """Sums over a body and its terms, complete on owned rows.
+
+    Attributes:
+        forces: internal minus external ones (nodes, block).
+        lifted: what the prescribed increments that are still to be put in add to them through the tangent;
+            None where there are none, or no tangent was asked for.
+    """
+
+    forces: np.ndarray
+    lifted: np.ndarray | None = None
+
+
+@dataclass
+class StepState:
+    """Where the iterations of a load step stand; made when it begins. Arrays are (nodes, block).
+
+    Attributes:
+        lift: what prescribed unknowns still have to move, zero at the others.
+        pending: some rank's lift isn't zero.
+        first: residual of the first evaluation; None before it.
+        lifted: of the last evaluation, see `Assembled`.
+        correction: the last one; None before the first.
+        rounding: squares of the forces that rounding makes, see `NodalSystem._rounding_squares`; None before
+            the first tangent.
+    """
+
+    lift: np.ndarray
+    pending: bool = False
+    first: np.ndarray | None = None
+    lifted: np.ndarray | None = None
+    correction: np.ndarray | None = None
+    rounding: np.ndarray | None = None
+
+
+class NodalSystem(ABC):
     """Implements `newton.System` but for the assembly and the linear solution.
 
     Attributes:
         x: nodal increments since the reset (nodes, block), ghosts included.
         before: what they were before the last correction; at the start of a step, and where prescribed values
             have just been put in, the same.
-        external: forces on the nodes, complete on owned rows.
+        loads: forces of the loads on the nodes (nodes, block), complete on owned rows, without those of
+            terms.
+        external: the same with those of terms, as of the last evaluation.
         residual: internal minus external and carried forces of the last evaluation; complete on owned rows.
-        first: the residual as it was when the step began.
         carried: forces on the nodes that stand for what the basis could not balance at the last reset.
+        step: where the iterations of the present step stand.
+        terms: what acts on the nodes besides the body's stresses and loads.
         length: size of a cell (m) in each direction, which tells what a displacement means as a strain.
     """
 
@@ -40,22 +84,19 @@ class NodalSystem:
         length: np.ndarray,
         comm: MPI.Comm,
         timer: Timer,
+        pieces: Sequence[Piece] = (),
     ):
         self.nodes, self.layout, self.prescribed = nodes, layout, prescribed
         self.length, self.comm, self.timer = length, comm, timer
+        self.terms = NodalTerms(nodes, pieces, comm)
         shape = (len(nodes), layout.block)
         self.x: np.ndarray = np.zeros(shape)
         self.before: np.ndarray = self.x
-        self._last: np.ndarray = np.zeros(shape)
         self.residual: np.ndarray = np.zeros(shape)
-        self.first: np.ndarray = self.residual
-        self._begun = False
-        self.external: np.ndarray = np.zeros(shape)
+        self.loads: np.ndarray = np.zeros(shape)
+        self.external: np.ndarray = self.loads
         self.carried: np.ndarray = np.zeros(shape)
-        self._lift: np.ndarray = np.zeros(shape)
-        self._lift_forces: np.ndarray = np.zeros(shape)
-        self._pending = self._moved = False
-        self._rounding: np.ndarray | None = None
+        self.step = StepState(np.zeros(shape))
         # a couple counts as a force at the distance of a cell, so that measures don't depend on units
         self._cell = float(np.prod(length)) ** (1.0 / len(length))
         self._as_force = np.array([1.0] * layout.dim + [1.0 / self._cell] * layout.rotations)
@@ -71,27 +112,38 @@ class NodalSystem:
         return self.nodes.owned
 
     # what an assembly provides --------------------------------------------------------------------
-    def assemble(self, tangent: bool) -> np.ndarray:
-        """Internal minus external forces (nodes, block), complete on owned rows; with `tangent` also the
-        matrix and, where prescribed values are pending, their forces `_lift_forces`. Collective."""
-        raise NotImplementedError
+    @abstractmethod
+    def assemble(self, tangent: bool, lift: np.ndarray | None = None) -> Assembled:
+        """Sums at the present increments, with `tangent` also the matrix. Collective.
 
-    def put_external(self, forces: np.ndarray) -> None:
-        """Take dead forces on the nodes (nodes, block), complete on owned rows, for all loads."""
-        raise NotImplementedError
+        Args:
+            lift: prescribed increments (nodes, block) that are still to be put in.
+        """
 
+    @abstractmethod
     def diagonal(self) -> np.ndarray:
         """Diagonal of the tangent (owned nodes, block)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def solve(self, right: np.ndarray, fresh: bool, accuracy: float) -> np.ndarray:
         """Solve with the tangent for (owned nodes, block); `fresh`: it has no factor yet; `accuracy`:
         relative residual that an iterative solver may leave. Collective."""
-        raise NotImplementedError
 
+    @abstractmethod
+    def node_volumes(self) -> np.ndarray:
+        """Shares of the body's volume (nodes,), complete on owned rows. Collective."""
+
+    @abstractmethod
     def destroy(self) -> None:
         """Release PETSc's objects."""
-        raise NotImplementedError
+
+    def put_external(self, forces: np.ndarray) -> None:
+        """Take dead forces on the nodes (nodes, block), complete on owned rows, for all loads."""
+        self.loads = self.external = forces
+
+    def working_loads(self) -> np.ndarray:
+        """Forces (nodes, block) of the loads that are set, such as do work on the increments. Collective."""
+        return self.with_terms(self.loads)
 
     def start_elastic(self, on: bool) -> bool:
         """Whether points on the yield surface begin a step with their elastic tangent; False where there is
@@ -125,30 +177,75 @@ class NodalSystem:
         motions = np.where(self.prescribed.fixed[own], 0.0, motions)
         return motions, self.weak_nodes(), self._as_force
 
+    # terms ------------------------------------------------------------------------------------------
+    def term_forces(self) -> np.ndarray:
+        """Residual forces (nodes, block) of the terms, complete on owned rows; external ones go into
+        `external`, too. Collective."""
+        forces = self.terms.forces(self.x, lambda piece: not piece.external)
+        self.nodes.add_to_owners(forces)
+        before = self.external
+        self.external = self.with_terms(before)
+        return forces + (before - self.external)
+
+    def with_terms(self, loads: np.ndarray) -> np.ndarray:
+        """Loads (nodes, block) and those of the terms. Collective."""
+        if not self.terms.external:
+            return loads
+        of_terms = self.terms.forces(self.x, lambda piece: piece.external)
+        self.nodes.add_to_owners(of_terms)
+        return loads - of_terms
+
+    def lifted_by_terms(self, lift: np.ndarray) -> np.ndarray:
+        """Tangents of the terms times a lift (nodes, block), on this rank."""
+        return self.terms.products(self.x, lift)
+
     def carry_imbalance(self) -> None:
-        """Take the present state as an equilibrium: carry along what is out of balance in it. Collective."""
-        free = ~self.prescribed.fixed
-        self.carried = np.where(free, self.assemble(False), 0.0)
+        """Take the present state as an equilibrium: carry along what is out of balance in it, but for terms
+        with a history of their own. Collective."""
+        forces = self.assemble(False).forces
+        apart = self.terms.forces(self.x, lambda piece: not piece.carried)
+        if any(not piece.carried for piece in self.terms.pieces):
+            self.nodes.add_to_owners(apart)
+            forces = forces - apart
+        self.carried = np.where(self.prescribed.fixed, 0.0, forces)
+
+    def forget_rotations(self) -> None:
+        """Rotation increments count from the present rotations on: set them to zero. The equilibrium stays,
+        as forces of terms that were those of the increments are carried along. Collective."""
+        before = self.x.copy()
+        self.x[:, self.layout.dim :] = 0.0
+        if len(self.terms):
+
+            def own(piece: Piece) -> bool:
+                return piece.carried and not piece.external
+
+            lost = self.terms.forces(before, own) - self.terms.forces(self.x, own)
+            self.nodes.add_to_owners(lost)
+            self.carried -= np.where(self.prescribed.fixed, 0.0, lost)
 
     # newton.System ----------------------------------------------------------------------------------
     def set_prescribed(self, increments: np.ndarray) -> None:
         """Target of the prescribed unknowns, as increments since the reset (nodes, block); begins a step.
         Collective."""
-        self._rounding, self._begun, self._moved = None, True, False
         self.before = self.x
-        self._lift = np.where(self.prescribed.fixed, increments - self.x, 0.0)
-        self._pending = bool(self.comm.allreduce(bool(np.any(self._lift)), op=MPI.LOR))
+        self.step = StepState(np.where(self.prescribed.fixed, increments - self.x, 0.0))
+        self._find_pending()
+
+    def _find_pending(self) -> None:
+        self.step.pending = bool(self.comm.allreduce(bool(np.any(self.step.lift)), op=MPI.LOR))
 
     def pending(self) -> bool:
-        return self._pending
+        return self.step.pending
 
     def evaluate(self, tangent: bool) -> None:
+        s = self.step
         with self.timer("assembly"):
-            self.residual = self.assemble(tangent) - self.carried
-            if self._begun:
-                self.first, self._begun = self.residual, False
-            if tangent and self._rounding is None:  # at the start: iterates that run away must not set it
-                self._rounding = self._rounding_squares()
+            sums = self.assemble(tangent, s.lift if tangent and s.pending else None)
+            self.residual, s.lifted = sums.forces - self.carried, sums.lifted
+            if s.first is None:
+                s.first = self.residual
+            if tangent and s.rounding is None:  # at the start: iterates that run away must not set it
+                s.rounding = self._rounding_squares()
 
     def measures(self) -> tuple[float, float]:
         with np.errstate(over="ignore", invalid="ignore"):  # what diverges is told by the numbers
@@ -157,21 +254,21 @@ class NodalSystem:
     def _measures(self) -> tuple[float, float]:
         own = slice(0, self.nodes.owned)
         free = ~self.prescribed.fixed[own]
-        r, external = self.residual[own], self.external[own]
+        r, external, last = self.residual[own], self.external[own], self.step.correction
         # |f_ext + f_rct|: at supports the reaction makes it the internal force
         total = np.where(free, external, r + external)
         sums = np.array(
             [
                 np.sum((r * free * self._as_force) ** 2),
                 np.sum((total * self._as_force) ** 2),
-                abs(np.sum((r * free) * self._last[own])),
+                0.0 if last is None else abs(np.sum((r * free) * last[own])),
                 np.sum(total * self.x[own]),
             ]
         )
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         out, loads = np.sqrt(sums[:2])
         # before the first correction loads as small as rounding are still to be felt
-        if (self._moved or loads == 0.0) and out <= self._rounding_level():
+        if (last is not None or loads == 0.0) and out <= self._rounding_level():
             return 0.0, 0.0
         force = out / loads if loads > 0 else np.inf
         energy = sums[2] / abs(sums[3]) if sums[3] != 0 else np.inf
@@ -196,25 +293,24 @@ class NodalSystem:
         """Out-of-balance force (N) that rounding makes at the present increments; loads so small that their
         strains are near rounding can't be balanced more closely than this. Collective.
         """
-        if self._rounding is None:
+        if self.step.rounding is None:
             return 0.0
         turned = 0.0
         if self.layout.rotations:
             most = float(np.abs(self.x[:, self.layout.dim :]).max(initial=0.0))
             turned = min(1.0, self.comm.allreduce(most, op=MPI.MAX))
-        return math.sqrt(self._rounding[0] + turned**2 * self._rounding[1])
+        return math.sqrt(self.step.rounding[0] + turned**2 * self.step.rounding[1])
 
     def advance(self, fresh: bool, accuracy: float = ACCURACY) -> None:
-        fixed = self.prescribed.fixed
-        step = self.solve_free(-(self.residual + self._lift_forces), fresh, accuracy)
-        if self._pending:
-            step[fixed] = self._lift[fixed]
+        fixed, s = self.prescribed.fixed, self.step
+        out_of_balance = self.residual if s.lifted is None else self.residual + s.lifted
+        step = self.solve_free(-out_of_balance, fresh, accuracy)
+        if s.pending:
+            step[fixed] = s.lift[fixed]
         self.add(step)
-        if self._pending:  # a large prescribed motion is no correction, from which to predict stresses
+        if s.pending:  # a large prescribed motion is no correction, from which to predict stresses
             self.before = self.x
-        self._pending = False
-        self._lift[:] = 0.0
-        self._lift_forces[:] = 0.0
+            s.lift, s.lifted, s.pending = np.zeros_like(s.lift), None, False
 
     def solve_free(self, forces: np.ndarray, fresh: bool, accuracy: float = ACCURACY) -> np.ndarray:
         """What forces (nodes, block), complete on owned rows, move with the last tangent; prescribed
@@ -229,17 +325,18 @@ class NodalSystem:
     def add(self, step: np.ndarray) -> None:
         """Add a correction (nodes, block) to the unknowns."""
         self.before, self.x = self.x, self.x + step
-        self._last, self._moved = step, True
+        self.step.correction = step
 
     def jump(self, x: np.ndarray) -> None:
         """Put in nodal increments (nodes, block) that no correction has led to."""
         self.before = self.x = x
 
     def retreat(self) -> bool:
-        if not self._moved:
+        s = self.step
+        if s.correction is None:
             return False
-        self._last = 0.5 * self._last
-        self.x = self.x - self._last
-        self._lift = self._lift + np.where(self.prescribed.fixed, self._last, 0.0)
-        self._pending = bool(self.comm.allreduce(bool(np.any(self._lift)), op=MPI.LOR))
+        s.correction = 0.5 * s.correction
+        self.x = self.x - s.correction
+        s.lift = s.lift + np.where(self.prescribed.fixed, s.correction, 0.0)
+        self._find_pending()
         return True

@@ -15,6 +15,7 @@ from ..errors import InputError
 from ..geometry.meshes import BodyMesh
 from ..geometry.planes import PlaneSpec
 from ..geometry.spacenodes import SpaceNodes
+from ..geometry.surfaces import Surface
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
 from ..materials.base import Material, check_material
@@ -214,6 +215,13 @@ class Elements:
             return np.asarray(x @ n >= limit)
 
         return self.facets(farthest)
+
+    def surface(self, where: Any) -> Surface:
+        """The quadrature points of boundary facets as a surface, for terms that act on one; `where` as of
+        `facets`. Collective."""
+        from .facets import FacetSurface  # only terms ask for it
+
+        return FacetSurface(self, self.facets(where))
 
     def _group(self, name: str, facets: np.ndarray) -> Facets:
         weights = self._integrals(facets)

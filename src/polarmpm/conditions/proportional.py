@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from mpi4py import MPI
 
 import numpy as np
@@ -13,10 +15,22 @@ from .prescribed import Prescribed
 _PROBES = (0.0, 1.0, 0.5, 2.0)  # load factors at which loads are compared
 
 
-def check_loads(comm: MPI.Comm, loads: list[tuple[Amplitude, np.ndarray]]) -> None:
-    """Raise InputError unless loads, given with the positions where they act, are linear in the load factor
-    and some grow with it. Collective."""
-    grows = False
+def check_linear(
+    comm: MPI.Comm, names: Sequence[str], zero: np.ndarray, one: np.ndarray, two: np.ndarray
+) -> None:
+    """Raise InputError unless forces of terms at the load factors 0, 1 and 2 are linear in it. Collective."""
+    wrong = float(np.abs(two - 2.0 * one + zero).max(initial=0.0))
+    size = max(float(np.abs(f).max(initial=0.0)) for f in (zero, one, two))
+    if comm.allreduce(wrong, op=MPI.MAX) > 1e-9 * comm.allreduce(size, op=MPI.MAX):
+        raise InputError(
+            f"{', '.join(names)}: not linear in the load factor; with the arc-length method all loads are"
+        )
+
+
+def check_loads(comm: MPI.Comm, loads: list[tuple[Amplitude, np.ndarray]], of_terms: np.ndarray) -> None:
+    """Raise InputError unless loads, given with the positions where they act, are linear in the load factor,
+    and they or terms grow with it: the latter by these forces (nodes, block). Collective."""
+    grows = bool(comm.allreduce(bool(np.any(of_terms)), op=MPI.LOR))
     for amplitude, position in loads:
         zero, one, half, two = (amplitude.at(f, position) for f in _PROBES)
         size = max(float(np.abs(v).max(initial=0.0)) for v in (zero, one, two))

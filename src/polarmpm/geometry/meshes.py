@@ -105,17 +105,8 @@ class BodyMesh:
 
     def midpoints(self, cells: np.ndarray) -> np.ndarray:
         """Mean of the nodes (n, d) of local cells."""
-        listed = self.mesh.geometry.dofmap
-        table = listed.array if hasattr(listed, "array") else listed
-        nodes = np.asarray(table).reshape(-1, self._nodes_per_cell())[cells]
+        nodes = compat.cell_geometry(self.mesh)[cells]
         return self.mesh.geometry.x[nodes][:, :, : self.dim].mean(axis=1)
-
-    def _nodes_per_cell(self) -> int:
-        listed = self.mesh.geometry.dofmap
-        topology = self.mesh.topology
-        count = topology.index_map(self.dim).size_local + topology.index_map(self.dim).num_ghosts
-        total = listed.array.size if hasattr(listed, "array") else np.asarray(listed).size
-        return int(total // max(count, 1))
 
     def group(self, name: str | int, dim: int) -> int:
         """Tag of a physical group of `dim` dimensions.

@@ -10,13 +10,20 @@ from ..tools import compat
 
 
 class SpaceNodes:
-    """Nodes of a Lagrange space of this rank, owned ones first; implements `system.Nodes`."""
+    """Nodes of a Lagrange space of this rank, owned ones first; implements `geometry.nodes.Nodes`.
+
+    Attributes:
+        position: coordinates (m), (n, d).
+        numbers: global numbers (n,).
+    """
 
     def __init__(self, space: Any, dim: int):
         from dolfinx import fem
 
         index_map = space.dofmap.index_map
         self.owned, self.total = int(index_map.size_local), int(index_map.size_global)
+        every = np.arange(self.owned + index_map.num_ghosts, dtype=np.int32)
+        self.numbers = np.asarray(index_map.local_to_global(every), dtype=np.int64)
         self.position = space.tabulate_dof_coordinates()[:, :dim].copy()
         self._work = fem.Function(space)
         self._size = int(space.dofmap.index_map_bs)

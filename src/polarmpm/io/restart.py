@@ -28,7 +28,7 @@ from ..problems.state import Progress
 from ..tools.parallel import collectively
 from . import meshstate
 
-_FORMAT = 3
+_FORMAT = 4
 
 
 def save(problem: Problem, path: str | os.PathLike[str]) -> None:
@@ -62,7 +62,7 @@ def _arrays(problem: Any) -> dict[str, np.ndarray]:
         arrays |= {f"reference/{f.name}": getattr(reference, f.name) for f in fields(reference)}
         arrays |= {"nodes/lattice": lattice, "nodes/increments": values}
     arrays |= {f"kept/{name}": a for name, a in problem.kept().items()}
-    for name, a in problem.surface_state().items():  # the same on every rank
+    for name, a in problem.term_state().items():  # the same on every rank
         arrays[f"surfaces/{name.replace('/', '.')}"] = a if problem.comm.rank == 0 else a[:0]
     return arrays
 
@@ -142,7 +142,7 @@ def _put(
         between = reference, rows["nodes/lattice"], rows["nodes/increments"]
     problem.points.replace({name: rows[f"points/{name}"] for name in problem.points.fields})
     surfaces = {name[9:].replace(".", "/"): a for name, a in rows.items() if name.startswith("surfaces/")}
-    problem.restore_surfaces(surfaces)
+    problem.restore_terms(surfaces)
     kept = {name[5:]: a for name, a in rows.items() if name.startswith("kept/")}
     problem.restore(progress, between, kept, shares)
 

@@ -17,14 +17,18 @@ from ..conditions.loads import point_loads
 from ..errors import InputError
 from ..forms.elements import ElementForms
 from ..geometry.planes import PlaneSpec
+from ..geometry.surfaces import Surface
 from ..kinematics import rotations
 from ..materials.base import warn_of_locking
 from ..solvers.choice import check_solver
 from ..solvers.newton import Controls
+from ..terms.base import Piece
+from ..terms.settings import MeshSetting
 from ..tools import compat
 from ..tools.parallel import together
 from .base import Problem
 from .state import Progress
+from .surfaces import add_traction
 
 
 def _make_forms(elements: Elements) -> ElementForms:
@@ -103,30 +107,41 @@ class QuasiStaticFEM(Problem):
             return where, getattr(where, "__name__", "predicate")
         raise InputError(f"where = {where!r}: facets, a physical group, a plane or a predicate of positions")
 
-    def load(self, facets: Any, *, force: Any = None, couple: Any = None) -> None:
+    def load(self, where: Any, *, force: Any = None, couple: Any = None) -> None:
         """A dead force (N) and couple (N m) in total, spread evenly over facets.
 
         Args:
-            facets: `elements.facets(...)`, `elements.farthest(...)`, or what `elements.facets` takes.
+            where: `elements.facets(...)`, `elements.farthest(...)`, or what `elements.facets` takes; or a
+                surface.
             force, couple: as in `fix`: numbers are ramped, functions of the load factor give the value. In
                 plane strain they count per unit thickness, and the couple is one number.
         """
-        group = self.elements.facets(facets)
+        if isinstance(where, Surface):
+            return add_traction(self, "load", where, force, couple, 1.0 / float(where.area.sum()))
+        group = self.elements.facets(where)
         self._add_surface(group, {"force": force, "couple": couple}, False, 1.0 / group.area, "load")
 
-    def traction(self, facets: Any, *, force: Any = None, couple: Any = None, follows: bool = False) -> None:
-        """A traction (N/m^2) and couple traction (N/m) on facets.
+    def traction(self, where: Any, *, force: Any = None, couple: Any = None, follows: bool = False) -> None:
+        """A traction (N/m^2) and couple traction (N/m) on facets (what `elements.facets` takes), or on a
+        surface.
 
         Dead: per undeformed area, fixed in space. `follows=True`: per current area; the part along the
         undeformed normal follows the current normal, the part in the surface is convected with it and keeps
         its size. Values as in `fix`; functions of two arguments get (factor, initial positions (n, d)).
         """
-        group = self.elements.facets(facets)
+        if isinstance(where, Surface):
+            if follows:
+                raise InputError("traction: follows = True: facets are needed, not a Surface")
+            return super().traction(where, force=force, couple=couple)
+        group = self.elements.facets(where)
         self._add_surface(group, {"force": force, "couple": couple}, follows, 1.0, "traction")
 
-    def pressure(self, facets: Any, pressure: Any) -> None:
-        """A pressure (Pa) against the current normal of the current surface. Values as in `fix`."""
-        self._add_surface(self.elements.facets(facets), {"pressure": pressure}, True, 1.0, "pressure")
+    def pressure(self, where: Any, p: Any) -> None:
+        """A pressure (Pa) against the current normal of the current surface, on facets (what
+        `elements.facets` takes) or on a surface. Values as in `fix`."""
+        if isinstance(where, Surface):
+            return super().pressure(where, p)
+        self._add_surface(self.elements.facets(where), {"pressure": p}, True, 1.0, "pressure")
 
     def _add_surface(
         self, facets: Facets, values: dict[str, Any], follows: bool, share: float, what: str
@@ -152,11 +167,20 @@ class QuasiStaticFEM(Problem):
             dead, varying = self._load_forms()
         if self._system is not None:
             self._system.destroy()
-        self._system = ElementSystem(self.forms, dead, varying, prescribed, self.timer, self.solver)
+        self._system = ElementSystem(
+            self.forms, dead, varying, prescribed, self.timer, self.solver, self._pieces()
+        )
         self._last_loads = None
         self._rebase(None)
-        self._stale = False
+        self._stale = self.progress.reset_due = False
         return self._system
+
+    def _pieces(self) -> list[Piece]:
+        """The terms' pieces while increments count from the present state."""
+        setting = MeshSetting(self.elements)
+        for term in self.terms:
+            term.begin()
+        return [piece for term in self.terms for piece in term.pieces(setting)]
 
     def _load_forms(self) -> tuple[list[Any], list[_Varying]]:
         from dolfinx import fem
@@ -190,7 +214,12 @@ class QuasiStaticFEM(Problem):
                 add(f.traction_work(load.facets, load.function, couple, load.follows), changes)
         return dead, varying
 
-    def _set_loads(self, system: ElementSystem, factor: float) -> None:
+    def _put_loads(self, system: ElementSystem, factor: float | None) -> None:
+        last = self.progress.factor
+        self._set_terms(last if factor is None else factor)
+        if factor is None and self._last_loads is not None:
+            return system.put_external(self._last_loads)
+        factor = last if factor is None else factor
         with together(self.comm):
             if self._body is not None:
                 forces, couples = point_loads(self.loads, self.points, self.layout, factor)
@@ -201,11 +230,9 @@ class QuasiStaticFEM(Problem):
                 load.function.x.array.reshape(-1, load.amplitude.size)[load.rows] = values
         system.set_loads()
 
-    def _loads_before(self, system: ElementSystem) -> np.ndarray:
-        if self._last_loads is None:
-            self._set_loads(system, self.progress.factor)
-            return system.external
-        return self._last_loads
+    @property
+    def cell_size(self) -> float:
+        return self.elements.cell_size
 
     def _load_places(self) -> list[tuple[Amplitude, np.ndarray]]:
         for load in self.surface_loads:
@@ -215,20 +242,6 @@ class QuasiStaticFEM(Problem):
                 )
         return super()._load_places() + [(load.amplitude, load.position) for load in self.surface_loads]
 
-    def _nodal_volumes(self, system: ElementSystem) -> np.ndarray:
-        """An equal share of its volume for each node of an element: positive for all degrees."""
-        e = self.elements
-        nodes = e.cell_nodes[: len(e.body.owned_cells)]
-        of_cells = self.points.volume0.reshape(len(nodes), -1).sum(axis=1)
-        share = np.repeat(of_cells / nodes.shape[1], nodes.shape[1])
-        total = np.bincount(nodes.ravel(), share, minlength=len(e.nodes)).astype(float)  # also of no elements
-        out = np.tile(total[:, None], (1, self.layout.block))  # what the mesh's vectors hold
-        e.nodes.add_to_owners(out)
-        return out[:, 0]
-
-    def _loads_now(self, system: ElementSystem) -> np.ndarray:
-        return system.external
-
     def _increments(self, system: ElementSystem) -> Increments:
         system.forms.x.x.array[:] = system.x.ravel()
         d, block = self.layout.dim, self.layout.block
@@ -237,7 +250,7 @@ class QuasiStaticFEM(Problem):
         gradient = values[:, block:].reshape(-1, block, d)
         return Increments(values[:, :block], gradient[:, :d], gradient[:, d:])
 
-    def _fault(self, increments: Increments) -> str:
+    def _check(self, increments: Increments) -> str:
         d = self.layout.dim
         bad = rotations.determinant(self.points.F[:, :d, :d] + increments.gradient) <= 0
         cells = np.unique(self.points.id[bad] // len(self.elements.reference_points))
@@ -267,7 +280,7 @@ class QuasiStaticFEM(Problem):
             e.q = rotations.normalise(rotations.multiply(turn, e.q))
         self.forms.flow(base)
         e.displacement = e.displacement + system.x[:, :d]
-        self._last_loads = None if system.varying else system.external  # others depend on the increments
+        self._last_loads = None if system.varying else system.loads  # others depend on the increments
         self._rebase(system)
         g = self.progress
         g.factor, g.step = factor, g.step + 1
@@ -280,10 +293,13 @@ class QuasiStaticFEM(Problem):
         self.forms.pack()
         if system is not None:
             system.x = np.zeros_like(system.x)
+            if self.terms:
+                system.put_pieces(self._pieces())
 
     def restore(self, progress: Progress) -> None:
         """Continue from a state that has been put into the elements already; see `io.restart`."""
         self.progress, self._equilibrium, self._last_x = progress, None, None
+        self.term_works = {"terms": progress.term_work}
         if self._system is not None:
             self._system.destroy()
             self._system = None

@@ -18,7 +18,6 @@ from ..bodies.points import Points, Selection
 from ..bodies.reference import Increments, Reference
 from ..bodies.seeding import check_inside
 from ..conditions import movinggrid
-from ..conditions.amplitudes import Amplitude
 from ..conditions.loads import point_loads
 from ..conditions.movinggrid import MovingPlane
 from ..conditions.supports import Support
@@ -27,6 +26,7 @@ from ..forms.choice import make_form
 from ..forms.couples import CoupleForm
 from ..geometry.grid import Grid
 from ..geometry.planes import Plane, PlaneSpec
+from ..geometry.surfaces import Surface
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from ..kinematics.motion import Motion
@@ -36,9 +36,10 @@ from ..solvers.newton import Controls
 from ..solvers.resetting import ResetPolicy, WhenDistorted, make_policy
 from ..terms.ghost import Ghost, GhostPenalty, make_penalty
 from ..tools.parallel import look_up, together
+from .base import Problem
 from .conservation import Conservation, Totals
 from .state import Progress
-from .surfaces import SurfaceProblem
+from .surfaces import add_traction
 
 ASSEMBLIES = ("direct", "projection")
 _NO_PROJECTION = {
@@ -68,7 +69,7 @@ def _check_assembly(assembly: str, basis: str) -> str:
     return assembly
 
 
-class QuasiStatic(SurfaceProblem):
+class QuasiStatic(Problem):
     """Equilibrium of material points on a grid under slowly changing loads. All methods are collective.
 
     Attributes:
@@ -139,9 +140,7 @@ class QuasiStatic(SurfaceProblem):
         self.balanced_reset = balanced_reset
         self.ghost = make_penalty(ghost, points.materials, self.layout, basis, assembly)
         if self.ghost:
-            self._sources.append(Ghost(self.ghost, self.layout))
-        self.term_works: dict[str, float] = {}
-        self._step_start: np.ndarray | None = None
+            self.add(Ghost(self.ghost, self.layout))
         self._compiled = _Compiled()
         self._system: LoadedPoints | None = None
         # forces and couples at the points of the last attempt and of the last converged step
@@ -168,69 +167,44 @@ class QuasiStatic(SurfaceProblem):
         movinggrid.check(moving, [*self.supports, support], self.initial_grid)
         self._moving = moving
 
-    def load(self, selection: Selection, *, force: Any = None, couple: Any = None) -> None:
-        """A dead force (N) and couple (N m) in total, shared equally by the selected points.
+    def load(self, where: Selection | Surface, *, force: Any = None, couple: Any = None) -> None:
+        """A dead force (N) and couple (N m) in total, shared equally by selected points, or spread evenly
+        over a surface.
 
         Values as in `fix`: numbers are ramped, functions of the load factor give the value. In plane strain
         they count per unit thickness, and the couple is one number.
         """
-        if not isinstance(selection, Selection):
+        if isinstance(where, Surface):
+            return add_traction(self, "load", where, force, couple, 1.0 / float(where.area.sum()))
+        if not isinstance(where, Selection):
             raise InputError(
-                f"selection = {selection!r}: use points.where, points.farthest or points.nearest"
+                f"selection = {where!r}: use points.where, points.farthest, points.nearest, or a Surface"
             )
-        share = 1.0 / max(1, len(selection))
-        self._add_loads(f"load {len(self.loads) + 1}", selection, force, couple, False, share)
-
-    def _set_loads(self, system: LoadedPoints, factor: float) -> None:
-        self._attempted = self._loads_at(factor)
-        system.set_loads(*self._attempted)
-        self._set_surfaces(factor)
-        if self._sources:
-            self._step_start = system.x.copy()
+        share = 1.0 / max(1, len(where))
+        self._add_loads(f"load {len(self.loads) + 1}", where, force, couple, False, share)
 
     def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
         with together(self.comm):
             return point_loads(self.loads, self.points, self.layout, factor)
 
-    def _loads_before(self, system: LoadedPoints) -> np.ndarray:
-        if system.terms.external:
-            self._set_loads(system, self.progress.factor)
-        return self._nodal_loads(system, self._balanced or self._loads_at(self.progress.factor))
+    def _put_loads(self, system: LoadedPoints, factor: float | None) -> None:
+        last = self.progress.factor
+        if factor is None:
+            system.set_loads(*(self._balanced or self._loads_at(last)))
+        else:
+            self._attempted = self._loads_at(factor)
+            system.set_loads(*self._attempted)
+        self._set_terms(last if factor is None else factor)
 
-    def _loads_now(self, system: LoadedPoints) -> np.ndarray:
-        if system.couple_kernel is None and not system.terms.external:
-            return system.external
-        assert self._attempted is not None
-        return self._nodal_loads(system, self._attempted)
-
-    def _load_places(self) -> list[tuple[Amplitude, np.ndarray]]:
-        if self._system is not None and self._system.terms.external:
-            raise InputError(
-                "march_arc_length: conditions on surfaces of material points aren't possible here"
-            )
-        return super()._load_places()
-
-    def _nodal_volumes(self, system: LoadedPoints) -> np.ndarray:
-        return system.interpolation.spread(self.points.volume0[:, None])[:, 0]
-
-    def _nodal_loads(self, system: LoadedPoints, loads: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        """Forces on the nodes that do work on the increments: in space a couple m does it as J_r(Dw) m."""
-        forces, couples = loads
-        if system.couple_kernel is not None:
-            w = system.interpolation.gather(system.x).value[:, self.layout.dim :]
-            couples = np.einsum("nij,nj->ni", rotations.right_tangent(w), couples)
-        out = system.interpolation.spread(np.concatenate([forces, couples], axis=1))
-        if system.terms.external:
-            of_terms = system.terms.forces(system.x, external=True)
-            system.nodes.add_to_owners(of_terms)
-            out -= of_terms
-        return out
+    @property
+    def cell_size(self) -> float:
+        return min(self.grid.cell)
 
     # solving --------------------------------------------------------------------------------------
     def _increments(self, system: LoadedPoints) -> Increments:
         return system.interpolation.gather(system.x)
 
-    def _fault(self, increments: Increments) -> str:
+    def _check(self, increments: Increments) -> str:
         bad = rotations.determinant(np.eye(self.grid.dim) + increments.gradient) <= 0
         inverted = self.comm.allreduce(int(np.sum(bad)))
         return f"{inverted} material point(s) turned inside out" if inverted else ""
@@ -241,21 +215,16 @@ class QuasiStatic(SurfaceProblem):
         self._conservation.check(system.interpolation, system.x)
         if self.points.plastic:
             self._flow(system)
-        if self._step_start is not None:
-            for name, work in system.term_work(self._step_start, system.x).items():
-                self.term_works[name] = self.term_works.get(name, 0.0) + work
-            system.terms.commit(system.x)
         self._balanced = self._attempted
         p = self.progress
-        p.ghost_work = self.ghost_work
         p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
         p.reset_due = self.policy.due(p.since_reset, increments.gradient, self.comm)
         if not p.reset_due and self.layout.rotations:
             largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
             if self.comm.allreduce(largest, op=MPI.MAX) > _ROTATION_LIMIT:
                 system.rebase_rotations()
-                for condition in self.surfaces:
-                    condition.rebase_rotations()
+                for term in self.terms:
+                    term.rebase_rotations()
                 p.rotation_factor = factor
 
     def _flow(self, system: LoadedPoints) -> None:
@@ -290,7 +259,7 @@ class QuasiStatic(SurfaceProblem):
             if self.balanced_reset and p.step:
                 # not the loads of now: what was added since the last step is to be felt
                 self._system.set_loads(*(self._balanced or self._loads_at(p.factor)))
-                self._set_surfaces(p.factor, carrying=True)
+                self._set_terms(p.factor, carrying=True)
                 self._system.carry_imbalance()
         else:
             self._system = self._build(old.interpolation)
@@ -322,9 +291,9 @@ class QuasiStatic(SurfaceProblem):
                     support.where.follow(grid)
 
     def _interpolate(self, reference: Reference | None) -> Interpolation:
-        for source in self._sources if reference is None else []:
-            source.begin()
-        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, self._sources)
+        for term in self.terms if reference is None else []:
+            term.begin()
+        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, self.terms)
         self._conservation.reset(made)
         self.balance.built(self.points, made.nodes)
         return made
@@ -360,6 +329,8 @@ class QuasiStatic(SurfaceProblem):
     def kept(self) -> dict[str, np.ndarray]:
         """What is kept for each local point from step to step, beside its state: rows (np, ...) by name."""
         out = {f"rows.{name}": a for name, a in self.rows.items()}
+        for k, term in enumerate(self.terms):
+            out |= {f"term {k}.{name}": a for name, a in term.rows.items()}
         if self._last_x is not None:
             out["last_x"] = self._last_x
         if self._balanced is not None:
@@ -369,6 +340,9 @@ class QuasiStatic(SurfaceProblem):
     def _keep(self, rows: dict[str, np.ndarray]) -> None:
         """Put in rows such as those of `kept`."""
         self.rows = {name[5:]: a for name, a in rows.items() if name.startswith("rows.")}
+        for k, term in enumerate(self.terms):
+            start = f"term {k}."
+            term.rows = {name[len(start) :]: a for name, a in rows.items() if name.startswith(start)}
         self._last_x = rows.get("last_x")
         self._balanced = (rows["forces"], rows["couples"]) if "forces" in rows else None
 
@@ -387,7 +361,7 @@ class QuasiStatic(SurfaceProblem):
             shares: how well the points are dealt out, from `Balance.state`; None: they are dealt out now.
         """
         self.progress, self._equilibrium, self._conservation = progress, None, Conservation(self.comm)
-        self.term_works = {"ghost": progress.ghost_work}
+        self.term_works = {"ghost": progress.ghost_work, "terms": progress.term_work}
         self._keep(kept)
         if self._system is not None:
             self._system.destroy()
@@ -407,11 +381,6 @@ class QuasiStatic(SurfaceProblem):
         self._system, self._stale = self._build(interpolation), False
         here = look_up(self.comm, lattice, values, interpolation.nodes.lattice)
         self._system.x[:], self._system.carried[:] = np.hsplit(here, 2)
-
-    @property
-    def ghost_work(self) -> float:
-        """Work (J) done against the ghost forces in all steps so far."""
-        return self.term_works.get("ghost", 0.0)
 
     @property
     def system(self) -> LoadedPoints | None:

@@ -40,7 +40,8 @@ def step_work(system: NodalSystem, start: StepStart, last: np.ndarray) -> tuple[
     held = system.prescribed.fixed[own]
     moved = system.x[own] - start.x[own]
     # the first evaluation had the new loads already
-    reactions = (system.first + start.first - start.before)[own] + system.residual[own]
+    assert system.step.first is not None
+    reactions = (system.step.first + start.first - start.before)[own] + system.residual[own]
     sums = np.array(
         [
             0.5 * np.sum((start.before[own] + last[own]) * moved),

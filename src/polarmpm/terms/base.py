@@ -1,19 +1,42 @@
-"""Contributions to the nodal system that don't come from the stresses of a body."""
+"""Contributions to the nodal system that don't come from the stresses of a body: where one adds physics.
+
+A `Term` is what a script adds to a problem: `problem.add(term)`. Whenever increments begin to count afresh,
+it makes `Piece`s: these act on sets of nodes, all of the same size, and belong to the time until the next
+such moment (a reset of the grid, a converged step of elements). A piece's forces depend on the increments of
+a set's nodes, and its tangent is a dense matrix for each set, whose node pairs are coupled in the sparse
+matrix. A set is on one rank.
+
+Shapes: m sets on this rank, n nodes in a set, b unknowns of a node, k coupled pairs of components.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
+from mpi4py import MPI
+
 import numpy as np
 
 from ..geometry.grid import Grid
+from ..geometry.nodes import ActiveNodes
+from ..geometry.surfaces import Surface
+from ..kinematics.layout import Layout
+
+
+class NodeSets(Protocol):
+    """Sets of nodes, of the same size each."""
+
+    def rows(self, nodes: ActiveNodes) -> np.ndarray:
+        """Local rows of the nodes (m, n)."""
 
 
 @dataclass(frozen=True)
 class Boxes:
-    """Boxes of lattice nodes.
+    """Boxes of lattice nodes; the last axis runs fastest.
 
     Attributes:
         count: nodes in each direction.
@@ -33,45 +56,161 @@ class Boxes:
         """Lattice numbers of the nodes (m, n)."""
         return self.first[:, None] + self.offsets @ grid.strides
 
+    def rows(self, nodes: ActiveNodes) -> np.ndarray:
+        """Local rows of the nodes (m, n)."""
+        numbers = self.numbers(nodes.grid)
+        return nodes.local(numbers.ravel()).reshape(numbers.shape)
 
-class Term(Protocol):
-    """One contribution between two resets.
+
+class Piece(ABC):
+    """What a term contributes until increments begin to count afresh.
 
     Attributes:
         name: under which its work is summed.
         boxes: where it acts.
         pairs: components (i, j) that it couples, (k, 2).
         symmetric: its tangent is symmetric.
-        linear: its tangent doesn't change until the next reset.
+        linear: its tangent doesn't change.
         external: a load or a support; its forces count as such in the convergence measure.
+        carried: see `Term`.
     """
 
     name: str
-    boxes: Boxes
+    boxes: NodeSets
     pairs: np.ndarray
-    symmetric: bool
-    linear: bool
-    external: bool
+    symmetric: bool = True
+    linear: bool = False
+    external: bool = False
+    carried: bool = True
 
+    @abstractmethod
     def forces(self, x: np.ndarray) -> np.ndarray:
-        """Residual forces (m, n, b) at increments since the reset (m, n, b)."""
+        """Residual forces (m, n, b) at increments (m, n, b)."""
 
+    @abstractmethod
     def matrices(self, x: np.ndarray) -> np.ndarray:
         """Derivatives of the forces' components i by increments' components j, (m or 1, n, n, k)."""
 
-    def commit(self, x: np.ndarray) -> None:
+    def commit(self, x: np.ndarray) -> None:  # noqa: B027
         """Take note of the increments (m, n, b) of a converged step. Collective."""
 
 
-class TermSource(Protocol):
-    """What makes terms at a reset."""
+@dataclass
+class Carried:
+    """Places that the body carries, and the functions that move them; m of them on this rank.
 
-    def begin(self) -> None:
-        """A reset: increments count from the present state."""
+    Attributes:
+        rows: which of the places these are (m,).
+        boxes: the nodes of each.
+        table: values and gradients (1/m) of the nodes' functions at them, (m, 1 + d, n); gradients with
+            respect to the state from which increments count.
+    """
 
-    def terms(self, grid: Grid, reached: np.ndarray) -> list[Term]:
-        """Terms from now on; `reached` holds the lattice numbers of the cells that this rank's points reach,
-        ascending. Collective."""
+    rows: np.ndarray
+    boxes: NodeSets
+    table: np.ndarray
+
+
+class Setting(ABC):
+    """What a term is handed when increments begin to count.
+
+    Attributes:
+        layout: unknowns of a node.
+        comm: the ranks that take part.
+    """
+
+    layout: Layout
+    comm: MPI.Comm
+
+    @abstractmethod
+    def carry(self, places: Places) -> Carried:
+        """The functions that carry places with the body. Collective.
+
+        Raises:
+            InputError: a place lies outside of the body, naming it.
+        """
+
+    @abstractmethod
+    def node_volumes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes (their lattice numbers; of a mesh their local rows) and what of the body's volume (m^3) this
+        rank gives to each: complete when summed over the ranks."""
+
+
+class Places(Protocol):
+    """Points of a surface that the body carries.
+
+    Attributes:
+        name: for messages.
+        surface: where they are in the undeformed body.
+        displacement: what they have moved since (m), (n, d).
+        deformation: deformation gradient at them (n, d, d).
+        committed: they have taken part in a converged step.
+    """
+
+    name: str
+    surface: Surface
+
+    @property
+    def displacement(self) -> np.ndarray: ...
+
+    @property
+    def deformation(self) -> np.ndarray: ...
+
+    @property
+    def committed(self) -> bool: ...
+
+
+class Term(ABC):
+    """A contribution to the nodal system, for `problem.add`; lives as long as the problem.
+
+    Attributes:
+        name: for messages, and under which its work is summed.
+        carried: a balanced reset, and a new base of the rotations, may carry along what becomes of its forces
+            there. False for what has its own history of them, such as inertia.
+        proportional: at given increments its forces are linear in the load factor, and what grows with the
+            factor doesn't depend on the increments: the arc-length method can take it.
+        rows: arrays (np, ...) with one row for each local point of the body, by name. They move with the
+            points to other ranks and into restart files.
+    """
+
+    name: str = "term"
+    carried: bool = True
+    proportional: bool = True
+
+    def __init__(self) -> None:
+        self.rows: dict[str, np.ndarray] = {}
+
+    def attach(self, layout: Layout, comm: MPI.Comm) -> None:  # noqa: B027
+        """The problem that takes it has these unknowns and ranks.
+
+        Raises:
+            InputError: they don't go together; the problem stays as it was.
+        """
+
+    @abstractmethod
+    def pieces(self, setting: Setting) -> Sequence[Piece]:
+        """Its pieces from now on. Collective."""
+
+    def begin(self) -> None:  # noqa: B027
+        """Increments begin to count from the present state."""
+
+    def rebase_rotations(self) -> None:  # noqa: B027
+        """Rotation increments begin to count from the present rotations."""
+
+    def set_factor(self, factor: float, carrying: bool = False) -> None:  # noqa: B027
+        """Put the values of a load factor in. `carrying`: for forces that are to be carried along: those with
+        which the last step has converged."""
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All else that a restart needs, the same on every rank, by name."""
+        return {}
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:  # noqa: B027
+        """Put in what `state` gave.
+
+        Raises:
+            InputError: it is of another term.
+        """
 
 
 def multiply(pairs: np.ndarray, matrices: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -31,7 +31,8 @@ from ..kinematics.layout import Layout
 from ..materials.base import Material
 from ..tools.checks import require_finite
 from ..tools.parallel import look_up, lowest_ranks
-from .base import Boxes, Term, multiply
+from .base import Boxes, Piece, Setting, Term, multiply
+from .settings import GridSetting
 
 _SHARES = {"thesis": 1e-2, "light": 1e-5}  # of the moduli; "thesis" as in T 4.4
 _POWERS = {"thesis": 3, "light": 1}
@@ -184,8 +185,8 @@ def stencil(cell: tuple[float, ...], axis: int, power: int = 3) -> np.ndarray:
 
 # terms ------------------------------------------------------------------------------------------
 @dataclass
-class GhostFaces:
-    """Ghost forces of the faces across one axis, T (2.61)-(2.62); implements `nodalterms.Term`.
+class GhostFaces(Piece):
+    """Ghost forces of the faces across one axis, T (2.61)-(2.62); a `terms.base.Piece`.
 
     The forces are those of the increments since the reset.
     """
@@ -206,22 +207,24 @@ class GhostFaces:
     def matrices(self, x: np.ndarray) -> np.ndarray:
         return self.matrix
 
-    def commit(self, x: np.ndarray) -> None:
-        """Nothing to remember: the forces start anew at each reset."""
 
+class Ghost(Term):
+    """The ghost penalty. Its forces start anew at each reset."""
 
-class Ghost:
-    """Makes the ghost penalty's terms at each reset; implements `nodalterms.TermSource`."""
+    name = "ghost"
 
     def __init__(self, penalty: GhostPenalty, layout: Layout):
+        super().__init__()
         self.penalty = penalty
         self.scale = np.repeat([penalty.displacement, penalty.rotation], [layout.dim, layout.rotations])
 
-    def begin(self) -> None:
-        """Nothing to prepare."""
+    def pieces(self, setting: Setting) -> list[Piece]:
+        assert isinstance(setting, GridSetting)
+        return self.faces(setting.grid, setting.reached)
 
-    def terms(self, grid: Grid, reached: np.ndarray) -> list[Term]:
-        out: list[Term] = []
+    def faces(self, grid: Grid, reached: np.ndarray) -> list[Piece]:
+        """Forces of the faces across each axis, for the cells that this rank's points reach. Collective."""
+        out: list[Piece] = []
         for axis, cells in enumerate(boundary_faces(grid, reached)):
             boxes = Boxes(tuple(3 if k == axis else 2 for k in range(grid.dim)), cells)
             one = self._stencil(grid, axis)

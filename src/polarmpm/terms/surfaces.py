@@ -19,35 +19,46 @@ from .surfaceterms import SurfaceCondition
 
 
 class Traction(SurfaceCondition):
-    """A dead traction (N/m^2) and couple traction (N/m) per undeformed area."""
+    """A dead traction (N/m^2) and couple traction (N/m) per undeformed area.
 
-    def __init__(self, name: str, surface: Surface, layout: Layout, basis: str, comm: MPI.Comm, **given: Any):
-        force, couple = given["force"], given["couple"]
+    Args:
+        share: a factor on both; 1 over the area where totals are given.
+    """
+
+    def __init__(self, name: str, surface: Surface, force: Any, couple: Any, share: float = 1.0):
+        super().__init__(name, surface)
         if force is None and couple is None:
             raise InputError(f"{name}: neither force nor couple is given")
+        self._given, self._share = (force, couple), share
+        self._values: list[Amplitude] = []
+
+    def attach(self, layout: Layout, comm: MPI.Comm) -> None:
+        force, couple = self._given
         if couple is not None and not layout.rotations:
-            raise InputError(f"{name}: couple = {couple!r}, but the material has no microrotation")
-        self._force = Amplitude(f"{name}, force", 0.0 if force is None else force, layout.dim)
-        self._couple = None if couple is None else Amplitude(f"{name}, couple", couple, layout.rotations)
-        super().__init__(name, surface, layout, basis, comm)
+            raise InputError(f"{self.name}: couple = {couple!r}, but the material has no microrotation")
+        self._values = [Amplitude(f"{self.name}, force", 0.0 if force is None else force, layout.dim)]
+        if couple is not None:
+            self._values.append(Amplitude(f"{self.name}, couple", couple, layout.rotations))
+        super().attach(layout, comm)
         self.linear = self.form.symmetric
+        self.proportional = self.form.symmetric  # couples in space turn with the spin
 
     def make_form(self) -> SurfaceForm:
-        return DeadTraction(self.layout, self._couple is not None)
+        return DeadTraction(self.layout, len(self._values) > 1)
 
     def values(self, factor: float) -> list[np.ndarray]:
-        return [a.at(factor, self.surface.x) for a in (self._force, self._couple) if a is not None]
+        return [a.at(factor, self.surface.x) * self._share for a in self._values]
 
 
 class Pressure(SurfaceCondition):
     """A pressure (Pa) against the current normal."""
 
     linear = False
+    proportional = False
 
-    def __init__(self, name: str, surface: Surface, layout: Layout, basis: str, comm: MPI.Comm, **given: Any):
-        pressure = given["pressure"]
-        self._pressure = Amplitude(f"{name}, p", pressure, 1)
-        super().__init__(name, surface, layout, basis, comm)
+    def __init__(self, name: str, surface: Surface, p: Any):
+        super().__init__(name, surface)
+        self._pressure = Amplitude(f"{name}, p", p, 1)
 
     def make_form(self) -> SurfaceForm:
         return FollowerPressure(self.layout)
@@ -72,9 +83,6 @@ class SurfaceSupport(SurfaceCondition):
         self,
         name: str,
         surface: Surface,
-        layout: Layout,
-        basis: str,
-        comm: MPI.Comm,
         *,
         support: Support | None,
         normal: Any,
@@ -82,14 +90,18 @@ class SurfaceSupport(SurfaceCondition):
         rotation_stiffness: float,
         augment: bool,
     ):
+        super().__init__(name, surface)
         self._columns = support.columns if support else {}
         self._normal = None if normal is None else Amplitude(f"{name}, normal", normal, 1)
         self._stiffness, self._rotation_stiffness, self.augment = stiffness, rotation_stiffness, augment
-        super().__init__(name, surface, layout, basis, comm)
-        self._springs = self._make_springs()
-        self.multiplier: np.ndarray = np.zeros((len(surface), layout.block))
+        self.proportional = not augment
         self.reaction: tuple[np.ndarray, np.ndarray] | None = None
         self.gap: np.ndarray = np.zeros(0)
+
+    def attach(self, layout: Layout, comm: MPI.Comm) -> None:
+        super().attach(layout, comm)
+        self._springs = self._make_springs()
+        self.multiplier: np.ndarray = np.zeros((len(self.surface), layout.block))
 
     def make_form(self) -> SurfaceForm:
         return Penalty(self.layout)

@@ -1,63 +1,59 @@
-"""Terms of conditions on surfaces that don't follow the grid.
+"""Terms on surfaces that the body carries: one's own by an energy in UFL, and what tractions and supports
+share.
 
-A surface's points are carried by the body: at each converged step they move with the interpolated increments,
-and so do the deformation gradient and the rotation there. Between two resets their weighting functions stay:
-the standard ones (or the splines) of the cell behind the point.
+At each converged step a surface's points move with the interpolated increments, and so do the deformation
+gradient and the rotation there. Between two resets their weighting functions stay: those of the cell behind
+the point.
 
 A surface has few points: every rank has all of their state, and each point's forces are summed on one rank.
 """
 
 from __future__ import annotations
 
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
 from mpi4py import MPI
 
 import numpy as np
 
-from ..basis.lattice import cell_weights
 from ..errors import InputError
+from ..forms.surfaceenergy import SurfaceEnergyForm, SurfacePoint
 from ..forms.surfaces import SurfaceForm
-from ..geometry.grid import Grid
 from ..geometry.surfaces import Surface
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
-from .base import Boxes, Term
+from .base import Carried, Piece, Setting, Term
 
-_INWARD = 1e-6  # cells: a point on a plane of the grid belongs to the cell behind it, against its normal
-_AHEAD = (
-    0.5,
-    1.0,
-)  # cells by which a face may lie ahead of those that material points reach: at first, later
 _HISTORY = ("u", "F", "theta", "q")
 
 
-class SurfaceTerm:
-    """Forces of a condition's points on this rank between two resets; implements `nodalterms.Term`."""
+class SurfacePiece(Piece):
+    """Forces of a surface's points on this rank between two resets."""
 
-    external = True
-
-    def __init__(self, condition: SurfaceCondition, rows: np.ndarray, boxes: Boxes, table: np.ndarray):
-        """table: values and gradients (1/m) of the weighting functions at the points, (m, 1 + d, n)."""
-        self.condition, self.rows, self.boxes = condition, rows, boxes
-        layout, self.name = condition.layout, condition.name
-        self.symmetric, self.linear = condition.form.symmetric, condition.linear
-        b, d = layout.block, layout.dim
+    def __init__(self, term: SurfaceCondition, carried: Carried):
+        self.term, self.rows, self.boxes = term, carried.rows, carried.boxes
+        layout, self.name, self.carried, self.external = term.layout, term.name, term.carried, term.external
+        self.symmetric, self.linear = term.form.symmetric, term.linear
+        b, d, table = layout.block, layout.dim, carried.table
         self.pairs = np.stack(np.divmod(np.arange(b * b), b), axis=1)
         m, _, n = table.shape
-        self._map = np.zeros((m, condition.form.size, n, b))  # from nodal increments to y
+        self._map = np.zeros((m, term.form.size, n, b))  # from nodal increments to y
         for i in range(b):
             self._map[:, i, :, i] = table[:, 0]
         for i in range(d):
             for j in range(d):
                 self._map[:, b + d * i + j, :, i] = table[:, 1 + j]
-        self._map = self._map.reshape(m, condition.form.size, n * b)
-        self._area = condition.surface.area[rows]
+        self._map = self._map.reshape(m, term.form.size, n * b)
+        self._area = term.surface.area[self.rows]
 
     def _y(self, x: np.ndarray) -> np.ndarray:
         return np.einsum("myk,mk->my", self._map, x.reshape(len(x), self._map.shape[2]))
 
     def _blocks(self, x: np.ndarray) -> np.ndarray:
-        return self.condition.evaluate(self._y(x), self.rows) * self._area[:, None]
+        return self.term.evaluate(self._y(x), self.rows) * self._area[:, None]
 
     def forces(self, x: np.ndarray) -> np.ndarray:
         residual = self._blocks(x)[:, : self._map.shape[1]]
@@ -71,62 +67,84 @@ class SurfaceTerm:
         return dense.reshape(m, n, b, n, b).transpose(0, 1, 3, 2, 4).reshape(m, n, n, b * b)
 
     def commit(self, x: np.ndarray) -> None:
-        """Take note of a converged step's increments (m, n, b). Collective."""
-        self.condition.commit(self._y(x), self.rows)
+        self.term.commit(self._y(x), self.rows)
 
 
-class SurfaceCondition:
-    """A traction or a support on a surface, and how the body has carried it; makes terms at resets.
+class SurfaceCondition(Term):
+    """What acts on a surface, and how the body has carried it.
 
     Attributes:
         u: displacement (m), (n, d); F: deformation gradient (n, d, d); theta: sum of the rotation increments
             (rad), (n, r); q: rotation (n, 4), of the last converged state.
         committed: it has taken part in a converged step.
+        external: its forces count as loads.
+        linear: its tangent doesn't change between two resets.
     """
 
-    linear = True
+    linear: bool = True
+    external: bool = True
+    form: SurfaceForm
+    u: np.ndarray
+    F: np.ndarray
+    theta: np.ndarray
+    q: np.ndarray
 
-    def __init__(self, name: str, surface: Surface, layout: Layout, basis: str, comm: MPI.Comm):
+    def __init__(self, name: str, surface: Surface):
+        super().__init__()
         if not isinstance(surface, Surface):
             raise InputError(f"{name}: surface = {surface!r} is not a Surface")
-        if surface.dim != layout.dim:
-            raise InputError(f"{name}: the surface has {surface.dim} dimensions, the grid has {layout.dim}")
-        self.name, self.surface, self.layout, self.comm = name, surface, layout, comm
-        self.basis = "bspline" if basis == "bspline" else "mpm"
-        self.form = self.make_form()
+        self.name, self.surface = name, surface
+        self.committed, self._released, self._carrying = False, False, False
         self._kernel: Kernel | None = None
+        self._at: dict[str, np.ndarray] = {}  # the history at the last reset or rotation base
+        self._data: list[np.ndarray] = []
+
+    def attach(self, layout: Layout, comm: MPI.Comm) -> None:
+        surface = self.surface
+        if surface.dim != layout.dim:
+            raise InputError(
+                f"{self.name}: the surface has {surface.dim} dimensions, the grid has {layout.dim}"
+            )
+        self.layout, self.comm = layout, comm
+        self.form = self.make_form()
         n, d = len(surface), layout.dim
         self.u, self.F = np.zeros((n, d)), np.tile(np.eye(d), (n, 1, 1))
         self.theta, self.q = np.zeros((n, layout.rotations)), rotations.identity(n)
-        # at the last reset or rotation base
         self._at = {name: getattr(self, name).copy() for name in _HISTORY}
-        self.committed, self._released, self._carrying = False, False, False
 
     # what conditions differ in ------------------------------------------------------------------------
+    @abstractmethod
     def make_form(self) -> SurfaceForm:
         """The virtual work at a point."""
-        raise NotImplementedError
 
+    @abstractmethod
     def values(self, factor: float) -> list[np.ndarray]:
         """The form's data at all points, each (n, size), at a load factor."""
-        raise NotImplementedError
 
     def converged(self, y: np.ndarray) -> None:
         """A step has converged with increments y (n, size)."""
 
     # between two resets -------------------------------------------------------------------------------
+    @property
+    def displacement(self) -> np.ndarray:
+        """Displacement (m) when increments began to count, (n, d)."""
+        return self._at["u"]
+
+    @property
+    def deformation(self) -> np.ndarray:
+        """Deformation gradient then, (n, d, d)."""
+        return self._at["F"]
+
     def begin(self) -> None:
-        """A reset: increments count from the present state."""
         self.rebase_rotations()
         self._at["u"], self._at["F"] = self.u.copy(), self.F.copy()
 
     def rebase_rotations(self) -> None:
-        """Rotation increments count from the present rotations."""
         self._at["theta"], self._at["q"] = self.theta.copy(), self.q.copy()
 
     def set_factor(self, factor: float, carrying: bool = False) -> None:
-        """Put the values of a load factor in; `carrying`: for forces to be carried along, to which what
-        hasn't taken part in a converged step doesn't belong."""
+        """See `Term`; what hasn't taken part in a converged step doesn't belong to forces that are
+        carried."""
         self._carrying, self._released = carrying, carrying and not self.committed
         self._data = self.values(factor)
 
@@ -140,49 +158,11 @@ class SurfaceCondition:
     def _outputs(self) -> int:
         return self.form.size * (1 + self.form.size)
 
-    def terms(self, grid: Grid, reached: np.ndarray) -> list[Term]:
-        """See `nodalterms.TermSource`.
-
-        Raises:
-            InputError: a point lies outside of the body, naming it.
-        """
+    def pieces(self, setting: Setting) -> list[Piece]:
+        """Raises InputError where a point lies outside of the body, naming it."""
         if self._kernel is None:
             self._kernel = self.form.compile(self.comm)
-        x = self.surface.x + self._at["u"]
-        owner, cells = self._find(grid, x, reached)
-        rows = np.flatnonzero(owner == self.comm.rank)
-        table = cell_weights(self.basis, grid, x[rows], cells[rows])
-        count = (3 if self.basis == "bspline" else 2,) * grid.dim
-        return [SurfaceTerm(self, rows, Boxes(count, grid.node_number(cells[rows])), table)]
-
-    def _find(self, grid: Grid, x: np.ndarray, reached: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rank (n,) and lattice index (n, d) of the cell that weights each point at x: the nearest of those
-        that material points reach."""
-        turned = np.linalg.solve(np.swapaxes(self._at["F"], 1, 2), self.surface.normal[:, :, None])[:, :, 0]
-        normal = turned / np.linalg.norm(turned, axis=1, keepdims=True)
-        size = self.comm.size
-        xi = grid.local(x) - _INWARD * normal
-        around = np.stack(np.unravel_index(np.arange(3**grid.dim), (3,) * grid.dim), axis=-1) - 1
-        index = np.floor(xi).astype(np.int64)[:, None] + around
-        inside = np.all((index >= 0) & (index < np.array(grid.shape)), axis=2)
-        here = inside & np.isin(grid.cell_number(index), reached)
-        lowest = np.where(here, self.comm.rank, size)
-        self.comm.Allreduce(MPI.IN_PLACE, lowest, op=MPI.MIN)
-        beyond = np.maximum(np.maximum(index - xi[:, None], xi[:, None] - index - 1), 0.0)
-        distance = np.where(lowest < size, np.linalg.norm(beyond, axis=2), np.inf)
-        nearest = np.argmin(distance, axis=1)
-        every = np.arange(len(x))
-        owner, cells = lowest[every, nearest], index[every, nearest]
-        limit = _AHEAD[self.committed]
-        owner[distance[every, nearest] > limit] = size
-        if np.any(owner == size):
-            at = int(np.argmax(owner == size))
-            raise InputError(
-                f"{self.name}: surface point {at} at {tuple(float(round(c, 9)) for c in x[at])} lies outside "
-                f"of the body ({np.sum(owner == size)} in all): no material point reaches a cell that is "
-                f"less than {limit:g} cells away"
-            )
-        return owner, cells
+        return [SurfacePiece(self, setting.carry(self))]
 
     def commit(self, y: np.ndarray, rows: np.ndarray) -> None:
         """Move the points with the increments y (m, size) of those on this rank. Collective."""
@@ -202,16 +182,10 @@ class SurfaceCondition:
 
     # restart ------------------------------------------------------------------------------------------
     def state(self) -> dict[str, np.ndarray]:
-        """All that a restart needs, the same on every rank."""
         now = {name: getattr(self, name) for name in _HISTORY}
         return {**now, **{f"{name}_at": a for name, a in self._at.items()}}
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """Put in what `state` gave.
-
-        Raises:
-            InputError: it is of another surface.
-        """
         for name, old in self.state().items():
             found = np.shape(arrays[name]) if name in arrays else None
             if found != old.shape:
@@ -222,3 +196,73 @@ class SurfaceCondition:
             setattr(self, name, np.array(arrays[name], dtype=float))
             self._at[name] = np.array(arrays[f"{name}_at"], dtype=float)
         self.committed = True
+
+
+class SurfaceTerm(SurfaceCondition):
+    """A contribution of one's own on a surface, by an energy per undeformed area in UFL; for `problem.add`.
+
+    Derive from it and give `energy`, or `virtual_work` where there is no energy; residual and tangent are
+    derived. It acts on a `Surface` of material points, with both assemblies, and on `elements.surface(...)`.
+
+        class Winkler(pm.SurfaceTerm):
+            def energy(self, at, p):
+                return p.k / 2 * ufl.dot(at.u, at.normal) ** 2
+
+        problem.add(Winkler("foundation", surface, {"k": 1e6}))  # Pa/m
+
+    Args:
+        name: for messages.
+        surface: where it acts.
+        numbers: the p.name of the energy: numbers, or arrays (n,) with one for each of the surface's points.
+            Changing them compiles nothing.
+
+    Raises:
+        InputError: not a surface; a number that isn't finite or an array of another length; when it is added:
+            a surface of another dimension, an energy that isn't a scalar.
+    """
+
+    linear = False
+    external = True
+
+    def __init__(self, name: str, surface: Surface, numbers: Mapping[str, Any] | None = None):
+        super().__init__(name, surface)
+        self.numbers = dict(numbers or {})
+        self._check_numbers()
+
+    def _check_numbers(self) -> None:
+        for key, value in self.numbers.items():
+            try:
+                array = np.asarray(value, dtype=float)
+            except (TypeError, ValueError):
+                raise InputError(f"{self.name}: {key} = {value!r} is not a number") from None
+            if array.shape not in ((), (len(self.surface),)):
+                raise InputError(
+                    f"{self.name}: {key} has the shape {array.shape}; a number, or one for each of the "
+                    f"{len(self.surface)} points, is needed"
+                )
+            if not np.all(np.isfinite(array)):
+                raise InputError(f"{self.name}: {key} = {value!r}: finite numbers are allowed")
+
+    def energy(self, at: SurfacePoint, p: Any) -> Any:
+        """Energy per undeformed area (J/m^2) in UFL, of the point `at` and the numbers p.name."""
+        raise NotImplementedError
+
+    def virtual_work(self, at: SurfacePoint, p: Any) -> Any:
+        """What it adds to the internal virtual work per undeformed area, linear in `at.variation`."""
+        raise NotImplementedError
+
+    def make_form(self) -> SurfaceForm:
+        kind = type(self)
+        conservative = kind.energy is not SurfaceTerm.energy
+        if conservative == (kind.virtual_work is not SurfaceTerm.virtual_work):
+            raise InputError(f"{self.name}: {kind.__name__} needs one of energy and virtual_work")
+        function = self.energy if conservative else self.virtual_work
+        return SurfaceEnergyForm(self.layout, function, list(self.numbers), conservative)
+
+    def values(self, factor: float) -> list[np.ndarray]:
+        n = len(self.surface)
+        theta = self._at["theta"] if self.layout.rotations else np.zeros((n, 1))
+        numbers = [np.broadcast_to(np.asarray(v, dtype=float), (n,)) for v in self.numbers.values()]
+        columns = np.column_stack(numbers) if numbers else np.zeros((n, 1))
+        before = self._at["F"].reshape(n, -1)
+        return [self.surface.x, self.surface.normal, self._at["u"], before, theta, columns]

@@ -95,22 +95,51 @@ def mesh_quadrature(mesh: Any, degree: int) -> tuple[np.ndarray, np.ndarray]:
 
     The geometry is linear (simplices, quadrilaterals, hexahedra).
     """
-    import basix
-
     dim = mesh.topology.dim
     name = cell_name(mesh)
-    kind = getattr(basix.CellType, name)
     xi, weight = _quadrature(name, degree)
-    geometry = basix.create_element(basix.ElementFamily.P, kind, 1, basix.LagrangeVariant.equispaced)
-    table = np.asarray(geometry.tabulate(1, xi))[:, :, :, 0]  # [value, d/dxi_1, ...][point][node]
+    table = tabulate(name, 1, xi)
     own = mesh.topology.index_map(dim).size_local
-    dofmap = mesh.geometry.dofmap
-    nodes = np.asarray(dofmap.array if hasattr(dofmap, "array") else dofmap).reshape(-1, table.shape[2])[:own]
-    corner = mesh.geometry.x[nodes][:, :, :dim]
+    corner = mesh.geometry.x[cell_geometry(mesh)[:own]][:, :, :dim]
     x = np.einsum("pn,cnd->cpd", table[0], corner)
     jacobian = np.einsum("jpn,cni->cpij", table[1:], corner)
     volume = np.abs(np.linalg.det(jacobian)) * weight
     return x.reshape(-1, dim), volume.ravel()
+
+
+def tabulate(cell: str, degree: int, xi: np.ndarray) -> np.ndarray:
+    """Lagrange functions and their derivatives at positions (q, d) of the reference cell, (1 + d, q,
+    nodes)."""
+    import basix
+
+    kind = getattr(basix.CellType, cell)
+    element = basix.create_element(basix.ElementFamily.P, kind, degree, basix.LagrangeVariant.equispaced)
+    return np.asarray(element.tabulate(1, xi))[:, :, :, 0]
+
+
+def cell_geometry(mesh: Any) -> np.ndarray:
+    """Rows of `mesh.geometry.x` of this rank's cells, ghosts included, (cells, nodes)."""
+    listed = mesh.geometry.dofmap
+    table = np.asarray(listed.array if hasattr(listed, "array") else listed)
+    topology = mesh.topology
+    cells = topology.index_map(topology.dim)
+    return table.reshape(cells.size_local + cells.num_ghosts, -1) if table.size else table.reshape(0, 1)
+
+
+def facet_quadrature(cell: str, facet: int, degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A rule on a facet of the reference cell: positions (q, d) and weights (q,); and the facet's outward
+    normal (d,), as long as the size that the weights are relative to."""
+    import basix
+
+    kind = getattr(basix.CellType, cell)
+    corners, dim = np.asarray(basix.geometry(kind)), len(basix.topology(kind)) - 1
+    own = corners[basix.topology(kind)[dim - 1][facet]]
+    edges = own[1:dim] - own[0]
+    names = {1: "interval", 2: "quadrilateral" if len(own) == 4 else "triangle"}
+    xi, weight = _quadrature(names[dim - 1], degree)
+    normal = np.array([edges[0][1], -edges[0][0]]) if dim == 2 else np.cross(*edges)
+    outward = np.sign(normal @ (own.mean(axis=0) - corners.mean(axis=0)))
+    return own[0] + xi @ edges, weight, outward * normal
 
 
 # finite elements --------------------------------------------------------------------------------

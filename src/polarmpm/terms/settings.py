@@ -1,0 +1,147 @@
+"""What terms are handed when increments begin to count: the functions of a grid, or of a mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..basis.base import Weights
+from ..basis.lattice import cell_weights
+from ..bodies.elements import Elements
+from ..bodies.facets import FacetSurface
+from ..bodies.points import Points
+from ..errors import InputError
+from ..geometry.grid import Grid
+from ..kinematics.layout import Layout
+from .base import Boxes, Carried, Places, Setting
+
+_INWARD = 1e-6  # cells: a point on a plane of the grid belongs to the cell behind it, against its normal
+# cells by which a face may lie ahead of those that material points reach: at first, later
+_AHEAD = (0.5, 1.0)
+
+
+class GridSetting(Setting):
+    """A reset of the grid.
+
+    Args:
+        reached: gives the lattice numbers, ascending, of the cells that this rank's points reach.
+
+    Attributes:
+        grid, basis: the lattice, and the name of its functions.
+        points: the body.
+        weights: of the points.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        basis: str,
+        layout: Layout,
+        points: Points,
+        weights: Weights,
+        reached: Callable[[], np.ndarray],
+    ):
+        self.grid, self.basis, self.layout, self.comm = grid, basis, layout, grid.comm
+        self.points, self.weights, self._reached = points, weights, reached
+
+    @cached_property
+    def reached(self) -> np.ndarray:
+        """Lattice numbers, ascending, of the cells that this rank's points reach."""
+        return self._reached()
+
+    def node_volumes(self) -> tuple[np.ndarray, np.ndarray]:
+        numbers, weight = self.weights.products(self.grid)
+        nodes, at = np.unique(numbers, return_inverse=True)
+        shares = (weight * self.points.volume0[:, None]).ravel()
+        volumes = np.bincount(at.ravel(), shares, minlength=len(nodes)).astype(float)
+        return nodes[volumes != 0.0], volumes[volumes != 0.0]
+
+    def carry(self, places: Places) -> Carried:
+        owner, cells = self._find(places)
+        rows = np.flatnonzero(owner == self.comm.rank)
+        x = places.surface.x[rows] + places.displacement[rows]
+        basis = "bspline" if self.basis == "bspline" else "mpm"
+        count = (3 if basis == "bspline" else 2,) * self.grid.dim
+        table = cell_weights(basis, self.grid, x, cells[rows])
+        return Carried(rows, Boxes(count, self.grid.node_number(cells[rows])), table)
+
+    def _find(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
+        """Rank (n,) and lattice index (n, d) of the cell that weights each place: the nearest of those that
+        material points reach."""
+        grid, size, x = self.grid, self.comm.size, places.surface.x + places.displacement
+        normal = places.surface.normal[:, :, None]
+        turned = np.linalg.solve(np.swapaxes(places.deformation, 1, 2), normal)[:, :, 0]
+        xi = grid.local(x) - _INWARD * turned / np.linalg.norm(turned, axis=1, keepdims=True)
+        around = np.stack(np.unravel_index(np.arange(3**grid.dim), (3,) * grid.dim), axis=-1) - 1
+        index = np.floor(xi).astype(np.int64)[:, None] + around
+        inside = np.all((index >= 0) & (index < np.array(grid.shape)), axis=2)
+        here = inside & np.isin(grid.cell_number(index), self.reached)
+        lowest = np.where(here, self.comm.rank, size)
+        self.comm.Allreduce(MPI.IN_PLACE, lowest, op=MPI.MIN)
+        beyond = np.maximum(np.maximum(index - xi[:, None], xi[:, None] - index - 1), 0.0)
+        distance = np.where(lowest < size, np.linalg.norm(beyond, axis=2), np.inf)
+        nearest = np.argmin(distance, axis=1)
+        every = np.arange(len(x))
+        owner, cells = lowest[every, nearest], index[every, nearest]
+        limit = _AHEAD[places.committed]
+        owner[distance[every, nearest] > limit] = size
+        if np.any(owner == size):
+            at = int(np.argmax(owner == size))
+            raise InputError(
+                f"{places.name}: surface point {at} at {tuple(float(round(c, 9)) for c in x[at])} lies "
+                f"outside of the body ({np.sum(owner == size)} in all): no material point reaches a cell that "
+                f"is less than {limit:g} cells away"
+            )
+        return owner, cells
+
+
+@dataclass(frozen=True)
+class MeshNodes:
+    """Sets of a mesh's nodes.
+
+    Attributes:
+        table: local rows (m, n).
+    """
+
+    table: np.ndarray
+
+    def rows(self, nodes: object) -> np.ndarray:
+        """Local rows of the nodes (m, n)."""
+        return self.table
+
+
+class MeshSetting(Setting):
+    """The start of a load step of finite elements, whose increments count from the last converged state.
+
+    Attributes:
+        elements: the body.
+    """
+
+    def __init__(self, elements: Elements):
+        self.elements, self.layout, self.comm = elements, elements.layout, elements.comm
+
+    def node_volumes(self) -> tuple[np.ndarray, np.ndarray]:
+        e = self.elements
+        nodes = e.cell_nodes[: len(e.body.owned_cells)]
+        of_cells = e.points.volume0.reshape(len(nodes), -1).sum(axis=1)
+        share = np.repeat(of_cells / nodes.shape[1], nodes.shape[1])
+        volumes = np.bincount(nodes.ravel(), share, minlength=len(e.nodes)).astype(float)
+        at = np.flatnonzero(volumes)
+        return at, volumes[at]
+
+    def carry(self, places: Places) -> Carried:
+        surface = places.surface
+        if not isinstance(surface, FacetSurface) or surface.elements is not self.elements:
+            raise InputError(
+                f"{places.name}: the surface is not made of facets of this mesh; use elements.surface(...)"
+            )
+        rows, table = surface.rows, surface.table.copy()
+        # d(.)/dX -> d(.)/dx~
+        back = np.linalg.inv(places.deformation[rows])
+        table[:, 1:] = np.einsum("mjn,mji->min", surface.table[:, 1:], back)
+        return Carried(rows, MeshNodes(surface.nodes), table)
