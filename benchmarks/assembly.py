@@ -1,8 +1,7 @@
 """What an evaluation at the points costs: kernel, residual, residual with tangent, set-up, empty space.
 
-The curved cantilever at 1 m cells, its points moved off the lattice so that GIMPM domains cross cells as
-they do after some steps. Prints microseconds a point (the least of many calls; machines are noisy) and
-writes JSON.
+The curved cantilever at 1 m cells, its points moved off the lattice so that GIMPM domains cross cells as they
+do after some steps. Prints microseconds a point (the least of many calls: machines are noisy), writes JSON.
 """
 
 import argparse

@@ -1,9 +1,8 @@
 """Plane-strain cantilever under an end force for two bending lengths: the size effect. SI units.
 
-Thesis 3.5.2, paper 4.2. 10 x 1 m, 50 kN shared by the last plane of points, initially perpendicular. Case
-(a),
-l_b = 0.1 m, bends until it carries the load in tension and stiffens; case (b), l_b = 1 m, is much stiffer and
-nearly linear.
+Thesis 3.5.2, paper 4.2. 10 x 1 m, 50 kN shared by the last plane of points, initially perpendicular.
+Case (a), l_b = 0.1 m, bends until it carries the load in tension and stiffens; case (b), l_b = 1 m, is much
+stiffer and nearly linear.
 """
 
 from mpi4py import MPI

@@ -1,5 +1,4 @@
-"""Manufactured solution in the unit cube: orders of convergence of displacement, rotation and stresses. SI
-units.
+"""Manufactured solution in the unit cube: orders of convergence of all fields. SI units.
 
 All components of displacement and rotation are sin(2 pi X) sin(2 pi Y) sin(2 pi Z) / 30; UFL derives the body
 force and couple that belong to them. Points at the Gauss positions, standard basis, one load step: without

@@ -1,6 +1,7 @@
 #!/bin/sh
 # Style and types. ruff and mypy are pinned and live in a virtual environment of their own, so that what they say
 # doesn't depend on the machine.
+#   scripts/lint.sh [style] [format] [types]   (all of them by default)
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -20,7 +21,13 @@ if ! cmp -s scripts/lint-requirements.txt "$venv/installed.txt"; then
 fi
 
 status=0
-"$venv/bin/ruff" check . || status=1
-"$venv/bin/ruff" format --check . || status=1
-"$venv/bin/mypy" || status=1
+[ $# -gt 0 ] || set -- style format types
+for check in "$@"; do
+  case $check in
+    style) "$venv/bin/ruff" check . || status=1 ;;
+    format) "$venv/bin/ruff" format --check . || status=1 ;;
+    types) "$venv/bin/mypy" || status=1 ;;
+    *) echo "lint: $check: allowed are style, format, types" >&2 && exit 2 ;;
+  esac
+done
 exit $status

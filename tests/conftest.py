@@ -62,8 +62,7 @@ def by_id(points: pm.Points, values: np.ndarray) -> np.ndarray:
 
 
 def assert_repeated(found: Any, expected: Any, name: str = "", tolerance: float = 1e-9) -> None:
-    """The same digits on one rank; on several, direct solvers don't repeat their sums to the last digit.
-    Collective."""
+    """The same digits on one rank; on several, direct solvers don't repeat their sums. Collective."""
     if COMM.size == 1:
         np.testing.assert_array_equal(found, expected, err_msg=name)
     else:

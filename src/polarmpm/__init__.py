@@ -37,7 +37,7 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module 'polarmpm' has no attribute {name!r}")
 
 
-__version__ = "0.1.0"
+__version__ = "0.1.0"  # the one place that states it; read without an import when the package is built
 
 __all__ = [
     "PUBLISHED",

@@ -81,8 +81,8 @@ def one_by_one(index: np.ndarray, weight: np.ndarray, ranks: int) -> np.ndarray:
 @pytest.mark.parametrize("ranks", [2, 3, 7, 64])
 @pytest.mark.parametrize("body", BODIES)
 def test_bisection_is_that_of_sorting_everything(body, ranks):
-    """Cells spread over the ranks at random, some on several of them, or in slices, get what a sort of all
-    gives."""
+    """Cells that are spread over the ranks at random, some on several of them, or in slices: the result is
+    that of sorting them all."""
     index = BODIES[body]
     random = np.random.default_rng(3)
     weight = random.integers(1, 9, len(index))
@@ -287,8 +287,7 @@ def test_points_that_move_take_everything_along(case, monkeypatch):
 
 
 def measures(problem: pm.QuasiStatic) -> dict[str, float]:
-    """Most points, owned nodes and matrix entries of a rank over the mean, and the share of ghost nodes.
-    Collective."""
+    """Most points, owned nodes and entries of a rank over the mean; share of ghost nodes. Collective."""
     nodes = problem.system.nodes
     mine = {"points": len(problem.points), "nodes": nodes.owned, "ghosts": len(nodes) - nodes.owned}
     mine["entries"] = problem.system.pattern.owned_entries

@@ -64,7 +64,7 @@ def draw(dim: int, seed: int = 0) -> dict[str, np.ndarray]:
 
 
 def inputs(form: PointForm, s: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(z, state, parameters) of the kernels as `pointforms` defines them."""
+    """(z, state, parameters) of the kernels as `forms.points` defines them."""
     d, n, material = form.layout.dim, POINTS, form.material
     q = rotations.from_vector(s["vector"])
     Q = np.array([rotation(v) for v in s["vector"]])

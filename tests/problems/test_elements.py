@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import polarmpm as pm
 from polarmpm.kinematics import rotations
-from polarmpm.study import manufactured
 from tests.assembly.test_system import SHAPES, collected, polar_vector
 from tests.assembly.test_system import residual_at as residual_of_points
 from tests.assembly.test_system import tangent_at as tangent_of_points
@@ -39,8 +36,6 @@ from tests.helpers.bodies import (
     residual_at,
     tangent_at,
 )
-
-DEMOS = Path(__file__).parents[2] / "demos"
 
 # the same material for points and for elements ------------------------------------------------------
 ONE_CELL = [
@@ -334,69 +329,3 @@ def test_units_of_length_do_not_matter(kind, strict):
     assert abs(answers[0]).max() > 0.05
     for other in answers[1:]:
         np.testing.assert_allclose(other, answers[0], rtol=0, atol=1e-9 * abs(answers[0]).max())
-
-
-# published problems --------------------------------------------------------------------------------
-def demo_module(name):
-    spec = importlib.util.spec_from_file_location(name, DEMOS / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def manufactured_errors(cells, degree, gamma):
-    demo = demo_module("manufactured_solution")
-    moduli = {**demo.MATERIAL.parameters(), "gamma": gamma, "beta": gamma}
-    material = pm.MicropolarElastic(**moduli)
-    exact = manufactured.Solution(material, demo.field, demo.field, COMM)
-    body = pm.Elements(box("hexahedron", (cells,) * 3), material=material, degree=degree)
-    problem = pm.QuasiStaticFEM(body)
-    problem.fix(body.facets(everywhere), u=0, theta=0)
-    problem.body_load(
-        force=lambda t, X: t * exact.sources(X)[:, :3], couple=lambda t, X: t * exact.sources(X)[:, 3:]
-    )
-    list(problem.march(1))
-    return exact.errors(problem)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("degree", "gamma", "ladder", "least"),
-    [
-        pytest.param(1, 50.0, (4, 8, 16), (1.9, 1.7, 1.0, 1.3), id="1-published"),
-        pytest.param(2, 50.0, (4, 8), (2.9, 1.5, 1.9, 0.8), id="2-published"),
-        pytest.param(1, 1e9, (4, 8, 12), (1.95, 1.95, 1.0, 1.0), id="1-long"),
-        pytest.param(2, 1e9, (4, 8), (2.9, 2.9, 1.9, 1.9), id="2-long"),
-    ],
-)
-def test_manufactured_solution_orders(degree, gamma, ladder, least, capsys):
-    """T 3.5.1: displacement and rotation converge with order degree + 1, stresses with order degree.
-
-    The published length sqrt(gamma / kappa) is 0.1 mm, cells are a thousand times as large: there rotations
-    follow the gradient of displacement, whose order is the degree. With a length of 0.5 m they have their
-    own. Ladders are multiples of 4, with which no point lies where a stress is zero.
-    """
-    errors = [manufactured_errors(cells, degree, gamma) for cells in ladder]
-    steps = list(itertools.pairwise(zip(ladder, errors, strict=True)))
-    for name, expected in zip(("displacement", "rotation", "stress", "couple_stress"), least, strict=True):
-        orders = [np.log(a[name] / b[name]) / np.log(n / m) for (m, a), (n, b) in steps]
-        with capsys.disabled():
-            row = "  ".join(f"{e[name]:.3e}" for e in errors)
-            print(f"\ndegree {degree} {name:>13}: {row}  orders {np.round(orders, 2)}", end="")
-        assert orders[-1] >= expected, (name, orders)
-
-
-@pytest.mark.slow
-def test_curved_cantilever():
-    """P 4.4 at 64 linear elements along the arch: the tip's displacement as computed by other means."""
-    material = pm.MicropolarElastic(lam=0.0, mu=5e6, kappa=50505.1, alpha=0.0, gamma=12.5e3, beta=37.5e3)
-    mesh = box("hexahedron", (64, 1, 1))
-    angle, radius, z = (mesh.geometry.x * [np.pi / 4, 1, 1] + [0, 99.5, 0]).T.copy()
-    mesh.geometry.x[:] = np.stack([radius * np.sin(angle), radius * np.cos(angle) - 100, z], axis=1)
-    body = pm.Elements(mesh, material=material)
-    problem = pm.QuasiStaticFEM(body)
-    problem.fix(pm.plane(x=0.0), u=0, theta=0)
-    tip = body.farthest((1, -1, 0))
-    problem.load(tip, force=(0, 0, 600.0))
-    list(problem.march(15))
-    np.testing.assert_allclose(body.mean_displacement(tip), (-14.40, 8.52, 43.40), atol=0.01)

@@ -1,6 +1,6 @@
 """1, 2 and 3 ranks give the same displacements, and the same errors; nobody waits for ever.
 
-This file is also the script that the ranks run: `mpirun -n 2 python test_parallel.py CASE OUTPUT`.
+This file is also the script that the ranks run: `mpirun -n 2 python test_points_on_ranks.py CASE OUTPUT`.
 """
 
 from __future__ import annotations

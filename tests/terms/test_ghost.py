@@ -1,5 +1,4 @@
-"""Ghost penalty: its form, its faces, what it does to the tangent, and that it does nothing to linear
-fields."""
+"""Ghost penalty: its form, its faces, what it does to the tangent, nothing to linear fields."""
 
 from __future__ import annotations
 
@@ -45,8 +44,7 @@ def faces_of(grid: pm.Grid, cells: Any) -> list[set[tuple[int, ...]]]:
 @pytest.mark.parametrize("cell", [(1.0, 1.0), (0.5, 0.2), (1.0, 1.0, 1.0), (0.5, 0.2, 0.3)])
 def test_stencil_in_closed_form(cell):
     """The jump of the normal derivative of the tent functions is (1, -2, 1) / h_n, times the mass matrix of
-    the
-    face: the tensor product that T (2.59) comes to on a lattice."""
+    the face: the tensor product that T (2.59) comes to on a lattice."""
     tent, mass = np.array([1.0, -2.0, 1.0]), np.array([[2.0, 1.0], [1.0, 2.0]]) / 6
     for axis in range(len(cell)):
         for power in (1, 3):
@@ -141,8 +139,7 @@ def test_faces_of_a_body_in_the_plane():
 
 
 def test_faces_of_a_body_in_space():
-    """A block of 3 x 3 x 3 cells has one inner cell; a face between two cells always touches a boundary
-    cell."""
+    """A block of 3 x 3 x 3 cells has one inner cell; every inner face touches a boundary cell."""
     grid = pm.Grid.box((0, 0, 0), (5, 5, 5), 1.0)
     faces = faces_of(grid, [(i, j, k) for i in (1, 2, 3) for j in (1, 2, 3) for k in (1, 2, 3)])
     assert [len(f) for f in faces] == [18, 18, 18]

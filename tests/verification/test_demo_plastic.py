@@ -2,13 +2,11 @@
 
 import argparse
 import csv
-import importlib.util
 import json
 import math
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 from mpi4py import MPI
 
@@ -19,18 +17,9 @@ from scipy.integrate import quad
 from scipy.special import iv
 
 import polarmpm as pm
+from tests.helpers.demos import DEMOS, demo_module
 
-DEMOS = Path(__file__).parents[2] / "demos"
-
-
-def demo(name):
-    spec = importlib.util.spec_from_file_location(name, DEMOS / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-shear, wires = demo("shear_layer"), demo("wire_torsion")
+shear, wires = demo_module("shear_layer"), demo_module("wire_torsion")
 # a weak zone that is the same for all grids, and splines, which resolve the band on the coarsest one
 OBJECTIVE = ["--basis", "bspline", "--zone", "0.0114", "--weakness", "0.02"]
 
