@@ -213,7 +213,7 @@ class Driven:
         if not self.material.micropolar:
             q = np.tile(np.eye(3), (len(f), 1, 1))
         tau, nu = elastic_law(self.material.elastic, q @ ue, ge, q, f)
-        return Solution(y.rows, y.apex, ue, ge, y.X[:, -2], y.X[:, -1], f, q, gamma, tau, nu)
+        return Solution(y.rows, y.region == 1, ue, ge, y.X[:, -2], y.X[:, -1], f, q, gamma, tau, nu)
 
     def advance(self, z: np.ndarray) -> tuple[Yielding, np.ndarray]:
         """A converged step; the points that yield and their dissipation."""
