@@ -24,12 +24,17 @@ from .terms.ghost import GhostPenalty
 if TYPE_CHECKING:
     from .materials.cones import DruckerPrager, VonMises
     from .materials.plastic import Plastic, UserPlasticity
+    from .materials.regions import ConeApex, Edge, Region, SmoothPart, YieldSurface
 
-_PLASTIC = {"DruckerPrager": "cones", "VonMises": "cones", "Plastic": "plastic", "UserPlasticity": "plastic"}
+_PLASTIC = {
+    **dict.fromkeys(("DruckerPrager", "VonMises"), "cones"),
+    **dict.fromkeys(("Plastic", "UserPlasticity"), "plastic"),
+    **dict.fromkeys(("ConeApex", "Edge", "Region", "SmoothPart", "YieldSurface"), "regions"),
+}
 
 
 def __getattr__(name: str) -> Any:
-    """Plastic materials, imported when a scene asks for one."""
+    """Plastic materials and their yield surfaces, imported when a scene asks for one."""
     if name in _PLASTIC:
         return getattr(importlib.import_module(f"{__name__}.materials.{_PLASTIC[name]}"), name)
     raise AttributeError(f"module 'polarmpm' has no attribute {name!r}")
@@ -39,8 +44,10 @@ __version__ = "0.1.0"
 
 __all__ = [
     "PUBLISHED",
+    "ConeApex",
     "Controls",
     "DruckerPrager",
+    "Edge",
     "Elements",
     "EverySteps",
     "Facets",
@@ -62,7 +69,9 @@ __all__ = [
     "QuasiStatic",
     "QuasiStaticFEM",
     "Recorder",
+    "Region",
     "Selection",
+    "SmoothPart",
     "Step",
     "Surface",
     "Table",
@@ -70,6 +79,7 @@ __all__ = [
     "UserPlasticity",
     "VonMises",
     "WhenDistorted",
+    "YieldSurface",
     "load_restart",
     "plane",
     "save_restart",

@@ -225,7 +225,7 @@ def test_stresses_do_the_work_of_tau_and_nu(dim, name):
 # consistent tangent ---------------------------------------------------------------------------------
 def tangent_errors(driven: Driven, z: np.ndarray, step: float = 4e-6) -> dict[str, np.ndarray]:
     """Largest difference of each point's tangent from differences of fourth order, relative to its largest
-    entry, of elastic points, and of those on the cone and at the apex in all of the states compared."""
+    entry, of elastic points, and of those on the same region (cone, apex) in all of the states compared."""
     _, a, y = driven.stress(z)
     kinds = [_kind(driven.n, y)]
     difference = np.zeros_like(a)
@@ -238,7 +238,8 @@ def tangent_errors(driven: Driven, z: np.ndarray, step: float = 4e-6) -> dict[st
             difference[:, :, j] += weight * near / (12 * step)
     same = np.all(np.array(kinds) == kinds[0], axis=0)
     error = np.abs(difference - a).max(axis=(1, 2)) / np.abs(a).max(axis=(1, 2))
-    return {name: error[same & (kinds[0] == k)] for k, name in enumerate(("elastic", "surface", "apex"))}
+    names = ("elastic", *(region.name for region in driven.form.regions))
+    return {name: error[same & (kinds[0] == k)] for k, name in enumerate(names)}
 
 
 def _kind(n: int, y: Any) -> np.ndarray:

@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..tools.checks import require, require_finite
 from .base import Material
 from .plastic import Continuation, Plastic, check_elastic, check_names
-from .regions import SPRING, ConeApex, Region, Smooth
+from .regions import SPRING, ConeApex, Region, SmoothPart
 
 _TIPS = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4)  # rounded tips over k, see `continuation`
 
@@ -130,7 +130,7 @@ class DruckerPrager(Plastic):
     @property
     def regions(self) -> tuple[Region, ...]:
         cone = self.surface
-        return (Smooth(cone), ConeApex(self, cone)) if self.has_apex else (Smooth(cone),)
+        return (SmoothPart(cone), ConeApex(self, cone)) if self.has_apex else (SmoothPart(cone),)
 
     def slopes(self, p: Any) -> tuple[Any, Any]:
         return p.friction, p.dilatancy

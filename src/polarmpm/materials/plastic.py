@@ -13,7 +13,7 @@ import ufl
 from ..errors import InputError
 from ..tools.checks import require, require_finite
 from .base import Material, check_material
-from .regions import Edge, Region, Smooth, YieldSurface
+from .regions import Edge, Region, SmoothPart, YieldSurface
 from .stiffness import stiffness_at_rest
 
 
@@ -44,7 +44,7 @@ class Plastic(Material):
         def regions(self):
             cone = YieldSurface("cone", self.cone, self.cone_potential)
             cut = YieldSurface("cut-off", self.cut_off)
-            return Smooth(cone), Smooth(cut), Edge(cone, cut)
+            return SmoothPart(cone), SmoothPart(cut), Edge(cone, cut)
 
     Attributes:
         elastic: the elastic part. A classical one has no couple stress: nu is zero.
@@ -119,7 +119,7 @@ class Plastic(Material):
 
     @property
     def regions(self) -> tuple[Region, ...]:
-        return (Smooth(self.surface),)
+        return (SmoothPart(self.surface),)
 
     @property
     def surface(self) -> YieldSurface:
@@ -257,7 +257,7 @@ class UserPlasticity(Plastic):
         flow = self.flow if isinstance(self.flow, Mapping) else {}
         surfaces = [YieldSurface(name, f, flow.get(name)) for name, f in self.function.items()]
         edges = [Edge(*meet) for n in (2, 3) for meet in combinations(surfaces, n)]
-        return (*map(Smooth, surfaces), *edges)
+        return (*map(SmoothPart, surfaces), *edges)
 
 
 def _by_name(argument: str, given: Any) -> dict[str, Any]:

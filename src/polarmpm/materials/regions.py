@@ -223,7 +223,7 @@ class Edge(Region):
         return [_sum(work) - s.hardening_work(), least]
 
 
-class Smooth(Edge):
+class SmoothPart(Edge):
     """The smooth part of one surface, T (4.57)-(4.60)."""
 
     def __init__(self, surface: YieldSurface):
