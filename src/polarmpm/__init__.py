@@ -7,10 +7,11 @@ from .bodies.elements import Elements, Facets
 from .bodies.points import Points, Selection
 from .bodies.seeding import seed, seed_mesh
 from .errors import InputError, KernelError, NotConserved, NotConverged, PointsOutsideGrid, PolarMPMError
+from .forms.stresses import MaterialField
 from .geometry.grid import Grid
 from .geometry.planes import plane
 from .geometry.surfaces import Surface
-from .io import Recorder, Table
+from .io import Field, Recorder, Table
 from .io.restart import load as load_restart
 from .io.restart import save as save_restart
 from .materials import Hencky, Material, MicropolarElastic, NeoHookean, UserEnergy
@@ -51,12 +52,14 @@ __all__ = [
     "Elements",
     "EverySteps",
     "Facets",
+    "Field",
     "GhostPenalty",
     "Grid",
     "Hencky",
     "InputError",
     "KernelError",
     "Material",
+    "MaterialField",
     "MicropolarElastic",
     "NeoHookean",
     "Never",
