@@ -7,10 +7,11 @@ from .bodies.elements import Elements, Facets
 from .bodies.points import Points, Selection
 from .bodies.seeding import seed, seed_mesh
 from .errors import InputError, KernelError, NotConserved, NotConverged, PointsOutsideGrid, PolarMPMError
+from .forms.stresses import MaterialField
 from .geometry.grid import Grid
 from .geometry.planes import plane
 from .geometry.surfaces import Surface
-from .io import Recorder, Table
+from .io import Field, Recorder, Table
 from .io.restart import load as load_restart
 from .io.restart import save as save_restart
 from .materials import Hencky, Material, MicropolarElastic, NeoHookean, UserEnergy
@@ -26,12 +27,17 @@ from .terms.surfaceterms import SurfaceTerm
 if TYPE_CHECKING:
     from .materials.cones import DruckerPrager, VonMises
     from .materials.plastic import Plastic, UserPlasticity
+    from .materials.regions import ConeApex, Edge, Region, SmoothPart, YieldSurface
 
-_PLASTIC = {"DruckerPrager": "cones", "VonMises": "cones", "Plastic": "plastic", "UserPlasticity": "plastic"}
+_PLASTIC = {
+    **dict.fromkeys(("DruckerPrager", "VonMises"), "cones"),
+    **dict.fromkeys(("Plastic", "UserPlasticity"), "plastic"),
+    **dict.fromkeys(("ConeApex", "Edge", "Region", "SmoothPart", "YieldSurface"), "regions"),
+}
 
 
 def __getattr__(name: str) -> Any:
-    """Plastic materials, imported when a scene asks for one."""
+    """Plastic materials and their yield surfaces, imported when a scene asks for one."""
     if name in _PLASTIC:
         return getattr(importlib.import_module(f"{__name__}.materials.{_PLASTIC[name]}"), name)
     raise AttributeError(f"module 'polarmpm' has no attribute {name!r}")
@@ -42,17 +48,21 @@ __version__ = "0.1.0"  # the one place that states it; read without an import wh
 __all__ = [
     "PUBLISHED",
     "Boxes",
+    "ConeApex",
     "Controls",
     "DruckerPrager",
+    "Edge",
     "Elements",
     "EverySteps",
     "Facets",
+    "Field",
     "GhostPenalty",
     "Grid",
     "Hencky",
     "InputError",
     "KernelError",
     "Material",
+    "MaterialField",
     "MicropolarElastic",
     "NeoHookean",
     "Never",
@@ -66,7 +76,9 @@ __all__ = [
     "QuasiStatic",
     "QuasiStaticFEM",
     "Recorder",
+    "Region",
     "Selection",
+    "SmoothPart",
     "Step",
     "Surface",
     "SurfaceTerm",
@@ -76,6 +88,7 @@ __all__ = [
     "UserPlasticity",
     "VonMises",
     "WhenDistorted",
+    "YieldSurface",
     "load_restart",
     "plane",
     "save_restart",

@@ -121,10 +121,10 @@ def yield_value(material: Any, tau: np.ndarray, nu: np.ndarray | None, chi: np.n
 # points ---------------------------------------------------------------------------------------------
 @dataclass
 class Solution:
-    """What the return mapping found, in the reference frame."""
+    """What the return mapping found, in the reference frame; `multiplier` is the sum of a region's."""
 
     rows: np.ndarray
-    apex: np.ndarray
+    region: np.ndarray
     ue: np.ndarray
     ge: np.ndarray
     chi: np.ndarray
@@ -134,6 +134,11 @@ class Solution:
     gamma: np.ndarray
     tau: np.ndarray
     nu: np.ndarray | None
+
+    @property
+    def apex(self) -> np.ndarray:
+        """Which of the points are at the cone's apex, its second region."""
+        return self.region == 1
 
 
 class Driven:
@@ -213,7 +218,9 @@ class Driven:
         if not self.material.micropolar:
             q = np.tile(np.eye(3), (len(f), 1, 1))
         tau, nu = elastic_law(self.material.elastic, q @ ue, ge, q, f)
-        return Solution(y.rows, y.apex, ue, ge, y.X[:, -2], y.X[:, -1], f, q, gamma, tau, nu)
+        column = self.form.hardening_column
+        chi, multiplier = y.X[:, column], y.X[:, column + 1 :].sum(axis=1)
+        return Solution(y.rows, y.region, ue, ge, chi, multiplier, f, q, gamma, tau, nu)
 
     def advance(self, z: np.ndarray) -> tuple[Yielding, np.ndarray]:
         """A converged step; the points that yield and their dissipation."""

@@ -32,6 +32,10 @@ def test_numbers_of_the_cone():
     assert pm.DruckerPrager(HENCKY, phi=math.pi / 6, k=7.0).strength == 7.0
 
 
+def regions(material: Any) -> list[str]:
+    return [region.name for region in material.regions]
+
+
 def test_what_a_material_is():
     for material in (cone(), cylinder(), pm.UserPlasticity(ELASTIC, f, {"y": 1.0})):
         assert material.plastic
@@ -40,9 +44,9 @@ def test_what_a_material_is():
     assert not cone(NEO_HOOKEAN).micropolar
     assert not cone(pm.UserEnergy(ELASTIC.energy, ELASTIC.parameters())).isotropic
     assert not ELASTIC.plastic
-    assert cone().has_apex
-    assert not cone(phi=0.0, psi=0.0).has_apex
-    assert not cylinder().has_apex
+    assert regions(cone()) == ["surface", "apex"]
+    for smooth in (cone(phi=0.0, psi=0.0), cone(tip=1.0), cylinder()):
+        assert regions(smooth) == ["surface"]
 
 
 # bad arguments --------------------------------------------------------------------------------------

@@ -1,19 +1,18 @@
-"""Elastoplastic points: trial state, local residuals of the return mapping, and their derivatives, in UFL.
+"""Elastoplastic points in UFL: trial state, stresses, and the local problem of each region.
 
 The state of a `PlasticForm` holds, after what `pointforms.strains` needs, the plastic history at the last
 converged step: P = Fp^-1, Gp and chi (plane strain: the entries that aren't zero). Local unknowns are
-X = (Ue, Ge, chi, Dgamma), T (4.61), for classical materials (Fe, chi, Dgamma). In the rotated frame all of it
-is turned by Q~, which changes neither tau nor nu.
+X = (Ue, Ge, chi, Dgamma), T (4.61), for classical materials (Fe, chi, Dgamma), with one multiplier Dgamma for
+each active yield surface. In the rotated frame all of it is turned by Q~, which changes neither tau nor nu.
 
-Two sets of local residuals r(X, z) = 0 exist: on the smooth part of the yield surface, T (4.57)-(4.60), and
-at the apex of a cone. With the stresses s(X, z), that multiply the variations of z in the virtual work, the
-consistent tangent is ds/dz - ds/dX (dr/dX)^-1 dr/dz; every derivative in it is UFL's.
+The local residuals r(X, z) = 0 are those of the material's regions (`materials.regions`). With the stresses
+s(X, z), that multiply the variations of z in the virtual work, the consistent tangent is
+ds/dz - ds/dX (dr/dX)^-1 dr/dz; every derivative in it is UFL's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -22,23 +21,18 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
-from ..errors import InputError
-from ..kernels import codegen, jit
-from ..kernels.codegen import Scalariser
-from ..kernels.csource import write_c
-from ..kernels.kernel import Kernel, generator_version, matrix
+from ..kernels.kernel import Kernel, matrix
 from ..kinematics import measures as kin
 from ..kinematics import rotations
 from ..kinematics.layout import Layout, state_size
-from ..kinematics.spectral import exp_symmetric, squared_log_strain, strain_invariants
-from ..materials.base import Material, evaluate_energy, named_parameters
-from ..materials.plastic import SPRING, Plastic
-from ..tools import compat
+from ..materials.base import Material, evaluate_energy, evaluate_scalar, named_parameters
+from ..materials.plastic import Plastic, check_regions
+from ..materials.regions import LocalState, Region, Scales
 from .points import PointForm
+from .returns import LocalProblem, Return, compile_functions
 
 _PLANE = ((0, 0), (0, 1), (1, 0), (1, 1), (2, 2))  # entries of deformations in plane strain
 _PLANE_WRYNESS = ((0, 2), (1, 2), (2, 0), (2, 1))  # plastic flow brings in the third column
-_WAIST = 2  # scalars that a derivative is carried through; a fifth to a half fewer operations
 _SPACE = tuple((i, j) for i in range(3) for j in range(3))
 
 
@@ -76,53 +70,21 @@ def _chain(outer: Any, inner: Any) -> Any:
     return ufl.as_tensor(outer[i, j] * inner[i, j, k, l], (k, l))
 
 
-def _scalar(material: Plastic, function: str, *arguments: Any) -> Any:
-    """A function of a plastic material as a UFL scalar.
-
-    Raises:
-        InputError: it raises an error itself, or is not a scalar.
-    """
-    what = f"material: {function} of {type(material).__name__}"
-    try:
-        value = ufl.as_ufl(getattr(material, function)(*arguments))
-    except InputError:
-        raise
-    except Exception as e:  # a user's function and UFL may raise anything
-        raise InputError(f"{what} can't be evaluated: {e}") from e
-    if value.ufl_shape or value.ufl_free_indices:
-        raise InputError(f"{what} has the shape {value.ufl_shape}; a scalar is needed")
-    return value
-
-
-@dataclass
-class Return:
-    """Compiled kernels of one part of the yield surface.
+class PlasticForm(PointForm):
+    """Elastic predictor (the inherited kernels, with plastic deformation frozen) and return mapping.
 
     Attributes:
-        local: (inputs, X) -> residual (nx) and its derivative by X (nx, nx).
-        stress: (inputs, X) -> s (nz).
-        moduli: (inputs, X) -> s, ds/dz (nz, nz), ds/dX (nz, nx), dr/dz (nx, nz).
-        flow: (inputs, X) -> dissipation per reference volume (Pa), and a strain that is negative where the
-            solution is not admissible.
-        row_scale: factors (nx,) that make residuals strains.
+        regions: of the material's yield surface, in the order of attempts.
+        surfaces: its yield surfaces.
     """
-
-    local: Kernel
-    stress: Kernel
-    moduli: Kernel
-    flow: Kernel
-    row_scale: np.ndarray
-
-
-class PlasticForm(PointForm):
-    """Elastic predictor (the inherited kernels, with plastic deformation frozen) and return mapping."""
 
     material: Plastic
 
     def __init__(self, material: Material, dim: int):
         super().__init__(material, dim)
-        self.local = self.space.coefficient(self.local_size)
-        self._compiled: dict[str, Any] = {}
+        self.regions, self.surfaces = check_regions(self.material)
+        self._trial_kernel: Kernel | None = None
+        self._returns: dict[str, Return] = {}
 
     # sizes ----------------------------------------------------------------------------------------
     @property
@@ -135,13 +97,14 @@ class PlasticForm(PointForm):
         return self.elastic_size + history_size(self.layout)
 
     @property
-    def local_size(self) -> int:
-        """Length of X."""
-        return history_size(self.layout) + 1
+    def hardening_column(self) -> int:
+        """Where chi is in X; the multipliers follow."""
+        return history_size(self.layout) - 1
 
     @property
-    def local_terminals(self) -> dict[Any, int]:
-        return {**self.terminals, self.local: self.inputs}
+    def local_size(self) -> int:
+        """Length of the longest X, that of the region with the most multipliers."""
+        return history_size(self.layout) + max(region.multipliers for region in self.regions)
 
     def pack(
         self, F: np.ndarray, q: np.ndarray, wryness: np.ndarray, history: Sequence[np.ndarray]
@@ -207,9 +170,11 @@ class PlasticForm(PointForm):
     def energy(self) -> Any:
         """Strain energy of the trial state; evaluates all functions, so that a mistake in one shows."""
         tau, nu = self.kirchhoff(*self._trial)
-        for name in ("yield_function", "potential"):
-            _scalar(self.material, name, tau, nu, self._history[2], self._numbers)
-        _scalar(self.material, "hardening_energy", self._history[2], self._numbers)
+        chi, owner = self._history[2], type(self.material).__name__
+        for surface in self.surfaces:
+            surface.value(owner, tau, nu, chi, self._numbers)
+            surface.flow_potential(owner, tau, nu, chi, self._numbers)
+        self._hardening_energy(chi)
         return super().energy
 
     # stresses -------------------------------------------------------------------------------------
@@ -240,236 +205,101 @@ class PlasticForm(PointForm):
         fe = ufl.dot(q, deformation)
         return ufl.dot(q, ufl.dot(b, ufl.transpose(fe))), ufl.dot(q, ufl.dot(s, ufl.transpose(f)))
 
+    def _hardening_energy(self, chi: Any) -> Any:
+        what = f"hardening_energy of {type(self.material).__name__}"
+        return evaluate_scalar(what, self.material.hardening_energy, chi, self._numbers)
+
     # local problem --------------------------------------------------------------------------------
-    @cached_property
-    def _unknown(self) -> tuple[Any, Any, Any, Any]:
-        """Ue (Fe), Ge, chi and Dgamma of X."""
+    def local_state(self, X: Any, multipliers: int) -> LocalState:
+        """The state at local unknowns X, a coefficient."""
         deformation, wryness = entries(self.layout)
-        x, n = self.local, self.local_size
-        ge = _tensor(x, len(deformation), wryness) if wryness else None
-        return _tensor(x, 0, deformation), ge, x[n - 2], x[n - 1]
-
-    @cached_property
-    def _fe_trial(self) -> Any:
-        return ufl.dot(self._motion[0], self._history[0])
-
-    def _fe(self) -> Any:
-        q, ue = self._motion[1], self._unknown[0]
-        return ue if q is None else ufl.dot(q, ue)
-
-    def _flat(self, tensor: Any, wryness: bool = False) -> list[Any]:
-        return [tensor[i, j] for i, j in entries(self.layout)[wryness]]
-
-    def _directions(self) -> tuple[Any, Any]:
-        """dg/dtau and dg/dnu at X."""
-        ue, ge, chi, _ = self._unknown
-        tau, nu = self.kirchhoff(ue, ge)
-        tau = ufl.variable(tau)
-        nu = None if nu is None else ufl.variable(nu)
-        g = _scalar(self.material, "potential", tau, nu, chi, self._numbers)
-        return ufl.diff(g, tau), None if nu is None else ufl.diff(g, nu)
-
-    def _surface_residual(self) -> list[Any]:
-        """T (4.57)-(4.60)."""
-        ue, ge, chi, multiplier = self._unknown
         f, q, _ = self._motion
-        flow, wryness_flow = self._directions()
-        fe = ufl.dot(exp_symmetric(-multiplier * flow), self._fe_trial)
-        rows = self._flat(ue - (fe if q is None else ufl.dot(ufl.transpose(q), fe)))
-        if ge is not None:
-            step = multiplier * ufl.dot(ufl.transpose(q), ufl.dot(wryness_flow, f))
-            rows += self._flat(ge + step - self._trial[1], True)
-        tau, nu = self.kirchhoff(ue, ge)
-        rows.append(chi - self._history[2] - multiplier)
-        rows.append(_scalar(self.material, "yield_function", tau, nu, chi, self._numbers))
-        return rows
+        P, _, before = self._history
+        last = self.hardening_column
+        return LocalState(
+            dim=self.layout.dim,
+            F=f,
+            Q=q,
+            Fe_trial=ufl.dot(f, P),
+            Ge_trial=self._trial[1],
+            chi_before=before,
+            Ue=_tensor(X, 0, deformation),
+            Ge=_tensor(X, len(deformation), wryness) if wryness else None,
+            chi=X[last],
+            multipliers=tuple(X[last + 1 + k] for k in range(multipliers)),
+            p=self._numbers,
+            elastic_stress=self._elastic_stress,
+            stress_at=self.kirchhoff,
+            hardening_energy=self._hardening_energy,
+            entries=entries(self.layout),
+            owner=type(self.material).__name__,
+        )
 
-    def _apex_residual(self) -> list[Any]:
-        """sym tau = p I on the cone's tip, the flow symmetric, no couple stress.
-
-        The flow of wryness has the direction of a couple stress: on the smooth cone it is a multiple of S C,
-        C = F^T F, so that (Ge_trial - Ge) C^-1 has no part of which the couple stress vanishes (as it does
-        for skew wryness with bounded stiffness). A spring of a billionth of the moduli sees to that.
-        """
-        ue, ge, chi, multiplier = self._unknown
-        p = self._numbers
-        tau, _ = self.kirchhoff(ue, ge)
-        s, ratio = ufl.dev(ufl.sym(tau)), ufl.dot(self._fe_trial, ufl.inv(self._fe()))
-        pairs = ((0, 1), (0, 2), (1, 2)) if self.layout.dim == 3 else ((0, 1),)
-        rows = [s[0, 0], s[1, 1], *(s[i, j] for i, j in pairs)]
-        rows.append(p.friction * ufl.tr(tau) / 3 - (p.k + p.H * chi))
-        rows += [ratio[i, j] - ratio[j, i] for i, j in pairs]
-        if ge is not None:
-            f, couple = self._motion[0], self._elastic_stress(ue, ge)[1]
-            back = ufl.inv(ufl.dot(ufl.transpose(f), f))
-            rows += self._flat(couple + p.spring * ufl.dot(ge - self._trial[1], back), True)
-        rows.append(chi - self._history[2] - multiplier)
-        dilatancy = ufl.conditional(ufl.gt(p.dilatancy, 0.0), p.dilatancy, p.friction)
-        rows.append(multiplier - ufl.ln(ufl.det(ratio)) / dilatancy)
-        return rows
-
-    def _surface_scale(self) -> np.ndarray:
-        deformation, wryness = map(len, entries(self.layout))
-        scale = [1.0] * deformation + [self.material.length] * wryness + [1.0, 1.0 / self.material.modulus]
-        return np.array(scale)
-
-    def _apex_scale(self) -> np.ndarray:
-        deformation, wryness = map(len, entries(self.layout))
-        pairs = 3 if self.layout.dim == 3 else 1
-        stress = [1.0 / self.material.modulus] * (deformation - pairs)
-        couple = self.material.plastic_parameters().get("spring", SPRING) / SPRING
-        spring = [self.material.length / couple] * wryness
-        return np.array([*stress, *([1.0] * pairs), *spring, 1.0, 1.0])
-
-    # virtual work at X ----------------------------------------------------------------------------
-    def _stresses(self) -> Any:
+    def _work(self, state: LocalState) -> Any:
         """s(X, z), a linear form in variations of z.
 
         tau = Q B Fe^T does the work of Q B (F^-1 Fe)^T on the variation of Q^T F.
         """
         f, q, wryness = self._motion
         test = ufl.TestFunction(self.space.function_space(self.layout.unknowns))
-        ue, ge, _, _ = self._unknown
-        b, s = self._elastic_stress(ue, ge)
-        total = ufl.dot(b, ufl.transpose(ufl.dot(ufl.inv(f), self._fe())))
+        b, s = self._elastic_stress(state.Ue, state.Ge)
+        total = ufl.dot(b, ufl.transpose(ufl.dot(ufl.inv(f), state.Fe)))
         if q is None:
             return ufl.inner(total, ufl.derivative(f, self.z, test))
         strain = ufl.dot(ufl.transpose(q), f)
         work = ufl.inner(total, ufl.derivative(strain, self.z, test))
         return work + ufl.inner(s, ufl.derivative(wryness, self.z, test))
 
-    # what the flow did ----------------------------------------------------------------------------
-    def _hardening_work(self) -> Any:
-        chi, before = ufl.variable(self._unknown[2]), self._history[2]
-        energy = _scalar(self.material, "hardening_energy", chi, self._numbers)
-        return ufl.diff(energy, chi) * (self._unknown[2] - before)
+    def local_problem(self, region: Region) -> LocalProblem:
+        """A region's equations, the stresses at their solution, and what its flow dissipates."""
+        size = history_size(self.layout) + region.multipliers
+        X = self.space.coefficient(size)
+        state = self.local_state(X, region.multipliers)
+        active = {surface.name for surface in region.surfaces}
+        others = [surface.at(state) for surface in self.surfaces if surface.name not in active]
+        return LocalProblem(
+            name=region.name,
+            z=self.z,
+            X=X,
+            terminals={**self.terminals, X: self.inputs},
+            inputs=self.inputs + size,
+            residual=region.residual(state),
+            flow=[*region.flow(state), *others],
+            work=self._work(state),
+            row_scale=region.row_scale(self._scales),
+        )
 
-    def _surface_flow(self) -> list[Any]:
-        """tau : dFp-flow + nu : dGp-flow - Lambda Dchi (4.23), and the multiplier."""
-        ue, ge, _, multiplier = self._unknown
-        tau, nu = self.kirchhoff(ue, ge)
-        flow, wryness_flow = self._directions()
-        work = multiplier * ufl.inner(tau, flow)
-        if nu is not None:
-            work += multiplier * ufl.inner(nu, wryness_flow)
-        return [work - self._hardening_work(), multiplier]
-
-    def _apex_flow(self) -> list[Any]:
-        """As `_surface_flow`; admissible is a flow within the cone of normals at the apex (Koiter)."""
-        ue, ge = self._unknown[:2]
-        tau, nu = self.kirchhoff(ue, ge)
-        f, q, _ = self._motion
-        ratio = ufl.dot(self._fe_trial, ufl.inv(self._fe()))
-        volume = ufl.ln(ufl.det(ratio))
-        square = squared_log_strain(*strain_invariants(ratio)) - volume**2 / 3
-        work = ufl.tr(tau) / 3 * volume
-        if ge is not None:
-            wryness = ufl.dot(q, ufl.dot(self._trial[1] - ge, ufl.inv(f)))
-            square += self._numbers.l_p**2 * ufl.inner(wryness, wryness)
-            work += ufl.inner(nu, wryness)
-        least = self._numbers.dilatancy * ufl.sqrt(ufl.max_value(square, 0.0) / 1.5)
-        return [work - self._hardening_work(), volume * (1.0 + 1e-6) - least]
+    @property
+    def _scales(self) -> Scales:
+        m, (deformation, wryness) = self.material, map(len, entries(self.layout))
+        couple = m.couple_modulus if wryness else 1.0
+        return Scales(self.layout.dim, deformation, wryness, m.modulus, couple, m.length)
 
     # compiled -------------------------------------------------------------------------------------
     def trial_kernel(self, comm: MPI.Comm) -> Kernel:
-        """Kernel inputs -> X of the trial state, f, and whether it is likely to be beyond the apex (> 0).
-        Compiled when it is asked for first; collective."""
-        if "trial" not in self._compiled:
-            self._compiled["trial"] = self._compile_trial(comm)
-        return self._compiled["trial"]
+        """Kernel inputs -> X of the trial state, the yield functions, and for each region but the first how
+        likely the state is to return there (> 0), see `Plastic.first_region`. Compiled when it is asked for
+        first; collective."""
+        if self._trial_kernel is None:
+            functions = {"trial": self._trial_rows()}
+            made = compile_functions(self.space, "trial", functions, self.terminals, self.inputs, comm)
+            self._trial_kernel = made["trial"]
+        return self._trial_kernel
 
-    def return_kernels(self, apex: bool, comm: MPI.Comm) -> Return:
-        """Kernels of one part of the yield surface. Compiled when they are asked for first; collective."""
-        name = "apex" if apex else "surface"
-        if name not in self._compiled:
-            self._compiled[name] = self._compile_return(apex, comm)
-        return self._compiled[name]
+    def return_kernels(self, region: Region, comm: MPI.Comm) -> Return:
+        """Kernels of a region. Compiled when they are asked for first; collective."""
+        if region.name not in self._returns:
+            self._returns[region.name] = self.local_problem(region).compile(self.space, comm)
+        return self._returns[region.name]
 
-    def _compile_trial(self, comm: MPI.Comm) -> Kernel:
+    def _trial_rows(self) -> list[Any]:
         ue, ge = self._trial
-        chi = self._history[2]
+        chi, p, owner = self._history[2], self._numbers, type(self.material).__name__
         tau, nu = self.kirchhoff(ue, ge)
-        p = self._numbers
-        rows = self._flat(ue) + ([] if ge is None else self._flat(ge, True)) + [chi, ufl.as_ufl(0.0)]
-        rows += [_scalar(self.material, name, tau, nu, chi, p) for name in ("yield_function", "beyond_apex")]
-        return self._compile("trial", {"trial": rows}, self.terminals, comm)["trial"]
-
-    def _compile_return(self, apex: bool, comm: MPI.Comm) -> Return:
-        name = "apex" if apex else "surface"
-        residual = self._apex_residual() if apex else self._surface_residual()
-        flow = self._apex_flow() if apex else self._surface_flow()
-        vector, s = ufl.as_vector(residual), self._stresses()
-        space = self.space.function_space
-        nz, nx = self.layout.unknowns, self.local_size
-        by_local, by_z = ufl.TrialFunction(space(nx)), ufl.TrialFunction(space(nz))
-        row = ufl.TestFunction(space(nx))
-        form = ufl.dot(vector, row)
-        local: dict[str, list[Any]] = {
-            "local": [_Vector(form, nx), _Matrix(ufl.derivative(form, self.local, by_local), nx, nx)],
-        }
-        work: dict[str, list[Any]] = {
-            "stress": [_Vector(s, nz)],
-            "moduli": [
-                _Vector(s, nz),
-                _Matrix(ufl.derivative(s, self.z, by_z), nz, nz),
-                _Matrix(ufl.derivative(s, self.local, by_local), nz, nx),
-                _Matrix(ufl.derivative(form, self.z, by_z), nx, nz),
-            ],
-        }
-        terminals = self.local_terminals
-        kernels = self._compile(f"{name}_local", local, terminals, comm)
-        kernels |= self._compile(f"{name}_work", work, terminals, comm)
-        kernels |= self._compile(f"{name}_flow", {"flow": flow}, terminals, comm)
-        scale = self._apex_scale() if apex else self._surface_scale()
-        return Return(kernels["local"], kernels["stress"], kernels["moduli"], kernels["flow"], scale)
-
-    def _compile(
-        self, name: str, functions: dict[str, list[Any]], terminals: dict[Any, int], comm: MPI.Comm
-    ) -> dict[str, Kernel]:
-        """Compile functions that are lists of UFL scalars or of forms' coefficients. Collective."""
-        inputs = self.inputs + (self.local_size if self.local in terminals else 0)
-        order = {**{c: i for i, c in enumerate(terminals)}, self.space.domain: 0}
-        parts = [part for list_ in functions.values() for part in list_]
-        key = [compat.expression_signature(getattr(part, "form", part), order) for part in parts]
-        layout = ",".join(f"{slot}" for slot in terminals.values())
-
-        def source() -> str:
-            scalarise = Scalariser(terminals, waist=_WAIST)
-            written: dict[str, Sequence[int]] = {
-                function: [node for part in parts for node in _nodes(scalarise, part)]
-                for function, parts in functions.items()
-            }
-            return write_c(scalarise.graph, written)
-
-        lib = jit.library(jit.digest(generator_version(), name, layout, *key), source, comm)
-        sizes = {function: sum(_size(part) for part in parts) for function, parts in functions.items()}
-        return {function: Kernel(lib, function, inputs, size) for function, size in sizes.items()}
-
-
-@dataclass
-class _Vector:
-    """Coefficients of the test function's components."""
-
-    form: Any
-    rows: int
-
-
-@dataclass
-class _Matrix:
-    """Coefficients of test and trial function, row by row."""
-
-    form: Any
-    rows: int
-    columns: int
-
-
-def _size(part: Any) -> int:
-    return part.rows * getattr(part, "columns", 1) if isinstance(part, _Vector | _Matrix) else 1
-
-
-def _nodes(scalarise: Scalariser, part: Any) -> list[int]:
-    if not isinstance(part, _Vector | _Matrix):
-        return [scalarise.plain(scalarise.scalar(codegen.expand(ufl.as_ufl(part))))]
-    linear = scalarise.flat(scalarise.scalar(codegen.expand(part.form)))
-    shape = (part.rows, part.columns) if isinstance(part, _Matrix) else (part.rows,)
-    return codegen.coefficients(linear, shape, scalarise.graph.zero)
+        deformation, wryness = entries(self.layout)
+        rows = [ue[i, j] for i, j in deformation] + [ge[i, j] for i, j in wryness]
+        rows += [chi, *([ufl.as_ufl(0.0)] * (self.local_size - self.hardening_column - 1))]
+        rows += [surface.value(owner, tau, nu, chi, p) for surface in self.surfaces]
+        likely = self.material.first_region(tau, nu, chi, p)
+        never = ufl.as_ufl(-1.0)
+        return rows + ([ufl.as_ufl(likely.get(r.name, never)) for r in self.regions[1:]] or [never])

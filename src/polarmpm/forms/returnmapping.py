@@ -1,8 +1,8 @@
 """Return mapping: which points yield, their stresses and consistent tangents, and their plastic history.
 
 Elastic points cost one evaluation of the yield function. Those that yield are gathered and solved in batches
-by compiled code; kernels are compiled when the first point needs them. Where the smooth part of the yield
-surface has no admissible solution, the apex is tried, and the other way round.
+by compiled code; kernels are compiled when the first point needs them. Where one region of the yield surface
+has no admissible solution, the others are tried.
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ from ..errors import LocalFailure
 from ..kernels import native
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
-from .plastic import PlasticForm, Return, entries
+from ..materials.plastic import Continuation
+from .plastic import PlasticForm, entries
 from .points import PointForm
+from .returns import Return
 
 # Yield function over elastic modulus from which on a point counts as yielding. A point that yielded in the
 # last step sits on the surface: its tangent at the start of a step is the elastoplastic one.
@@ -29,7 +31,7 @@ _HOPELESS = 10.0  # what an iterate that runs away asks of a point; not worth an
 _TOLERANCE = 1e-13  # of the local residual, as a strain
 _LOOSE = 1e-9  # accepted where rounding ends the iteration; T 4.3.3 uses it throughout
 _BACKWARDS = -1e-8  # a strain: flow that is no more than rounding
-_TIPS = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4)  # rounded tips over k, see `_round_tip`
+_OUTSIDE = 1e-9  # yield function over elastic modulus that a solution on another surface may have
 _MOST = 60  # local iterations, halved steps included
 
 
@@ -39,8 +41,8 @@ class Yielding:
 
     Attributes:
         rows: which of the points (n,).
-        inputs, X: kernel inputs and local unknowns, row by row.
-        apex: on which part of the yield surface (n,) bool.
+        inputs, X: kernel inputs and local unknowns, row by row; multipliers that a region lacks are zero.
+        region: on which of the material's regions (n,); before they are solved, which is attempted first.
         blocks: s and, if asked, the consistent tangent per reference volume, (n, nz (1 + nz)).
         iterations: local iterations (n,).
     """
@@ -48,7 +50,7 @@ class Yielding:
     rows: np.ndarray
     inputs: np.ndarray
     X: np.ndarray
-    apex: np.ndarray
+    region: np.ndarray
     blocks: np.ndarray
     iterations: np.ndarray
 
@@ -86,26 +88,26 @@ class ReturnMapping:
         Raises:
             LocalFailure: at some points there is no solution; the message has their ids. On every rank.
         """
-        form, n = self.form, self.form.local_size
-        trial = self._trial(inputs)
-        f = trial[:, n]
+        form, n, nz = self.form, self.form.local_size, self.form.layout.unknowns
+        trial, modulus = self._trial(inputs), form.material.modulus
+        known = n + len(form.surfaces)
+        f = trial[:, n:known].max(axis=1)
         with np.errstate(invalid="ignore"):
-            finite = np.all(np.isfinite(trial[:, : n + 1]), axis=1) & (f < _HOPELESS * form.material.modulus)
+            finite = np.all(np.isfinite(trial[:, :known]), axis=1) & (f < _HOPELESS * modulus)
         least = -_YIELD if self.start_elastic else _YIELD
-        rows = np.flatnonzero((f > least * form.material.modulus) & finite)
+        rows = np.flatnonzero((f > least * modulus) & finite)
         lost = self.ids[~finite]
-        nz = form.layout.unknowns
         y = Yielding(
             rows,
             np.ascontiguousarray(inputs[rows]),
             np.ascontiguousarray(trial[rows, :n]),
-            (trial[rows, n + 1] > 0) if form.material.has_apex else np.zeros(len(rows), dtype=bool),
+            self._first_region(trial[rows, known:]),
             np.zeros((len(rows), nz * (1 + nz) if tangent else nz)),
             np.zeros(len(rows), dtype=np.int32),
         )
         open_ = self._solve_all(y, tangent)
         # on the surface to rounding, with no flow to speak of: elastic
-        idle = open_ & (f[rows] <= -_YIELD * form.material.modulus)
+        idle = open_ & (f[rows] <= -_YIELD * modulus)
         failed = np.concatenate([lost, self.ids[rows[open_ & ~idle]]])
         everywhere = np.sort(np.concatenate(self.comm.allgather(failed)))
         if len(everywhere):
@@ -114,71 +116,75 @@ class ReturnMapping:
         self.yielding = y.without(idle)
         return self.yielding
 
-    def _solve_all(self, y: Yielding, tangent: bool) -> np.ndarray:
-        """Solve for all yielding points; which of them are left without a solution (n,)."""
-        open_, start = np.ones(len(y.rows), dtype=bool), y.X.copy()
+    def _first_region(self, likely: np.ndarray) -> np.ndarray:
+        """Number of the region that is attempted first (n,); `likely` is the trial kernel's for the others
+        than the first one."""
+        return np.where(likely.max(axis=1) > 0, 1 + likely.argmax(axis=1), 0)
 
-        def attempt(which: np.ndarray, apex: bool, afresh: bool = True) -> None:
+    def _solve_all(self, y: Yielding, tangent: bool) -> np.ndarray:
+        """Solve for all yielding points; which of them are left without a solution (n,). Every rank makes
+        the same attempts."""
+        open_, start, first = np.ones(len(y.rows), dtype=bool), y.X.copy(), y.region.copy()
+        numbers = range(len(self.form.regions))
+
+        def attempt(which: np.ndarray, region: int, afresh: bool = True) -> None:
             if self.comm.allreduce(int(which.sum())):
                 at = np.flatnonzero(which)
                 if afresh:
                     y.X[at] = start[at]
-                open_[at] = ~self._solve(y, at, apex, tangent)
+                open_[at] = ~self._solve(y, at, region, tangent)
 
-        first = y.apex.copy()
-        attempt(~first, False)
-        has_apex = self.form.material.has_apex
-        if has_apex:
-            attempt(first, True)
-            attempt(first & open_, False)
-            attempt(open_.copy(), True)
-        if "tip" in self.form.material.parameters() and self.comm.allreduce(int(open_.sum())):
-            self._round_tip(y, open_, start)
-            attempt(open_.copy(), False, afresh=False)
-            if has_apex:
-                attempt(open_.copy(), True, afresh=False)
+        for k in numbers:
+            attempt(first == k, k)
+        if len(numbers) > 1:
+            for k in numbers:
+                attempt(open_ & (first != k), k)
+        softer = self.form.material.continuation
+        if softer is not None and self.comm.allreduce(int(open_.sum())):
+            self._approach(softer, y, open_, start)
+            for k in numbers:
+                attempt(open_.copy(), k, afresh=False)
         return open_
 
-    def _round_tip(self, y: Yielding, open_: np.ndarray, trial: np.ndarray) -> None:
-        """Start values close to the apex: solve for a rounded tip, and sharpen it step by step.
-
-        There the direction of flow on the sharp cone turns with the smallest change of stress, and Newton's
-        method gets nowhere from the trial state.
-        """
+    def _approach(self, softer: Continuation, y: Yielding, open_: np.ndarray, trial: np.ndarray) -> None:
+        """Start values of points on which no attempt has succeeded: solve on the first region for softer
+        values of a number of the material, one after the other."""
         at, form = np.flatnonzero(open_), self.form
-        numbers = form.material.parameters()
-        column = form.inputs - len(numbers) + list(numbers).index("tip")
+        numbers = list(form.material.parameters())
+        column = form.inputs - len(numbers) + numbers.index(softer.parameter)
         X, inputs = trial[at], y.inputs[at]
-        for tip in [share * numbers["k"] for share in _TIPS if share * numbers["k"] > numbers["tip"]]:
-            inputs[:, column] = tip
-            new, _, failed, iterations = self._run(False, inputs, X, False)
+        for value in softer.values:
+            inputs[:, column] = value
+            new, _, failed, iterations = self._run(0, inputs, X, False)
             X = np.where(failed[:, None], X, new)
             y.iterations[at] += iterations
         y.X[at] = X
 
-    def _kernels(self, apex: bool) -> Return:
-        return self.form.return_kernels(apex, self.comm)
+    def _kernels(self, region: int) -> Return:
+        return self.form.return_kernels(self.form.regions[region], self.comm)
 
-    def _solve(self, y: Yielding, which: np.ndarray, apex: bool, tangent: bool) -> np.ndarray:
-        """Solve for some of the yielding points on one part of the surface; which of them succeeded."""
+    def _solve(self, y: Yielding, which: np.ndarray, region: int, tangent: bool) -> np.ndarray:
+        """Solve for some of the yielding points on a region; which of them succeeded."""
         inputs = y.inputs[which]
-        X, blocks, failed, iterations = self._run(apex, inputs, y.X[which], tangent)
+        X, blocks, failed, iterations = self._run(region, inputs, y.X[which], tangent)
         good = ~failed
-        flow = self._kernels(apex).flow(inputs[good], X[good])
-        good[good] = flow[:, 1] >= _BACKWARDS
+        kernels = self._kernels(region)
+        flow = kernels.flow(inputs[good], X[good, : kernels.size])
+        outside = flow[:, 2:] > _OUTSIDE * self.form.material.modulus
+        good[good] = (flow[:, 1] >= _BACKWARDS) & ~np.any(outside, axis=1)
         solved = which[good]
         y.X[which] = X
-        y.blocks[solved], y.apex[solved] = blocks[good], apex
+        y.blocks[solved], y.region[solved] = blocks[good], region
         y.iterations[which] += iterations
         return good
 
     def _run(
-        self, apex: bool, inputs: np.ndarray, X: np.ndarray, tangent: bool
+        self, region: int, inputs: np.ndarray, X: np.ndarray, tangent: bool
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """X, blocks, whether it failed, and iterations of points from initial values of X."""
-        kernels, form, n = self._kernels(apex), self.form, len(inputs)
-        nz = form.layout.unknowns
-        X, inputs = X.copy(), np.ascontiguousarray(inputs)
+        kernels, form, n = self._kernels(region), self.form, len(inputs)
+        nz, size = form.layout.unknowns, kernels.size
+        own, inputs = np.array(X[:, :size], order="C"), np.ascontiguousarray(inputs)
         blocks = np.zeros((n, nz * (1 + nz) if tangent else nz))
         status, iterations = np.zeros(n, dtype=np.int8), np.zeros(n, dtype=np.int32)
         controls = native.Return()
@@ -191,7 +197,7 @@ class ReturnMapping:
             tolerance=_TOLERANCE,
             loose=_LOOSE,
             nin=form.inputs,
-            nx=form.local_size,
+            nx=size,
             nz=nz,
             most=_MOST,
         )
@@ -200,14 +206,14 @@ class ReturnMapping:
             n,
             inputs.ctypes.data,
             int(tangent),
-            X.ctypes.data,
+            own.ctypes.data,
             blocks.ctypes.data,
             status.ctypes.data,
             iterations.ctypes.data,
         )
         if out_of_memory:
             raise MemoryError("no memory for the return mapping")
-        return X, blocks, status != 0, iterations
+        return np.pad(own, ((0, 0), (0, X.shape[1] - size))), blocks, status != 0, iterations
 
     # history --------------------------------------------------------------------------------------
     def update_history(self, points: Points, rows: np.ndarray, base: np.ndarray) -> None:
@@ -229,7 +235,7 @@ class ReturnMapping:
             stretch = rotations.to_tensor(points.q[rows]) @ stretch
             points.plastic_wryness[rows] = points.wryness[rows] - wryness
         points.plastic_F[rows] = np.linalg.solve(stretch, points.F[rows])
-        points.hardening[rows] = y.X[:, form.local_size - 2]
+        points.hardening[rows] = y.X[:, form.hardening_column]
         points.dissipation[rows] += self.dissipation()
 
     def dissipation(self) -> np.ndarray:
@@ -237,11 +243,11 @@ class ReturnMapping:
         y = self.yielding
         assert y is not None
         out = np.zeros(len(y.rows))
-        for apex in (False, True):
-            which = np.flatnonzero(y.apex == apex)
+        for k in range(len(self.form.regions)):
+            which = np.flatnonzero(y.region == k)
             if len(which):
-                flow = self._kernels(apex).flow
-                out[which] = flow(y.inputs[which], y.X[which])[:, 0]
+                kernels = self._kernels(k)
+                out[which] = kernels.flow(y.inputs[which], y.X[which, : kernels.size])[:, 0]
         return out
 
     def _tensors(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

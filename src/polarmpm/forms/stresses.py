@@ -1,56 +1,174 @@
-"""Stress, couple stress and energy of the points' current state, for output."""
+"""Fields of the points' current state that need the material: energy, stresses, and the rest of `TABLE`."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, cast
 
 from mpi4py import MPI
 
+import numpy as np
 import ufl
 
+from ..errors import InputError
 from ..kernels.kernel import Kernel, PointSpace, compile_expressions, matrix
 from ..kinematics import measures as kin
 from ..materials.base import Material, evaluate_energy, named_parameters, parameter_values
 from ..tools import compat
 
+if TYPE_CHECKING:
+    from ..materials.plastic import Plastic  # elastic scenes don't load it
+
+
+# what a field is computed of --------------------------------------------------------------------------
+class PointState:
+    """A point's state as UFL expressions; tensors are 3 x 3 also in plane strain.
+
+    Attributes:
+        material, p: the material, and its numbers by name.
+        F, Gamma: deformation gradient, wryness (1/m).
+        Q: microrotation; None of a classical material.
+        Fe, Ge: elastic parts of F and Gamma, F and Gamma themselves of an elastic material.
+        chi: hardening variable; None of an elastic material.
+    """
+
+    def __init__(self, material: Material, coefficients: Sequence[Any]):
+        f, q, wryness, *history, parameters = coefficients
+        self.material, self.p = material, named_parameters(material, parameters)
+        self.F, self.Gamma = matrix(f, 3, 3), matrix(wryness, 3, 3)
+        self.Q = kin.quaternion_tensor([q[i] for i in range(4)]) if material.micropolar else None
+        self.Fe, self.Ge, self.chi = _elastic_parts(self.F, self.Gamma, history)
+
+    @cached_property
+    def _derived(self) -> tuple[Any, Any, Any]:
+        """W of the elastic part, and its derivatives by Q^T Fe (Fe of a classical material) and Ge."""
+        material, p = self.material, self.p
+        if self.Q is None:
+            fe = ufl.variable(self.Fe)
+            w = evaluate_energy(material, material.measures(fe), p)
+            return w, ufl.diff(w, fe), None
+        strain = ufl.variable(ufl.dot(ufl.transpose(self.Q), self.Fe) - ufl.Identity(3))
+        wryness = ufl.variable(self.Ge)
+        w = evaluate_energy(material, (strain, wryness), p)
+        return w, ufl.diff(w, strain), ufl.diff(w, wryness)
+
+    @cached_property
+    def energy(self) -> Any:
+        """Energy per reference volume (Pa), with what hardening stores."""
+        stored = ufl.as_ufl(0.0)
+        if self.chi is not None:
+            stored = cast("Plastic", self.material).hardening_energy(self.chi, self.p)
+        return self._derived[0] + stored
+
+    @cached_property
+    def stress(self) -> Any:
+        """Cauchy stress (Pa) sigma = Q B Fe^T / J, T 3.4, (4.26)."""
+        return self._push(self._derived[1], self.Fe)
+
+    @cached_property
+    def couple_stress(self) -> Any:
+        """Cauchy couple stress (N/m) mu = Q S F^T / J, T (4.27); zero of a classical material."""
+        return 0 * self.F if self.Q is None else self._push(self._derived[2], self.F)
+
+    def _push(self, s: Any, by: Any) -> Any:
+        forward = ufl.dot(s, ufl.transpose(by))
+        return (forward if self.Q is None else ufl.dot(self.Q, forward)) / ufl.det(self.F)
+
+
+def _elastic_parts(F: Any, Gamma: Any, history: Sequence[Any]) -> tuple[Any, Any, Any]:
+    """Fe = F Fp^-1, Ge = Gamma - Gp and chi of the history's coefficients (T 4.1)."""
+    if not history:
+        return F, Gamma, None
+    plastic, plastic_wryness, chi = history
+    return ufl.dot(F, ufl.inv(matrix(plastic, 3, 3))), Gamma - matrix(plastic_wryness, 3, 3), chi[0]
+
+
+# fields -----------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class MaterialField:
+    """A field of the current state, written once in UFL.
+
+    `problem.fields(field)[field.name]` are its values, and `Recorder` takes it among its fields.
+
+    Args:
+        name: of the field.
+        function: of a `PointState`; a UFL scalar, vector or tensor.
+        unit: of its values.
+        plastic: computed of materials that can yield only, and zero of others.
+
+    Example:
+        >>> MaterialField("deviator", lambda s: ufl.sqrt(ufl.inner(ufl.dev(s.stress), s.stress)), "Pa")
+    """
+
+    name: str
+    function: Callable[[PointState], Any]
+    unit: str = ""
+    plastic: bool = False
+
+
+TABLE: dict[str, MaterialField] = {
+    field.name: field
+    for field in (
+        MaterialField("energy", lambda s: s.energy, "Pa"),
+        MaterialField("stress", lambda s: s.stress, "Pa"),
+        MaterialField("couple_stress", lambda s: s.couple_stress, "N/m"),
+        MaterialField("mean_pressure", lambda s: -ufl.tr(s.stress) / 3, "Pa"),
+    )
+}
+MECHANICAL = tuple(TABLE[name] for name in ("energy", "stress", "couple_stress"))  # share a kernel
+
 
 class FieldForm:
-    """Energy and Cauchy stresses of (F, Q, Gamma), and of a plastic material's history (Fp, Gp, chi)."""
+    """Fields of (F, Q, Gamma), and of a plastic material's history (Fp, Gp, chi), for output.
 
-    def __init__(self, material: Material):
-        self.material = material
+    Args:
+        fields: by default energy, stress and couple stress.
+    """
+
+    def __init__(self, material: Material, fields: Sequence[MaterialField] = MECHANICAL):
+        self.material, self.fields = material, fields
         self.space = PointSpace(compat.point_domain())
         sizes = [9, 4, 9, *([9, 9, 1] if material.plastic else []), len(parameter_values(material))]
         self._inputs = [self.space.coefficient(n) for n in sizes]
         self.terminals = {c: sum(sizes[:k]) for k, c in enumerate(self._inputs)}
         self.size = sum(sizes)
 
+    @cached_property
     def expressions(self) -> list[Any]:
-        """[W, sigma, mu]; sigma = Q B Fe^T / J, mu = Q S F^T / J (T 3.4, (4.26)-(4.27)); W includes what
-        hardening stores."""
-        material, (f, q, wryness, *history, parameters) = self.material, self._inputs
-        p, f, gamma = named_parameters(material, parameters), matrix(f, 3, 3), matrix(wryness, 3, 3)
-        fe, stored = f, ufl.as_ufl(0.0)
-        if history:
-            plastic, plastic_wryness, chi = history
-            fe = ufl.dot(f, ufl.inv(matrix(plastic, 3, 3)))
-            gamma = gamma - matrix(plastic_wryness, 3, 3)
-            stored = material.hardening_energy(chi, p)  # type: ignore[attr-defined]
-        j = ufl.det(f)
-        if not material.micropolar:
-            fv = ufl.variable(fe)
-            w = evaluate_energy(material, material.measures(fv), p)
-            return [w + stored, ufl.dot(ufl.diff(w, fv), ufl.transpose(fe)) / j, 0 * f]
-        turn = kin.quaternion_tensor([q[i] for i in range(4)])
-        strain = ufl.variable(ufl.dot(ufl.transpose(turn), fe) - ufl.Identity(3))
-        gamma = ufl.variable(gamma)
-        w = evaluate_energy(material, (strain, gamma), p)
+        """One UFL expression for each field.
 
-        def push(s: Any, by: Any) -> Any:
-            return ufl.dot(turn, ufl.dot(s, ufl.transpose(by))) / j
-
-        return [w + stored, push(ufl.diff(w, strain), fe), push(ufl.diff(w, gamma), f)]
+        Raises:
+            InputError: a field's function raises an error itself, or is no scalar, vector or tensor.
+        """
+        state, out = PointState(self.material, self._inputs), []
+        for field in self.fields:
+            try:
+                value = ufl.as_ufl(field.function(state))
+            except InputError:
+                raise
+            except Exception as e:  # a user's function and UFL may raise anything
+                raise InputError(f"field {field.name!r} can't be evaluated: {e}") from e
+            if value.ufl_shape not in ((), (3,), (3, 3)) or value.ufl_free_indices:
+                raise InputError(
+                    f"field {field.name!r} has the shape {value.ufl_shape}; a scalar, a vector of three or a "
+                    "3 x 3 tensor is needed"
+                )
+            out.append(value)
+        return out
 
     def compile(self, comm: MPI.Comm) -> Kernel:
-        """Kernel (F, q, Gamma, history, parameters) -> (W, sigma, mu), 19 numbers a row. Collective."""
-        return compile_expressions(self.expressions(), self.terminals, self.size, self.space.domain, comm)
+        """Kernel (F, q, Gamma, history, parameters) -> the fields, row by row: (W, sigma, mu), 19 numbers, by
+        default. Collective."""
+        return compile_expressions(self.expressions, self.terminals, self.size, self.space.domain, comm)
+
+    def split(self, rows: np.ndarray) -> dict[str, np.ndarray]:
+        """Fields by name, of what the kernel gives."""
+        out, first = {}, 0
+        for field, expression in zip(self.fields, self.expressions, strict=True):
+            shape = expression.ufl_shape
+            last = first + int(np.prod(shape, dtype=int))
+            out[field.name] = rows[:, first:last].reshape(len(rows), *shape)
+            first = last
+        return out

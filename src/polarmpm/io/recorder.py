@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,28 +11,14 @@ import numpy as np
 
 from ..basis.aggregation import supporting_cells
 from ..basis.lattice import weights
-from ..bodies.points import Points
 from ..errors import InputError
 from ..geometry.cells import corner_numbers, occupied_cells
 from ..problems.elements import QuasiStaticFEM
 from ..solvers.stepping import Step
 from ..tools.parallel import look_up
+from .fields import AnyField, choose, field_arrays
 from .mesh import NODAL, mesh_piece
 from .paraview import Collection, box_corners, padded
-
-# what the points know by themselves, and what needs the materials' kernels
-_OF_POINTS: dict[str, Callable[[Points], np.ndarray]] = {
-    "displacement": lambda p: padded(p.displacement),
-    "rotation": lambda p: p.rotation_vector,
-    "F": lambda p: p.F,
-    "stretch": lambda p: p.stretch,
-    "wryness": lambda p: p.wryness,
-    "volume": lambda p: p.volume,
-    "id": lambda p: p.id,
-    "material": lambda p: p.material,
-}
-_OF_MATERIALS = ("stress", "couple_stress", "energy")
-_OF_PLASTIC = ("hardening", "dissipation")
 
 
 class Recorder:
@@ -53,9 +39,12 @@ class Recorder:
         path: of the collection, ending in .pvd; missing folders are made.
         problem: whose states are written.
         fields: any of displacement (m), rotation (rotation vector, rad), F, stretch (U), wryness (1/m),
-            stress (Cauchy, Pa), couple_stress (N/m), energy (per reference volume, Pa), volume (m^3; m^2
-            in plane strain), id, material; with plastic materials hardening (chi) and dissipation (per
-            reference volume, Pa). Tensors have 9 components, row by row.
+            stress (Cauchy, Pa), couple_stress (N/m), mean_pressure (Pa), energy (per reference volume, Pa),
+            volume (m^3; m^2 in plane strain), id, material; with plastic materials hardening (chi) and
+            dissipation (per reference volume, Pa). Tensors have 9 components, row by row. A field of your
+            own is a `Field`, a function of the points, or a `MaterialField`, a UFL expression:
+            `pm.Field("J", lambda points: np.linalg.det(points.F))`,
+            `pm.MaterialField("deviator", lambda s: ufl.dev(s.stress), "Pa")`.
         grid: also write the occupied cells of the background grid to `arch_grid.pvd`, at their position
             at the last reset, with displacement_increment (m) and rotation_increment (rad) since then.
         domains: show a point as the box of its current GIMPM domain, with the fields on cells; False as
@@ -65,7 +54,7 @@ class Recorder:
 
     Raises:
         InputError: unknown field, a grid of finite elements, or files that can't be written; on every rank
-            alike.
+            alike. When states are written: a user's field without a row for each point.
     """
 
     def __init__(
@@ -73,13 +62,13 @@ class Recorder:
         path: str | os.PathLike[str],
         problem: Any,
         *,
-        fields: Sequence[str] = ("displacement", "rotation"),
+        fields: str | AnyField | Sequence[str | AnyField] = ("displacement", "rotation"),
         grid: bool = False,
         domains: bool = True,
         initial: bool = True,
     ):
         self.problem, self.domains, self.initial = problem, domains, initial
-        self.fields = _check_fields(fields, problem.points)
+        self.fields = choose(fields, problem.points)
         self._meshed = isinstance(problem, QuasiStaticFEM)
         if grid and self._meshed:
             raise InputError("grid = True: finite elements have no background grid")
@@ -121,8 +110,8 @@ class Recorder:
 
     def _record_points(self, number: int, time: float) -> None:
         if self._meshed and self.domains:
-            at_points = field_arrays(self.problem, [name for name in self.fields if name not in NODAL])
-            piece = mesh_piece(self.problem.elements, self.fields, at_points)
+            at_points = field_arrays(self.problem, [f for f in self.fields if f.name not in NODAL])
+            piece = mesh_piece(self.problem.elements, [f.name for f in self.fields], at_points)
             self._points.add(number, time, **piece)
             return
         points, data = self.problem.points, field_arrays(self.problem, self.fields)
@@ -157,28 +146,3 @@ class Recorder:
             rotation = increments[:, dim:]
             data["rotation_increment"] = rotation if dim == 3 else np.pad(rotation, ((0, 0), (2, 0)))
         collection.add(number, time, grid.node_position(numbers), table.reshape(cells.shape), data)
-
-
-def _check_fields(fields: Sequence[str], points: Points) -> tuple[str, ...]:
-    names = (fields,) if isinstance(fields, str) else tuple(fields)
-    allowed = (*_OF_POINTS, *_OF_MATERIALS, *(_OF_PLASTIC if points.plastic else ()))
-    for name in names:
-        if name in _OF_PLASTIC and name not in allowed:
-            raise InputError(f"fields: {name!r}, but none of the materials is plastic")
-        if name not in allowed:
-            raise InputError(f"fields: {name!r} is unknown; allowed are {', '.join(allowed)}")
-    return names
-
-
-def field_arrays(problem: Any, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """The local points' values by name, vectors with three components; nothing else is computed."""
-    stresses = problem.fields() if any(name in _OF_MATERIALS for name in names) else None
-
-    def values(name: str) -> np.ndarray:
-        if name in _OF_MATERIALS:
-            return np.asarray(getattr(stresses, name))
-        if name in _OF_PLASTIC:
-            return np.asarray(getattr(problem.points, name))
-        return _OF_POINTS[name](problem.points)
-
-    return {name: values(name) for name in names}

@@ -29,7 +29,8 @@ class Table:
             for step in problem.march(10):
                 table.record(step)
 
-    `energies=problem.energies` adds the energy balance, `wall=lambda: problem.reaction(wall)[0]` a reaction.
+    `energies=problem.energies` adds the energy balance, `wall=lambda: problem.reaction(wall)[0]` a reaction,
+    `p=lambda: points.mean(field_values(problem, "mean_pressure"), tip)` the mean of a field of `Recorder`'s.
 
     Args:
         path: of the file; missing folders are made, an old file is overwritten on entering.

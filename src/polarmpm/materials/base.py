@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import ufl
@@ -31,10 +31,28 @@ class Material:
             classical material of energy W(F) is left as it is.
     """
 
-    micropolar: bool = True
-    isotropic: bool = False
-    plastic: bool = False
-    stress_prediction: bool = True
+    plastic: ClassVar[bool] = False
+    stress_prediction: ClassVar[bool] = True
+
+    @property
+    def micropolar(self) -> bool:
+        """A material that always is, or never, says `micropolar = True` in its class."""
+        return True
+
+    @property
+    def isotropic(self) -> bool:
+        return False
+
+    @property
+    def elastic_part(self) -> Material:
+        """The material itself; of a plastic one that which is elastic in it."""
+        return self
+
+    def moduli(self, *names: str) -> dict[str, float]:
+        """Moduli of the elastic part (Pa; couple-stress moduli N) that have these names, in this order. A
+        user's energy has them if its numbers are called so."""
+        known = self.elastic_part.parameters()
+        return {name: float(known[name]) for name in names if name in known}
 
     def parameters(self) -> dict[str, float]:
         """Numbers of the energy by name. They enter the compiled code as inputs."""
@@ -81,24 +99,27 @@ def named_parameters(material: Material, coefficient: Any) -> SimpleNamespace:
     return SimpleNamespace(**{name: coefficient[i] for i, name in enumerate(material.parameters())})
 
 
-def evaluate_energy(material: Material, strains: Sequence[Any], parameters: Any) -> Any:
-    """The energy as a UFL scalar.
+def evaluate_scalar(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """A material's function as a UFL scalar; `what` names it in messages.
 
     Raises:
-        InputError: the energy raises an error itself, or is not a scalar.
+        InputError: it raises an error itself, or is not a scalar.
     """
-    kind = type(material).__name__
     try:
-        energy = ufl.as_ufl(material.energy(*strains, parameters))
+        value = ufl.as_ufl(function(*arguments))
     except InputError:
         raise
     except Exception as e:  # a user's function and UFL may raise anything
-        raise InputError(f"material: the energy of {kind} can't be evaluated: {e}") from e
-    if energy.ufl_shape or energy.ufl_free_indices:
-        raise InputError(
-            f"material: the energy of {kind} has the shape {energy.ufl_shape}; a scalar is needed"
-        )
-    return energy
+        raise InputError(f"material: {what} can't be evaluated: {e}") from e
+    if value.ufl_shape or value.ufl_free_indices:
+        raise InputError(f"material: {what} has the shape {value.ufl_shape}; a scalar is needed")
+    return value
+
+
+def evaluate_energy(material: Material, strains: Sequence[Any], parameters: Any) -> Any:
+    """The energy as a UFL scalar, see `evaluate_scalar`."""
+    what = f"the energy of {type(material).__name__}"
+    return evaluate_scalar(what, material.energy, *strains, parameters)
 
 
 @dataclass(frozen=True)
@@ -134,12 +155,13 @@ class UserEnergy(Material):
 def warn_of_locking(materials: Sequence[Material], functions: str, remedy: str) -> None:
     """Warn whoever makes a problem of linear functions and a nearly incompressible material."""
     for material in materials:
-        elastic = getattr(material, "elastic", material)
-        lam, mu = (getattr(elastic, name, 0.0) for name in ("lam", "mu"))
-        nu = lam / (2 * (lam + mu)) if lam > 0 else 0.0
+        known = material.moduli("lam", "mu")
+        if len(known) < 2 or known["lam"] <= 0:
+            continue
+        nu = known["lam"] / (2 * (known["lam"] + known["mu"]))
         if nu > _LOCKING:
             warnings.warn(
-                f"{type(elastic).__name__}: at Poisson's ratio {nu:.6g} {functions} lock, as they do beyond "
-                f"{_LOCKING}: displacements are far too small; take {remedy}",
+                f"{type(material.elastic_part).__name__}: at Poisson's ratio {nu:.6g} {functions} lock, as "
+                f"they do beyond {_LOCKING}: displacements are far too small; take {remedy}",
                 stacklevel=3,
             )

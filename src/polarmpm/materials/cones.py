@@ -12,7 +12,10 @@ import ufl
 from ..errors import InputError
 from ..tools.checks import require, require_finite
 from .base import Material
-from .plastic import SPRING, Plastic, check_elastic, check_names
+from .plastic import Continuation, Plastic, check_elastic, check_names
+from .regions import SPRING, ConeApex, Region, SmoothPart
+
+_TIPS = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4)  # rounded tips over k, see `continuation`
 
 
 def check_flow(elastic: Any, name: str, strength: Any, H: Any, l_p: Any) -> None:
@@ -89,11 +92,11 @@ class DruckerPrager(Plastic):
         check_names(self)
 
     @property
-    def length(self) -> float:  # type: ignore[override]
+    def length(self) -> float:
         return self.l_p or 1.0
 
     @property
-    def has_apex(self) -> bool:  # type: ignore[override]
+    def has_apex(self) -> bool:
         return self.phi > 0 and self.tip == 0
 
     @property
@@ -108,13 +111,8 @@ class DruckerPrager(Plastic):
         a, b = (6 * math.sin(angle) / (3 - math.sin(angle)) for angle in (self.phi, self.psi))
         numbers = {"friction": a, "dilatancy": b, "k": self.strength, "H": self.H, "tip": self.tip}
         if self.micropolar:
-            numbers |= {"l_p": self.length, "spring": SPRING * self._couple_modulus()}
+            numbers |= {"l_p": self.length, "spring": SPRING * self.couple_modulus}
         return numbers
-
-    def _couple_modulus(self) -> float:
-        numbers = self.elastic.parameters()
-        named = [abs(numbers[name]) for name in ("alpha", "beta", "gamma") if name in numbers]
-        return (max(named) if named else self._at_rest[1]) or 1.0
 
     def yield_function(self, tau: Any, nu: Any, chi: Any, p: Any) -> Any:
         return self._q(tau, nu, p) + p.friction * ufl.tr(tau) / 3 - (p.k + p.H * chi)
@@ -129,14 +127,38 @@ class DruckerPrager(Plastic):
         return p.H * chi**2 / 2
 
     # the apex -------------------------------------------------------------------------------------
-    def beyond_apex(self, tau: Any, nu: Any, chi: Any, p: Any) -> Any:
-        """3 mu Dgamma - q with the multiplier of the small-strain cone."""
-        if not self.has_apex or not {"lam", "mu"} <= set(self.elastic.parameters()):
-            return ufl.as_ufl(-1.0)
+    @property
+    def regions(self) -> tuple[Region, ...]:
+        cone = self.surface
+        return (SmoothPart(cone), ConeApex(self, cone)) if self.has_apex else (SmoothPart(cone),)
+
+    def slopes(self, p: Any) -> tuple[Any, Any]:
+        return p.friction, p.dilatancy
+
+    def strength_at(self, chi: Any, p: Any) -> Any:
+        return p.k + p.H * chi
+
+    def plastic_length(self, p: Any) -> Any:
+        return p.l_p
+
+    def apex_spring(self, p: Any) -> Any:
+        return p.spring
+
+    def first_region(self, tau: Any, nu: Any, chi: Any, p: Any) -> dict[str, Any]:
+        """The apex by 3 mu Dgamma - q with the multiplier of the small-strain cone."""
+        if not self.has_apex or len(self.moduli("lam", "mu")) < 2:
+            return {}
         bulk = p.lam + 2 * p.mu / 3
         f = self.yield_function(tau, nu, chi, p)
         multiplier = f / (3 * p.mu + bulk * p.friction * p.dilatancy + p.H)
-        return 3 * p.mu * multiplier - self._q(tau, nu, p)
+        return {"apex": 3 * p.mu * multiplier - self._q(tau, nu, p)}
+
+    @property
+    def continuation(self) -> Continuation:
+        """Cones with rounded tips. Close to the apex the direction of flow on the sharp cone turns with the
+        smallest change of stress, and Newton's method gets nowhere from the trial state."""
+        tips = (share * self.strength for share in _TIPS)
+        return Continuation("tip", tuple(tip for tip in tips if tip > self.tip))
 
 
 @dataclass(frozen=True)
@@ -160,7 +182,7 @@ class VonMises(Plastic):
         check_names(self)
 
     @property
-    def length(self) -> float:  # type: ignore[override]
+    def length(self) -> float:
         return self.l_p or 1.0
 
     def plastic_parameters(self) -> dict[str, float]:

@@ -20,12 +20,11 @@ from ..conditions.prescribed import Prescribed
 from ..conditions.proportional import check_linear, check_loads, check_supports
 from ..conditions.supports import Support
 from ..errors import InputError
-from ..forms.stresses import FieldForm
+from ..forms.stresses import MaterialField
 from ..geometry.nodes import Nodes
 from ..geometry.surfaces import Surface
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
-from ..materials.base import parameter_values
 from ..solvers import arclength, newton
 from ..solvers.arclength import ArcSchedule, Path
 from ..solvers.newton import Controls, Outcome
@@ -36,7 +35,7 @@ from ..terms.surfaceterms import SurfaceCondition
 from ..tools.parallel import together
 from ..tools.timing import Timer
 from . import surfaces
-from .state import Fields, Progress
+from .state import Fields, Progress, StateFields, choose_fields
 from .work import StepStart, step_work
 
 
@@ -64,7 +63,7 @@ class Problem(ABC):
         self.progress, self.timer = Progress(), Timer()
         self.steps: list[Step] = []
         self._stale = False  # conditions have changed since the system was built
-        self._field_kernels: list[Callable[..., np.ndarray]] = []
+        self._fields = StateFields(comm)
         # nodes, out-of-balance forces and rotational increments of the last converged step
         self._equilibrium: tuple[Nodes, np.ndarray, np.ndarray] | None = None
         self._last_x: np.ndarray | None = None  # where the points were before the last step
@@ -452,23 +451,24 @@ class Problem(ABC):
             return Prescribed(nodes, self.supports, self.layout)
 
     # results --------------------------------------------------------------------------------------
-    def fields(self) -> Fields:
-        """Energy, Cauchy stress and couple stress at the local points."""
-        p = self.points
-        if not self._field_kernels:
-            self._field_kernels = [FieldForm(m).compile(self.comm) for m in p.materials]
-        out = np.zeros((len(p), 19))
-        for m, (material, kernel) in enumerate(zip(p.materials, self._field_kernels, strict=True)):
-            rows = np.flatnonzero(p.material == m)
-            if len(rows):
-                numbers = np.tile(parameter_values(material), (len(rows), 1))
-                history = p.history(rows) if material.plastic else ()
-                out[rows] = kernel(p.F[rows], p.q[rows], p.wryness[rows], *history, numbers)
-        return Fields(out[:, 0], out[:, 1:10].reshape(-1, 3, 3), out[:, 10:].reshape(-1, 3, 3))
+    def fields(self, *names: str | MaterialField) -> Fields:
+        """Energy, Cauchy stress and couple stress at the local points, or what is asked for.
+
+        Args:
+            *names: any of energy (Pa), stress (Pa), couple_stress (N/m) and mean_pressure (Pa), or a
+                `MaterialField`; default: the first three.
+
+        Returns:
+            The fields by name; `.energy`, `.stress` and `.couple_stress` for short.
+
+        Raises:
+            InputError: an unknown name.
+        """
+        return self._fields.evaluate(self.points, choose_fields(names, self.points.plastic))
 
     def energy(self) -> float:
         """Strain energy of the body (J)."""
-        return self.comm.allreduce(float(self.fields().energy @ self.points.volume0))
+        return self.comm.allreduce(float(self.fields("energy").energy @ self.points.volume0))
 
     def energies(self) -> dict[str, float]:
         """Energy balance of the run so far, in J (J per unit thickness in plane strain).
@@ -483,10 +483,9 @@ class Problem(ABC):
           rule, which falls with the square of the step, and what relaxes at resets that aren't balanced and
           where couples in space meet a new base of the rotations.
         """
-        p, loss = self.progress, getattr(self.points, "dissipation", None)
-        dissipated = 0.0
-        if loss is not None:
-            dissipated = self.comm.allreduce(float(loss @ self.points.volume0))
+        p, dissipated = self.progress, 0.0
+        if self.points.plastic:
+            dissipated = self.comm.allreduce(float(self.points.dissipation @ self.points.volume0))
         out = {
             "external": p.external_work,
             "carried": p.carried_work,

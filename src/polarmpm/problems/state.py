@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from mpi4py import MPI
+
 import numpy as np
+
+from ..bodies.points import Points
+from ..errors import InputError
+from ..forms.stresses import MECHANICAL, TABLE, FieldForm, MaterialField
+from ..kernels.kernel import Kernel
+from ..materials.base import parameter_values
 
 
 @dataclass
@@ -34,16 +43,90 @@ class Progress:
     term_work: float = 0.0
 
 
-@dataclass
-class Fields:
-    """Stresses of the current state, for output.
+class Fields(Mapping[str, np.ndarray]):
+    """Fields of the current state at the local points, by name."""
 
-    Attributes:
-        energy: strain energy per reference volume (Pa), scalar.
-        stress: Cauchy stress (Pa), tensor.
-        couple_stress: Cauchy couple stress (N/m), tensor.
+    def __init__(self, values: dict[str, np.ndarray]):
+        self._values = values
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self._values:
+            raise KeyError(f"{name}: fields() was asked for {', '.join(self._values)}")
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    @property
+    def energy(self) -> np.ndarray:
+        """Strain energy per reference volume (Pa), (np,)."""
+        return self["energy"]
+
+    @property
+    def stress(self) -> np.ndarray:
+        """Cauchy stress (Pa), (np, 3, 3)."""
+        return self["stress"]
+
+    @property
+    def couple_stress(self) -> np.ndarray:
+        """Cauchy couple stress (N/m), (np, 3, 3)."""
+        return self["couple_stress"]
+
+
+class StateFields:
+    """The kernels of fields, compiled when they are asked for first. Collective."""
+
+    def __init__(self, comm: MPI.Comm):
+        self.comm = comm
+        self._kernels: dict[tuple[int, tuple[MaterialField, ...]], tuple[FieldForm, Kernel]] = {}
+
+    def evaluate(self, points: Points, fields: Sequence[MaterialField]) -> Fields:
+        """Values at the local points. Energy and stresses are one kernel, every other field has its own."""
+        groups = [MECHANICAL] if any(f in MECHANICAL for f in fields) else []
+        groups += [(field,) for field in fields if field not in MECHANICAL]
+        found: dict[str, np.ndarray] = {}
+        for group in groups:
+            found |= self._group(points, group)
+        return Fields({field.name: found[field.name] for field in fields})
+
+    def _group(self, points: Points, fields: tuple[MaterialField, ...]) -> dict[str, np.ndarray]:
+        out: dict[str, np.ndarray] = {}
+        for m, material in enumerate(points.materials):
+            if any(field.plastic for field in fields) and not material.plastic:
+                continue
+            if (m, fields) not in self._kernels:
+                made = FieldForm(material, fields)
+                self._kernels[m, fields] = made, made.compile(self.comm)
+            form, kernel = self._kernels[m, fields]
+            rows = np.flatnonzero(points.material == m)
+            numbers = np.tile(parameter_values(material), (len(rows), 1))
+            history = points.history(rows) if material.plastic else ()
+            values = kernel(points.F[rows], points.q[rows], points.wryness[rows], *history, numbers)
+            for name, part in form.split(values).items():
+                whole = out.setdefault(name, np.zeros((len(points), *part.shape[1:])))
+                whole[rows] = part
+        return out
+
+
+def choose_fields(names: Sequence[str | MaterialField], plastic: bool) -> list[MaterialField]:
+    """Fields by their names; energy and stresses without any. `plastic`: whether a material can yield.
+
+    Raises:
+        InputError: an unknown name, a user's field with the name of another one, or one of plastic materials
+            where there are none.
     """
-
-    energy: np.ndarray
-    stress: np.ndarray
-    couple_stress: np.ndarray
+    out = []
+    for given in names or [field.name for field in MECHANICAL]:
+        if not isinstance(given, MaterialField) and given not in TABLE:
+            allowed = f"{', '.join(TABLE)} and a MaterialField"
+            raise InputError(f"fields: {given!r} is unknown; allowed are {allowed}")
+        field = given if isinstance(given, MaterialField) else TABLE[given]
+        if TABLE.get(field.name, field) is not field:
+            raise InputError(f"fields: {field.name!r} is the name of one of the package's fields")
+        if field.plastic and not plastic:
+            raise InputError(f"fields: {field.name!r}, but none of the materials is plastic")
+        out.append(field)
+    return out

@@ -94,9 +94,9 @@ def _nowhere(x: np.ndarray) -> np.ndarray:
 
 def _springs(argument: str, material: Material, size: float, rotation: int) -> float:
     """Default stiffness of a surface's springs."""
-    p = getattr(material, "elastic", material).parameters()
     needed = ("mu", "gamma") if rotation else ("lam", "mu")
-    if any(n not in p for n in needed):
+    p = material.moduli(*needed)
+    if len(p) < len(needed):
         raise InputError(
             f"{argument}: {type(material).__name__} has no parameters named {' and '.join(needed)}; give "
             f"{argument.split(': ')[-1]}"

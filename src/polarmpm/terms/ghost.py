@@ -102,8 +102,7 @@ def make_penalty(
 
 def _modulus(ghost: str, material: Material, names: tuple[str, ...]) -> float:
     """The first of a material's moduli that is positive; zero when all of those it has are zero."""
-    parameters = getattr(material, "elastic", material).parameters()
-    known = [float(parameters[n]) for n in names if n in parameters]
+    known = material.moduli(*names).values()
     if not known:
         raise InputError(
             f"ghost = {ghost!r}: {type(material).__name__} has no parameter named {' or '.join(names)}; give "
