@@ -3,7 +3,8 @@
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from .bodies.elements import Elements, Facets
+from .bodies.elements import Elements
+from .bodies.facets import Facets
 from .bodies.points import Points, Selection
 from .bodies.seeding import seed, seed_mesh
 from .errors import InputError, KernelError, NotConserved, NotConverged, PointsOutsideGrid, PolarMPMError

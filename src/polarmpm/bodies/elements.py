@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -15,40 +14,16 @@ from ..errors import InputError
 from ..geometry.meshes import BodyMesh
 from ..geometry.planes import PlaneSpec
 from ..geometry.spacenodes import SpaceNodes
-from ..geometry.surfaces import Surface
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
 from ..materials.base import Material, check_material
 from ..tools import compat
 from ..tools.parallel import collectively, together
+from .facets import Facets, FacetSurface
 from .points import Points
 
 # exact for the stiffness of undistorted elements: 2 and 3 Gauss points a direction on boxes
 _QUADRATURE = {("tensor", 1): 3, ("tensor", 2): 5, ("simplex", 1): 2, ("simplex", 2): 4}
-
-
-@dataclass(frozen=True, eq=False)
-class Facets:
-    """A group of boundary facets.
-
-    Attributes:
-        name: for messages.
-        facets: local numbers on this rank, ascending.
-        weights: integral (m^2; m in plane strain) of each node's shape function over the group (nodes,),
-            complete on owned nodes.
-        area: of the undeformed group (m^2; m in plane strain), all ranks together.
-        nodes: which nodes lie on the group (nodes,), bool.
-    """
-
-    name: str
-    facets: np.ndarray
-    weights: np.ndarray
-    area: float
-    nodes: np.ndarray
-
-    def mask(self, nodes: Any) -> np.ndarray:
-        """Which nodes are meant (n,), as of a `Support`."""
-        return self.nodes
 
 
 class Elements:
@@ -216,11 +191,9 @@ class Elements:
 
         return self.facets(farthest)
 
-    def surface(self, where: Any) -> Surface:
+    def surface(self, where: Any) -> FacetSurface:
         """The quadrature points of boundary facets as a surface, for terms that act on one; `where` as of
         `facets`. Collective."""
-        from .facets import FacetSurface  # only terms ask for it
-
         return FacetSurface(self, self.facets(where))
 
     def _group(self, name: str, facets: np.ndarray) -> Facets:

@@ -1,16 +1,53 @@
-"""Surfaces of meshed bodies as points with areas and normals, for terms that act on surfaces."""
+"""Groups of boundary facets; and facets as points with areas and normals, for terms that act on surfaces."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from mpi4py import MPI
 
 import numpy as np
 
+from ..geometry.meshes import BodyMesh
 from ..geometry.surfaces import Surface
 from ..tools import compat
 
-if TYPE_CHECKING:
-    from .elements import Elements, Facets
+
+@dataclass(frozen=True, eq=False)
+class Facets:
+    """A group of boundary facets.
+
+    Attributes:
+        name: for messages.
+        facets: local numbers on this rank, ascending.
+        weights: integral (m^2; m in plane strain) of each node's shape function over the group (nodes,),
+            complete on owned nodes.
+        area: of the undeformed group (m^2; m in plane strain), all ranks together.
+        nodes: which nodes lie on the group (nodes,), bool.
+    """
+
+    name: str
+    facets: np.ndarray
+    weights: np.ndarray
+    area: float
+    nodes: np.ndarray
+
+    def mask(self, nodes: Any) -> np.ndarray:
+        """Which nodes are meant (n,), as of a `Support`."""
+        return self.nodes
+
+
+class Meshed(Protocol):
+    """A body meshed with finite elements, as far as its surface is concerned."""
+
+    comm: MPI.Comm
+    body: BodyMesh
+    mesh: Any
+    dim: int
+    degree: int
+    quadrature_degree: int
+    cell_nodes: np.ndarray
 
 
 class FacetSurface(Surface):
@@ -24,7 +61,7 @@ class FacetSurface(Surface):
         table: values of the nodes' functions, and gradients by X (1/m), (m, 1 + d, n).
     """
 
-    def __init__(self, elements: Elements, facets: Facets):
+    def __init__(self, elements: Meshed, facets: Facets):
         self.elements = elements
         x, area, normal, key = self._own(facets.facets)
         gathered = elements.comm.allgather((x, area, normal, key))
@@ -75,9 +112,9 @@ class FacetSurface(Surface):
         return tuple(np.concatenate(column) for column in zip(empty, *flat, strict=True))  # type: ignore[return-value]
 
 
-def _attached(mesh: object, dim: int, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _attached(mesh: Any, dim: int, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Local cell of each boundary facet, and which of its facets it is."""
-    topology = mesh.topology  # type: ignore[attr-defined]
+    topology = mesh.topology
     topology.create_connectivity(dim - 1, dim)
     topology.create_connectivity(dim, dim - 1)
     of_facets, of_cells = topology.connectivity(dim - 1, dim), topology.connectivity(dim, dim - 1)

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import ufl
 
-from ..bodies.elements import Elements, Facets
+from ..bodies.elements import Elements
+from ..bodies.facets import Facets
 from ..kinematics import measures as kin
 from ..kinematics.layout import Layout, pack_state, state_size
 from ..materials.base import Material, parameter_values

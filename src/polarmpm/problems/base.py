@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -11,58 +11,41 @@ from mpi4py import MPI
 import numpy as np
 
 from ..assembly.system import NodalSystem
-from ..bodies.points import Points, Selection
+from ..bodies.points import Points
 from ..bodies.reference import Increments
-from ..conditions import supports as conditions
-from ..conditions.amplitudes import Amplitude
-from ..conditions.loads import Load, make_loads
 from ..conditions.prescribed import Prescribed
 from ..conditions.proportional import check_linear, check_loads, check_supports
 from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.stresses import MaterialField
 from ..geometry.nodes import Nodes
-from ..geometry.surfaces import Surface
 from ..kinematics import rotations
-from ..kinematics.layout import Layout
 from ..solvers import arclength, newton
 from ..solvers.arclength import ArcSchedule, Path
 from ..solvers.newton import Controls, Outcome
 from ..solvers.stepping import Schedule, Step, march
-from ..terms.base import Term
 from ..terms.surfaces import SurfaceSupport
-from ..terms.surfaceterms import SurfaceCondition
 from ..tools.parallel import together
 from ..tools.timing import Timer
-from . import surfaces
-from .state import Fields, Progress, StateFields, choose_fields
+from .conditions import Conditions
+from .state import Fields, StateFields, choose_fields
 from .work import StepStart, step_work
 
 
-class Problem(ABC):
+class Problem(Conditions):
     """Equilibrium of a body under slowly changing loads. All methods are collective.
 
     Attributes:
-        terms: what acts on the body besides its stresses, supports and dead loads; see `add`.
-        points: where the body's state lives: material points, or the elements' quadrature points.
         progress: load factor and number of steps of the last converged state.
         steps: converged steps so far.
         timer: CPU seconds of this rank by phase.
     """
 
     def __init__(self, comm: MPI.Comm, points: Points, dim: int, controls: Controls | None):
-        self.comm, self.points, self.controls = comm, points, controls or Controls()
-        layouts = {Layout.of(m, dim) for m in points.materials}
-        if len(layouts) > 1:
-            raise InputError("points: micropolar and classical materials can't be mixed in one body")
-        self.layout = layouts.pop()
-        self.supports: list[Support] = []
-        self.loads: list[Load] = []
-        self.terms: list[Term] = []
+        super().__init__(comm, points, dim)
+        self.controls, self.timer = controls or Controls(), Timer()
         self.term_works: dict[str, float] = {}  # work (J) done against each term that is no load, by name
-        self.progress, self.timer = Progress(), Timer()
         self.steps: list[Step] = []
-        self._stale = False  # conditions have changed since the system was built
         self._fields = StateFields(comm)
         # nodes, out-of-balance forces and rotational increments of the last converged step
         self._equilibrium: tuple[Nodes, np.ndarray, np.ndarray] | None = None
@@ -89,159 +72,42 @@ class Problem(ABC):
     def _commit(self, system: Any, increments: Increments, factor: float) -> None:
         """Make a solution the body's state."""
 
-    @abstractmethod
-    def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
-        """Predicate of node positions, and its name, of what the user gives to `fix`."""
-
-    @property
-    @abstractmethod
-    def cell_size(self) -> float:
-        """Size of a cell or an element (m), the smallest one. Collective."""
-
     @property
     @abstractmethod
     def system(self) -> NodalSystem | None:
         """Nodes, their increments and residual as of the last step; None before the first one."""
 
-    def _load_places(self) -> list[tuple[Amplitude, np.ndarray]]:
-        """All loads, and the positions (n, d) of this rank where they act.
-
-        Raises:
-            InputError: the arc-length method can't deal with a load; the message names it.
-        """
-        spatial = [load.name for load in self.loads if load.couple and self.layout.rotations == 3]
-        if spatial:
-            raise InputError(
-                f"{spatial[0]}: couples in space turn with the spin; the arc-length method takes forces only"
-            )
-        return [(load.amplitude, self.points.X[self.points.rows(load.selection)]) for load in self.loads]
-
-    # conditions -----------------------------------------------------------------------------------
-    def fix(
-        self,
-        where: Any,
-        *,
-        stiffness: float | None = None,
-        rotation_stiffness: float | None = None,
-        augment: bool = False,
-        normal: Any = None,
-        **components: Any,
-    ) -> Support | SurfaceSupport:
-        """Prescribe displacements and rotations, of nodes or by springs on a surface.
-
-        Args:
-            where: `plane(x=0.0)` or a predicate of node positions (n, d) -> (n,) bool; for finite elements
-                also facets, or the name of a physical group. Or a `Surface` (also one that doesn't follow the
-                grid; `elements.surface(...)`), which the body carries: springs hold it.
-            **components: u, theta (all components), or ux, uy, uz, theta_x, theta_y, theta_z (theta in
-                plane strain), in m and rad. A number is ramped with the load factor; a function of the
-                factor, or of (factor, positions), gives the total displacement or rotation; positions are
-                those of the nodes at the last reset, of a surface the undeformed ones. In one step a rotation
-                in space may change by less than pi.
-            stiffness: of a surface's springs (Pa/m): the virtual work per undeformed area is
-                stiffness (u - prescribed u) . du, and the same for rotations. Default: 1000 times the
-                stiffest material's lam + 2 mu over the size of a cell: they give way like a layer of a
-                thousandth of a cell.
-            rotation_stiffness: (N/m); default: 1000 times gamma over the size of a cell, plus mu times it.
-            augment: keep the springs' forces after each converged step and let the springs start anew, so
-                that what they give way under a load that stays vanishes over steps (augmented Lagrange
-                method).
-            normal: displacement along a surface's undeformed normals (m): rollers. Not together with other
-                displacements.
-
-        Returns:
-            The support, for `reaction`. Of a surface, `support.gap` (n,) tells by how much (m) the prescribed
-            displacements were missed in the last step.
-
-        Raises:
-            InputError: unknown component or none, plane without nodes, value that isn't finite; of a surface,
-                a stiffness that isn't positive, materials that don't name their moduli; springs elsewhere.
-        """
-        springs = {"stiffness": stiffness, "rotation_stiffness": rotation_stiffness, "normal": normal}
-        if isinstance(where, Surface):
-            return surfaces.add_support(self, where, components, augment=augment, **springs)
-        given = [name for name, value in springs.items() if value is not None] + ["augment"] * bool(augment)
-        if given:
-            raise InputError(f"fix: {given[0]} belongs to springs on a Surface; where = {where!r}")
-        predicate, label = self._place(where)
-        support = conditions.make_support(predicate, label, components, self.layout, len(self.supports) + 1)
-        self._admit(where, support)
-        self.supports.append(support)
-        self._stale = True
-        return support
-
-    def _admit(self, where: Any, support: Support) -> None:  # noqa: B027
-        """Take note of a support that the user has put on `where`, or refuse it."""
-
-    def add(self, term: Term) -> None:
-        """Add a term: a contribution to the nodal system, such as a `SurfaceTerm` of one's own. In mid-run it
-        acts from the next step on, which begins with a reset of the grid.
-
-        Raises:
-            InputError: not a term, one that is in a problem already, or one that doesn't fit this problem.
-        """
-        if not isinstance(term, Term):
-            raise InputError(
-                f"term = {term!r} is not a Term; derive from polarmpm.Term or polarmpm.SurfaceTerm"
-            )
-        if term in self.terms:
-            raise InputError(f"term = {term.name!r} has been added already")
-        term.attach(self.layout, self.comm)
-        self.terms.append(term)
-        self._stale = self.progress.reset_due = True
-
-    @property
-    def surfaces(self) -> list[SurfaceCondition]:
-        """Tractions, pressures, supports and terms of one's own on surfaces."""
-        return [term for term in self.terms if isinstance(term, SurfaceCondition)]
-
-    def traction(self, where: Surface, *, force: Any = None, couple: Any = None) -> None:
-        """A dead traction (N/m^2) and couple traction (N/m; one number in plane strain) per undeformed area
-        on a surface that the body carries. Values as in `fix`.
-
-        Raises:
-            InputError: neither is given, values of the wrong size, a surface of another dimension; at the
-                next step: points of the surface outside of the body.
-        """
-        surfaces.add_traction(self, "traction", where, force, couple)
-
-    def pressure(self, where: Surface, p: Any) -> None:
-        """A pressure (Pa) against the current normal of a surface that the body carries, -p cof(F) N dA.
-
-        Raises:
-            InputError: as `traction`.
-        """
-        surfaces.add_pressure(self, where, p)
-
-    def body_load(self, *, force: Any = None, couple: Any = None, on: Selection | None = None) -> None:
-        """A dead force (N/m^3) and couple (N/m^2) per reference volume, on all points or a selection.
-
-        Values as in `fix`; functions of two arguments get (factor, initial positions of the points (n, d)).
-        """
-        self._add_loads(f"body load {len(self.loads) + 1}", on, force, couple, True, 1.0)
-
-    def _add_loads(
-        self, name: str, selection: Selection | None, force: Any, couple: Any, density: bool, share: float
-    ) -> None:
-        self.loads += make_loads(name, selection, force, couple, self.layout, density, share)
-        self._stale = True
-
     # solving --------------------------------------------------------------------------------------
-    def march(self, steps: int | None = None, **options: Any) -> Iterator[Step]:
-        """Raise the load factor to 1 in load steps; yields every converged step. See `stepping.Schedule`.
+    def march(
+        self,
+        steps: int | None = None,
+        *,
+        to: float = 1.0,
+        adaptive: bool = False,
+        smallest: float = 1e-3,
+        largest: float | None = None,
+        easy: int = 6,
+        progress: bool | None = None,
+    ) -> Iterator[Step]:
+        """Raise the load factor in load steps; yields every converged step.
 
         Args:
-            steps: number of equal steps from the present factor to `to`.
-            to: final load factor (default 1).
+            steps: number of equal steps from the present factor to `to`; of adaptive ones the first, and
+                largest, step follows from it (default 10).
+            to: final load factor.
             adaptive: cut a step that fails and retry from the last converged state, then grow again, up to
                 the first step's size or, with `largest`, beyond.
+            smallest: smallest adaptive step, relative to the first one.
+            largest: load factor increment to which adaptive steps may grow.
+            easy: an adaptive step of at most so many iterations lets the next one grow.
             progress: show a progress bar (default: on a terminal).
 
         Raises:
+            InputError: an argument is out of range.
             NotConverged: with what was tried; the last converged state is intact.
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
-        return march(self, Schedule.make(steps, **options))
+        return march(self, Schedule(steps, to, adaptive, smallest, largest, easy, progress))
 
     def system_at(self, factor: float) -> NodalSystem:
         """The nodal system in which equilibrium at a load factor is sought, at the increments that the last
@@ -377,11 +243,6 @@ class Problem(ABC):
         self._put_loads(system, factor)
         return StepStart(system.x.copy(), before, system.working_loads())
 
-    def _set_terms(self, factor: float, carrying: bool = False) -> None:
-        with together(self.comm):
-            for term in self.terms:
-                term.set_factor(factor, carrying)
-
     def _growth_of_terms(self, system: NodalSystem) -> np.ndarray:
         """What the residual forces (nodes, block) of the terms, complete on owned rows, gain while the load
         factor grows from 0 to 1. The terms are left at 0. Collective.
@@ -423,28 +284,6 @@ class Problem(ABC):
         self.progress.ghost_work = self.term_works.get("ghost", 0.0)
         self.progress.term_work = sum(self.term_works.values()) - self.progress.ghost_work
         system.terms.commit(system.x)
-
-    def term_state(self) -> dict[str, np.ndarray]:
-        """What a restart needs of the terms, the same on every rank, by names such as "0/u"."""
-        return {f"{k}/{name}": a for k, term in enumerate(self.terms) for name, a in term.state().items()}
-
-    def restore_terms(self, arrays: dict[str, np.ndarray]) -> None:
-        """Put in what `term_state` gave, before `restore`; the problem has the same terms.
-
-        Raises:
-            InputError: other terms.
-        """
-        with_state = [k for k, term in enumerate(self.terms) if term.state()]
-        saved = {int(key.split("/")[0]) for key in arrays}
-        if saved != set(with_state):
-            raise InputError(
-                f"the saved state has {len(saved)} term(s) with a state of their own, the problem has "
-                f"{len(with_state)}"
-            )
-        for k in with_state:
-            start = f"{k}/"
-            of_this = {key[len(start) :]: a for key, a in arrays.items() if key.startswith(start)}
-            self.terms[k].restore(of_this)
 
     def _prescribed(self, nodes: Nodes) -> Prescribed:
         with self.timer("conditions"), together(self.comm):

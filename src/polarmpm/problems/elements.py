@@ -10,7 +10,8 @@ import numpy as np
 import ufl
 
 from ..assembly.elements import ElementSystem
-from ..bodies.elements import Elements, Facets
+from ..bodies.elements import Elements
+from ..bodies.facets import Facets
 from ..bodies.reference import Increments
 from ..conditions.amplitudes import Amplitude
 from ..conditions.loads import point_loads

@@ -2,42 +2,57 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
+from ..bodies.points import Points
 from ..conditions.supports import Support, make_support
 from ..errors import InputError
 from ..geometry.surfaces import Surface
 from ..kinematics.layout import Layout
 from ..materials.base import Material
+from ..terms.base import Term
 from ..terms.surfaces import Pressure, SurfaceSupport, Traction
+from ..terms.surfaceterms import SurfaceCondition
 from ..tools.checks import require_finite
-
-if TYPE_CHECKING:
-    from .base import Problem
 
 _PENALTY = 1e3  # default springs: a layer of a thousandth of a cell, of the body's stiffness
 
 
-def _name(problem: Problem, kind: str) -> str:
+class Loaded(Protocol):
+    """The problem to which surfaces belong."""
+
+    layout: Layout
+    points: Points
+
+    @property
+    def surfaces(self) -> list[SurfaceCondition]: ...
+
+    @property
+    def cell_size(self) -> float: ...
+
+    def add(self, term: Term) -> None: ...
+
+
+def _name(problem: Loaded, kind: str) -> str:
     return f"{kind} {len(problem.surfaces) + 1}"
 
 
 def add_traction(
-    problem: Problem, kind: str, surface: Any, force: Any, couple: Any, share: float = 1.0
+    problem: Loaded, kind: str, surface: Any, force: Any, couple: Any, share: float = 1.0
 ) -> None:
-    """See `Problem.traction`; a `load` has a share."""
+    """See `Conditions.traction`; a `load` has a share."""
     problem.add(Traction(_name(problem, kind), surface, force, couple, share))
 
 
-def add_pressure(problem: Problem, surface: Any, p: Any) -> None:
-    """See `Problem.pressure`."""
+def add_pressure(problem: Loaded, surface: Any, p: Any) -> None:
+    """See `Conditions.pressure`."""
     problem.add(Pressure(_name(problem, "pressure"), surface, p))
 
 
 def add_support(
-    problem: Problem,
+    problem: Loaded,
     surface: Surface,
     components: dict[str, Any],
     *,
@@ -46,7 +61,7 @@ def add_support(
     augment: bool,
     normal: Any,
 ) -> SurfaceSupport:
-    """See `Problem.fix`."""
+    """See `Conditions.fix`."""
     name, layout = _name(problem, "surface support"), problem.layout
     displaced = [c for c in components if not c.startswith("theta")]
     if normal is not None and displaced:
@@ -73,7 +88,7 @@ def add_support(
     return made
 
 
-def _stiffness(problem: Problem, argument: str, value: float | None, rotation: int) -> float:
+def _stiffness(problem: Loaded, argument: str, value: float | None, rotation: int) -> float:
     if value is None:
         size = problem.cell_size
         return max(_springs(argument, m, size, rotation) for m in problem.points.materials)

@@ -51,10 +51,11 @@ class Step:
 
 @dataclass(frozen=True)
 class Schedule:
-    """How to reach the final load factor.
+    """How to reach the final load factor; see `Problem.march`.
 
     Attributes:
-        steps: number of equal steps; for adaptive stepping the first and largest step follows from it.
+        steps: number of equal steps; for adaptive stepping the first and largest step follows from it (10
+            unless given).
         to: final load factor.
         adaptive: cut and retry a failed step, grow after easy ones.
         smallest: smallest adaptive step, relative to the first one.
@@ -63,7 +64,7 @@ class Schedule:
         progress: progress bar; None shows it on a terminal only.
     """
 
-    steps: int
+    steps: int | None = None
     to: float = 1.0
     adaptive: bool = False
     smallest: float = 1e-3
@@ -71,30 +72,26 @@ class Schedule:
     easy: int = 6
     progress: bool | None = None
 
-    @classmethod
-    def make(cls, steps: int | None, **options: Any) -> Schedule:
-        """Check a user's wishes.
-
-        Raises:
-            InputError: an unknown option or one that is out of range.
-        """
-        unknown = set(options) - {"to", "adaptive", "smallest", "largest", "easy", "progress"}
-        if unknown:
-            raise InputError(f"march: unknown option {sorted(unknown)[0]!r}")
-        if steps is None and not options.get("adaptive"):
+    def __post_init__(self) -> None:
+        steps, largest = self.steps, self.largest
+        if steps is None and not self.adaptive:
             raise InputError("steps: a number of steps is needed unless adaptive=True")
-        steps = 10 if steps is None else steps
-        if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
+        if steps is not None and (isinstance(steps, bool) or not isinstance(steps, int) or steps < 1):
             raise InputError(f"steps = {steps!r}: a positive whole number")
-        schedule = cls(steps, **options)
-        if not math.isfinite(schedule.to):
-            raise InputError(f"to = {schedule.to!r}: a finite load factor")
-        if not 0 < schedule.smallest <= 1:
-            raise InputError(f"smallest = {schedule.smallest!r}: between 0 and 1")
-        largest = schedule.largest
-        if largest is not None and not (schedule.adaptive and math.isfinite(largest) and largest > 0):
+        if not math.isfinite(self.to):
+            raise InputError(f"to = {self.to!r}: a finite load factor")
+        if not 0 < self.smallest <= 1:
+            raise InputError(f"smallest = {self.smallest!r}: between 0 and 1")
+        if largest is not None and not (self.adaptive and math.isfinite(largest) and largest > 0):
             raise InputError(f"largest = {largest!r}: a positive load factor increment, with adaptive=True")
-        return schedule
+
+    @property
+    def number(self) -> int:
+        """Number of equal steps; the first adaptive step is one of so many."""
+        return self.steps or _STEPS
+
+
+_STEPS = 10  # of which the first adaptive one is a part, unless a number is given
 
 
 def march(problem: Marching, schedule: Schedule) -> Iterator[Step]:
@@ -127,8 +124,8 @@ def _attempt(problem: Marching, factor: float, tried: list[str]) -> Step | Outco
 
 def _equal(problem: Marching, schedule: Schedule) -> Iterator[Step]:
     begin = problem.progress.factor
-    for k in range(1, schedule.steps + 1):
-        factor = schedule.to if k == schedule.steps else _part(begin, schedule.to, k / schedule.steps)
+    for k in range(1, schedule.number + 1):
+        factor = schedule.to if k == schedule.number else _part(begin, schedule.to, k / schedule.number)
         tried: list[str] = []
         step = _attempt(problem, factor, tried)
         if isinstance(step, Outcome):
@@ -154,7 +151,7 @@ _FEW_DIGITS = 8 * float(np.finfo(float).eps)
 
 
 def _adaptive(problem: Marching, schedule: Schedule) -> Iterator[Step]:
-    first = (schedule.to - problem.progress.factor) / schedule.steps
+    first = (schedule.to - problem.progress.factor) / schedule.number
     largest = first if schedule.largest is None else math.copysign(schedule.largest, first)
     size = min(first, largest, key=abs)
     while problem.progress.factor != schedule.to:

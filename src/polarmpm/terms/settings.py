@@ -94,8 +94,8 @@ class GridSetting(Setting):
             at = int(np.argmax(owner == size))
             raise InputError(
                 f"{places.name}: surface point {at} at {tuple(float(round(c, 9)) for c in x[at])} lies "
-                f"outside of the body ({np.sum(owner == size)} in all): no material point reaches a cell that "
-                f"is less than {limit:g} cells away"
+                f"outside of the body ({np.sum(owner == size)} in all): no material point reaches a cell "
+                f"that is less than {limit:g} cells away"
             )
         return owner, cells
 
