@@ -10,12 +10,12 @@ import pytest
 import ufl
 
 import polarmpm as pm
-from polarmpm.basis.aggregation import supporting_cells
-from polarmpm.basis.lattice import node_positions, weights
+from polarmpm.basis.registry import basis_of
 from polarmpm.bodies.points import Points
 from polarmpm.study import manufactured
 from tests.conftest import COMM, HENCKY, MICROPOLAR, NEO_HOOKEAN, by_id
 
+SPLINES = basis_of("bspline")
 STRETCH = np.array([[0.2, 0.3, -0.1], [-0.15, -0.1, 0.2], [0.1, 0.05, 0.15]])
 
 
@@ -32,7 +32,7 @@ def test_one_and_two_cells_are_bernstein_and_half_open():
     for cells, lower, upper in ((1, bernstein, bernstein), (2, first, first[::-1, ::-1])):
         grid = pm.Grid.box((0, 0), (cells, cells), 1.0)
         at = np.stack([x, x + cells - 1], axis=1)
-        w = weights("bspline", grid, at, np.zeros_like(at))
+        w = SPLINES.weights(grid, at, np.zeros_like(at))
         np.testing.assert_array_equal(w.first, np.broadcast_to([0, cells - 1], w.first.shape))
         np.testing.assert_allclose(w.table[:, 0, 0], lower, atol=1e-14)
         np.testing.assert_allclose(w.table[:, 1, 0], upper, atol=1e-14)
@@ -44,7 +44,7 @@ def test_functions_are_smooth_across_planes(cells):
     grid = pm.Grid.box((0, 0), (0.5 * cells, 1.0), (0.5, 1.0))
 
     def dense(x: float) -> np.ndarray:
-        w = weights("bspline", grid, np.array([[x, 0.5]]), np.zeros((1, 2)))
+        w = SPLINES.weights(grid, np.array([[x, 0.5]]), np.zeros((1, 2)))
         out = np.zeros((2, cells + 2))
         out[:, w.first[0, 0] : w.first[0, 0] + 3] = w.table[0, 0]
         return out
@@ -61,8 +61,8 @@ def test_positions_of_nodes():
     grid = pm.Grid.box((1, 0), (4, 2), (1.0, 2.0))
     numbers = grid.node_number(np.array([[0, 0], [1, 1], [3, 2], [4, 2]]))
     expected = [[1, 0], [1.5, 1], [3.5, 2], [4, 2]]
-    np.testing.assert_allclose(node_positions("bspline", grid, numbers), expected)
-    np.testing.assert_allclose(node_positions("mpm", grid, numbers), grid.node_position(numbers))
+    np.testing.assert_allclose(SPLINES.positions(grid, numbers), expected)
+    np.testing.assert_allclose(basis_of("mpm").positions(grid, numbers), grid.node_position(numbers))
 
 
 # slivers ------------------------------------------------------------------------------------------
@@ -72,7 +72,7 @@ def test_slivers_take_the_polynomials_of_the_cell_behind_the_face():
     x = np.array([[2.5, 2.5], [3.02, 2.5], [3.04, 2.4], [2.4, 1.97], [3.03, 1.95], [5.01, 5.5], [0.5, 4.0]])
     expected = [[2, 2], [2, 2], [2, 2], [2, 2], [2, 2], [5, 5], [0, 4]]
     share = np.arange(len(x)) % COMM.size == COMM.rank
-    np.testing.assert_array_equal(supporting_cells(grid, x[share]), np.array(expected)[share])
+    np.testing.assert_array_equal(SPLINES.supporting_cells(grid, x[share]), np.array(expected)[share])
 
 
 def test_deep_cells_stay_as_they_are():
@@ -80,7 +80,7 @@ def test_deep_cells_stay_as_they_are():
     grid = pm.Grid.box((0, 0), (6, 6), 1.0)
     x = np.array([[2.5, 2.5], [3.02, 2.5], [3.5, 2.5]])
     share = np.arange(len(x)) % COMM.size == COMM.rank
-    np.testing.assert_array_equal(supporting_cells(grid, x[share])[:, 0], np.array([2, 3, 3])[share])
+    np.testing.assert_array_equal(SPLINES.supporting_cells(grid, x[share])[:, 0], np.array([2, 3, 3])[share])
 
 
 def test_cells_that_are_all_thin_stay_as_they_are():
@@ -88,7 +88,7 @@ def test_cells_that_are_all_thin_stay_as_they_are():
     grid = pm.Grid.box((0, 0), (6, 6), 1.0)
     x = np.stack(np.meshgrid(np.arange(6) + 0.05, np.arange(6) + 0.05), axis=-1).reshape(-1, 2)
     x = np.array_split(x, COMM.size)[COMM.rank]
-    np.testing.assert_array_equal(supporting_cells(grid, x), grid.cells_of(x))
+    np.testing.assert_array_equal(SPLINES.supporting_cells(grid, x), grid.cells_of(x))
 
 
 def block(dim: int, material: pm.Material, offset: float, **options) -> pm.QuasiStatic:
@@ -264,9 +264,9 @@ def test_interior_planes_are_refused():
     """The message names the plane and the planes that are allowed; boundary planes are accepted."""
     grid = pm.Grid.box((-1, -3), (6, 3), 0.5)
     with pytest.raises(pm.InputError, match=r"plane x = 0 .*bspline.*allowed are -1 and 6"):
-        pm.plane(x=0.0).check_basis("bspline", grid)
-    pm.plane(x=6.0).check_basis("bspline", grid)
-    pm.plane(x=0.0).check_basis("mpm", grid)
+        SPLINES.check_plane(pm.plane(x=0.0), grid)
+    SPLINES.check_plane(pm.plane(x=6.0), grid)
+    basis_of("mpm").check_plane(pm.plane(x=0.0), grid)
     with pytest.raises(pm.InputError, match="plane y = 0 is not a boundary plane"):
         block(2, MICROPOLAR, 0.0).fix(pm.plane(y=0.0), u=0)
 

@@ -40,7 +40,7 @@ class LoadedPoints(NodalSystem):
         timer: Timer,
     ):
         grid, layout = interpolation.grid, interpolation.layout
-        super().__init__(interpolation.nodes, layout, prescribed, np.array(grid.cell), grid.comm, timer)
+        super().__init__(interpolation.nodes, layout, prescribed, np.array(grid.smallest), grid.comm, timer)
         self.interpolation, self.kernels, self.couple_kernel = interpolation, kernels, couple_kernel
         self.terms = NodalTerms(self.nodes, interpolation.terms)
         self.mappings = [self._mapping(b) for b in interpolation.batches]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..basis.base import Basis
 from ..conditions import supports as conditions
 from ..errors import InputError
 from ..geometry.grid import Grid
@@ -30,7 +31,7 @@ class SurfaceProblem(Problem):
     """
 
     grid: Grid
-    basis: str
+    basis: Basis
     assembly: str
 
     def __init__(self, *arguments: Any):
@@ -175,7 +176,7 @@ class SurfaceProblem(Problem):
 
     def _stiffness(self, name: str, argument: str, value: float | None, rotation: int) -> float:
         if value is None:
-            size, materials = min(self.grid.cell), self.points.materials
+            size, materials = min(self.grid.smallest), self.points.materials
             return max(_springs(name, argument, m, size, rotation) for m in materials)
         require_finite(f"{name}: {argument}", value)
         if value <= 0:

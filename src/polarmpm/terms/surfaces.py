@@ -8,6 +8,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..basis.base import Basis
 from ..conditions.amplitudes import Amplitude
 from ..conditions.supports import Support
 from ..errors import InputError
@@ -21,7 +22,9 @@ from .surfaceterms import SurfaceCondition
 class Traction(SurfaceCondition):
     """A dead traction (N/m^2) and couple traction (N/m) per undeformed area."""
 
-    def __init__(self, name: str, surface: Surface, layout: Layout, basis: str, comm: MPI.Comm, **given: Any):
+    def __init__(
+        self, name: str, surface: Surface, layout: Layout, basis: Basis, comm: MPI.Comm, **given: Any
+    ):
         force, couple = given["force"], given["couple"]
         if force is None and couple is None:
             raise InputError(f"{name}: neither force nor couple is given")
@@ -44,7 +47,9 @@ class Pressure(SurfaceCondition):
 
     linear = False
 
-    def __init__(self, name: str, surface: Surface, layout: Layout, basis: str, comm: MPI.Comm, **given: Any):
+    def __init__(
+        self, name: str, surface: Surface, layout: Layout, basis: Basis, comm: MPI.Comm, **given: Any
+    ):
         pressure = given["pressure"]
         self._pressure = Amplitude(f"{name}, p", pressure, 1)
         super().__init__(name, surface, layout, basis, comm)
@@ -73,7 +78,7 @@ class SurfaceSupport(SurfaceCondition):
         name: str,
         surface: Surface,
         layout: Layout,
-        basis: str,
+        basis: Basis,
         comm: MPI.Comm,
         *,
         support: Support | None,

@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..basis.lattice import cell_weights
+from ..basis.base import Basis
 from ..errors import InputError
 from ..forms.surfaces import SurfaceForm
 from ..geometry.grid import Grid
@@ -86,13 +86,13 @@ class SurfaceCondition:
 
     linear = True
 
-    def __init__(self, name: str, surface: Surface, layout: Layout, basis: str, comm: MPI.Comm):
+    def __init__(self, name: str, surface: Surface, layout: Layout, basis: Basis, comm: MPI.Comm):
         if not isinstance(surface, Surface):
             raise InputError(f"{name}: surface = {surface!r} is not a Surface")
         if surface.dim != layout.dim:
             raise InputError(f"{name}: the surface has {surface.dim} dimensions, the grid has {layout.dim}")
         self.name, self.surface, self.layout, self.comm = name, surface, layout, comm
-        self.basis = "bspline" if basis == "bspline" else "mpm"
+        self.basis = basis
         self.form = self.make_form()
         self._kernel: Kernel | None = None
         n, d = len(surface), layout.dim
@@ -151,8 +151,8 @@ class SurfaceCondition:
         x = self.surface.x + self._at["u"]
         owner, cells = self._find(grid, x, reached)
         rows = np.flatnonzero(owner == self.comm.rank)
-        table = cell_weights(self.basis, grid, x[rows], cells[rows])
-        count = (3 if self.basis == "bspline" else 2,) * grid.dim
+        table = self.basis.at(grid, x[rows], cells[rows])
+        count = (self.basis.functions,) * grid.dim
         return [SurfaceTerm(self, rows, Boxes(count, grid.node_number(cells[rows])), table)]
 
     def _find(self, grid: Grid, x: np.ndarray, reached: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
