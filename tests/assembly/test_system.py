@@ -213,7 +213,7 @@ def test_symmetric_storage_is_the_upper_triangle(basis):
     np.testing.assert_allclose(k, k.T, rtol=0, atol=1e-14 * abs(k).max())
 
 
-@pytest.mark.parametrize("basis", ["gimpm", "bspline"])
+@pytest.mark.parametrize("basis", ["gimpm", "bspline", "bspline3"])
 def test_whole_rows_of_symmetric_sums(basis):
     """Multigrid on several ranks gets whole rows: half of them is summed, the rest is its mirror image."""
     points = scattered(3, MICROPOLAR)
