@@ -154,13 +154,13 @@ def test_patch_of_a_body_that_cuts_cells(dim, material, reset, basis, strict):
     points = pm.seed(grid, material=material, points_per_cell=3, bounds=(lower, upper))
     shift = 0.003 * np.arange(1, dim + 1)
     points.x = points.X = points.x + shift
-    problem = pm.QuasiStatic(
-        grid, points, basis=basis, reset=reset, controls=strict, balanced_reset=False
-    )
+    problem = pm.QuasiStatic(grid, points, basis=basis, reset=reset, controls=strict, balanced_reset=False)
     grad = 0.5 * (STRETCH + STRETCH.T)[:dim, :dim]
     theta = {"theta": 0} if material.micropolar else {}
     problem.fix(
-        lambda x: np.any((x < inner[0]) | (x > inner[1]), axis=1), u=lambda t, x: t * (x - 3.0) @ grad.T, **theta
+        lambda x: np.any((x < inner[0]) | (x > inner[1]), axis=1),
+        u=lambda t, x: t * (x - 3.0) @ grad.T,
+        **theta,
     )
     full(problem)
     F = np.eye(3)

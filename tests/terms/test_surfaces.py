@@ -353,7 +353,9 @@ def test_clamp_inside_cells_tends_to_the_conforming_one():
     assert differences[2] < 0.7 * differences[1]
 
 
-@pytest.mark.parametrize(("basis", "reset"), [("gimpm", 1), ("mpm", 1), ("bspline", 1), ("bspline3", 1), ("mpm", None)])
+@pytest.mark.parametrize(
+    ("basis", "reset"), [("gimpm", 1), ("mpm", 1), ("bspline", 1), ("bspline3", 1), ("mpm", None)]
+)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_clamped_line_turns_the_body(dim, basis, reset):
     """A clamp that turns by 1.5 rad takes an unloaded body along as a rigid one, without forces; without a
