@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import polarmpm
+from polarmpm.basis.registry import BASES
 
 PACKAGE = Path(polarmpm.__file__).parent
 ORDER = (
@@ -112,11 +113,83 @@ def test_modules_and_functions_are_short():
     assert not long, "\n".join(long)
 
 
-def test_only_the_basis_folder_asks_for_a_basis_by_name():
+# seams --------------------------------------------------------------------------------------------------
+FACES_OF_A_BASIS = {("basis", "base"), ("basis", "registry")}  # what the other folders see of it
+
+
+def is_basis(node: ast.AST) -> bool:
+    """An expression for a basis or its name: basis, self.basis, problem.basis.name, ..."""
+    return ast.unparse(node).removesuffix(".name").split(".")[-1] == "basis"
+
+
+def asks_for_a_basis(node: ast.AST) -> bool:
+    """Whether code depends on which basis there is: by comparing it or a name, a look-up, or its class."""
+    constants = {n.value for n in ast.walk(node) if isinstance(n, ast.Constant)}
+    named = any(isinstance(c, str) and c in BASES for c in constants)
+    if isinstance(node, ast.Compare):
+        return named or any(is_basis(side) for side in (node.left, *node.comparators))
+    if isinstance(node, ast.Match):
+        return named or is_basis(node.subject)
+    if isinstance(node, ast.Dict):  # a table by names
+        return any(isinstance(key, ast.Constant) and key.value in BASES for key in node.keys)
+    if isinstance(node, ast.Subscript):
+        return is_basis(node.slice)
+    if isinstance(node, ast.Call):
+        called = ast.unparse(node.func)
+        of_class = called in ("isinstance", "type") and bool(node.args) and is_basis(node.args[0])
+        text = called.split(".")[-1] in ("startswith", "endswith", "get", "removeprefix", "index", "find")
+        return of_class or (text and (named or any(is_basis(a) for a in node.args)))
+    return False
+
+
+def test_only_the_basis_folder_asks_for_a_basis():
     found = [
-        f"{'.'.join(name)}: {line.strip()}"
+        f"{'.'.join(name)}, line {node.lineno}: {ast.unparse(node)}"
         for name, path in MODULES.items()
-        for line in path.read_text().splitlines()
-        if ("basis ==" in line or "basis !=" in line) and name[:1] != ("basis",)
+        if name[:1] != ("basis",)
+        for node in ast.walk(ast.parse(path.read_text()))
+        if asks_for_a_basis(node)
+    ]
+    inside = [
+        f"{'.'.join(name)} imports {'.'.join(other)}"
+        for name, others in IMPORTS.items()
+        if name[:1] != ("basis",)
+        for other in others
+        if other[:1] == ("basis",) and other not in FACES_OF_A_BASIS
+    ]
+    assert not found + inside, "\n".join(found + inside)
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        'basis == "bspline"',
+        'self.basis.name != "mpm"',
+        '"gimpm" == kind',
+        'basis in ("bspline", "bspline3")',
+        "basis in TABLE",
+        'kind not in {"mpm"}',
+        "TABLE[self.basis]",
+        "TABLE.get(basis.name)",
+        'basis.name.startswith("bspline")',
+        'reasons = {"gimpm": 1, "bspline": 2}',
+        "isinstance(self.basis, Splines)",
+        "type(basis) is Tents",
+        'match basis:\n    case "mpm":\n        pass',
+    ],
+)
+def test_questions_for_a_basis_are_found(code):
+    assert any(asks_for_a_basis(node) for node in ast.walk(ast.parse(code)))
+
+
+def test_only_the_grid_knows_that_its_planes_are_equidistant():
+    """No other module reads `cell` of a grid; a mesh's `cell` is the name of its cells' shape."""
+    found = [
+        f"{'.'.join(name)}, line {node.lineno}: {ast.unparse(node)}"
+        for name, path in MODULES.items()
+        if name not in (("geometry", "grid"), ("geometry", "meshes"))
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute) and node.attr == "cell"
+        if ast.unparse(node.value).split(".")[-1] != "body"
     ]
     assert not found, "\n".join(found)

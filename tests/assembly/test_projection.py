@@ -13,6 +13,7 @@ import polarmpm as pm
 from polarmpm.assembly.interpolation import Interpolation
 from polarmpm.assembly.points import LoadedPoints, PointSystem
 from polarmpm.assembly.projection import DEGREE, CellProjection, ProjectedSystem, lagrange
+from polarmpm.basis.registry import basis_of
 from polarmpm.bodies.points import Points
 from polarmpm.conditions.prescribed import Prescribed
 from polarmpm.conditions.supports import make_support
@@ -85,7 +86,7 @@ def systems(
     forms = [PointForm(m, points.dim) for m in points.materials]
     layout, kernels = forms[0].layout, [form.compile(COMM) for form in forms]
     couple = CoupleForm().compile(COMM) if couples else None
-    interpolation = Interpolation(grid, points, "mpm", forms)
+    interpolation = Interpolation(grid, points, basis_of("mpm"), forms)
     made = [make_support(w, "nodes", c, layout, k) for k, (w, c) in enumerate(supports)]
     prescribed = Prescribed(interpolation.nodes, made, layout)
     rng = np.random.default_rng(COMM.rank)

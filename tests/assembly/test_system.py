@@ -13,6 +13,7 @@ import pytest
 import polarmpm as pm
 from polarmpm.assembly.interpolation import Interpolation
 from polarmpm.assembly.points import PointSystem
+from polarmpm.basis.registry import basis_of
 from polarmpm.bodies.points import Points
 from polarmpm.conditions.prescribed import Prescribed
 from polarmpm.conditions.supports import make_support
@@ -68,7 +69,7 @@ def make_system(
     """The system of points on a grid of unit cells; `full` asks for an unsymmetric tangent."""
     grid = pm.Grid.box((-2,) * points.dim, (4,) * points.dim, 1.0)
     forms = [PointForm(m, points.dim) for m in points.materials]
-    interpolation = Interpolation(grid, points, basis, forms)
+    interpolation = Interpolation(grid, points, basis_of(basis), forms)
     layout = forms[0].layout
     made = [
         make_support(where, "nodes", components, layout, k) for k, (where, components) in enumerate(supports)
@@ -212,7 +213,7 @@ def test_symmetric_storage_is_the_upper_triangle(basis):
     np.testing.assert_allclose(k, k.T, rtol=0, atol=1e-14 * abs(k).max())
 
 
-@pytest.mark.parametrize("basis", ["gimpm", "bspline"])
+@pytest.mark.parametrize("basis", ["gimpm", "bspline", "bspline3"])
 def test_whole_rows_of_symmetric_sums(basis):
     """Multigrid on several ranks gets whole rows: half of them is summed, the rest is its mirror image."""
     points = scattered(3, MICROPOLAR)

@@ -7,11 +7,16 @@ import pytest
 
 import polarmpm as pm
 from polarmpm.basis.base import Weights
-from polarmpm.basis.lattice import node_positions, weights
+from polarmpm.basis.registry import basis_of
 from polarmpm.geometry.grid import MARGIN
 from polarmpm.kinematics.stretch import domain_half_length
 
+ALL = ("gimpm", "mpm", "bspline", "bspline3")
 ORIGIN, CELL, CELLS = (-1.3, 0.4, 2.0), (0.5, 0.8, 1.25), (6, 5, 7)
+
+
+def weights(basis: str, grid: pm.Grid, x: np.ndarray, half: np.ndarray) -> Weights:
+    return basis_of(basis).weights(grid, x, half)
 
 
 def lattice(dim: int) -> pm.Grid:
@@ -61,7 +66,7 @@ def nodal(grid: pm.Grid, w: Weights, p: int, basis: str = "mpm") -> tuple[np.nda
     gradient = np.stack(
         [np.prod([w.table[p, i, int(i == j), index[:, i]] for i in axes], axis=0) for j in axes], axis=1
     )
-    return node_positions(basis, grid, grid.node_number(w.first[p] + index)), value, gradient
+    return basis_of(basis).positions(grid, grid.node_number(w.first[p] + index)), value, gradient
 
 
 def random_points(grid: pm.Grid, largest: float, n: int = 200) -> tuple[np.ndarray, np.ndarray]:
@@ -112,7 +117,7 @@ def test_long_domains(largest):
                 assert (value, gradient) == pytest.approx(expected, abs=1e-12)
 
 
-@pytest.mark.parametrize("basis", ["gimpm", "mpm", "bspline"])
+@pytest.mark.parametrize("basis", ALL)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_partition_of_unity_and_linear_completeness(dim, basis):
     """Weights sum to 1 and gradients to 0; nodal positions are reproduced, and their gradient is I."""
@@ -141,7 +146,7 @@ def special_places(grid: pm.Grid) -> np.ndarray:
     return np.concatenate([corners, [inner, inner + 0.25 * cell, inner - 0.25 * cell, inner + 0.5 * cell]])
 
 
-@pytest.mark.parametrize("basis", ["gimpm", "mpm", "bspline"])
+@pytest.mark.parametrize("basis", ALL)
 def test_gradient_is_the_derivative_of_the_weight(basis):
     """Central differences in the point's position, wherever no domain end is within a step of a plane."""
     grid, h = lattice(2), 1e-6
@@ -190,7 +195,7 @@ def test_spline_weights_belong_to_the_cell():
     assert np.all(w.count == 3)
     np.testing.assert_array_equal(w.first, grid.cells_of(x))
     numbers, value = w.products(grid)
-    position = node_positions("bspline", grid, numbers.ravel()).reshape(*numbers.shape, 3)
+    position = basis_of("bspline").positions(grid, numbers.ravel()).reshape(*numbers.shape, 3)
     np.testing.assert_allclose(np.einsum("nk,nkd->nd", value, position), x, atol=1e-12)
 
 

@@ -35,7 +35,7 @@ def run(problem: pm.QuasiStatic, steps: int, **options) -> np.ndarray:
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("basis", ["mpm", "gimpm", "bspline"])
+@pytest.mark.parametrize("basis", ["mpm", "gimpm", "bspline", "bspline3"])
 def test_a_reset_alone_moves_nothing(basis, dim):
     """At the same load the body stays where it is; the papers' reset lets it sag."""
     moved = {}

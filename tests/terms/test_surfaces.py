@@ -204,13 +204,13 @@ def test_box_under_pressure(dim):
     assert step.iterations <= 6
 
 
-@pytest.mark.parametrize("basis", ["gimpm", "mpm", "bspline"])
-def test_face_runs_ahead_of_the_points(basis):
+@pytest.mark.parametrize(("basis", "parts"), [("gimpm", 2), ("mpm", 2), ("bspline", 2), ("bspline3", 4)])
+def test_face_runs_ahead_of_the_points(basis, parts):
     """A bar is pulled over several cells, its end ahead of the cells that its points reach. It moves as the
     bar whose end points are pulled by the same force."""
     low, high, ends = (0.0, 0.0), (2.0, 1.0), []
     for on_surface in (True, False):
-        points = block(low, high, NEO_HOOKEAN).points
+        points = block(low, high, NEO_HOOKEAN, parts).points
         problem = pm.QuasiStatic(
             pm.Grid.box((0, 0), (5, 3), 1.0), points, basis=basis, reset=1, balanced_reset=False
         )
@@ -264,6 +264,7 @@ def conditioned(kind: str, dim: int, material: pm.Material, **options: Any) -> p
         (2, MICROPOLAR, "gimpm"),
         (2, NEO_HOOKEAN, "mpm"),
         (2, MICROPOLAR, "bspline"),
+        (2, NEO_HOOKEAN, "bspline3"),
         (3, MICROPOLAR, "mpm"),
         (3, NEO_HOOKEAN, "gimpm"),
     ],
@@ -349,7 +350,9 @@ def test_clamp_inside_cells_tends_to_the_conforming_one():
     assert differences[2] < 0.7 * differences[1]
 
 
-@pytest.mark.parametrize(("basis", "reset"), [("gimpm", 1), ("mpm", 1), ("bspline", 1), ("mpm", None)])
+@pytest.mark.parametrize(
+    ("basis", "reset"), [("gimpm", 1), ("mpm", 1), ("bspline", 1), ("bspline3", 1), ("mpm", None)]
+)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_clamped_line_turns_the_body(dim, basis, reset):
     """A clamp that turns by 1.5 rad takes an unloaded body along as a rigid one, without forces; without a

@@ -16,9 +16,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..basis.aggregation import supporting_cells
-from ..basis.base import Weights
-from ..basis.lattice import node_positions, weights
+from ..basis.base import Basis, Weights
 from ..bodies.points import Points
 from ..bodies.reference import Increments, Reference
 from ..errors import InputError
@@ -61,7 +59,7 @@ class Interpolation:
         self,
         grid: Grid,
         points: Points,
-        basis: str,
+        basis: Basis,
         forms: Sequence[PointForm],
         reference: Reference | None = None,
         terms: Sequence[Term] = (),
@@ -69,20 +67,19 @@ class Interpolation:
         self.grid, self.points, self.forms = grid, points, forms
         self.layout: Layout = forms[0].layout
         self.reference = r = reference or Reference.of(points)
-        cells = supporting_cells(grid, r.x) if basis == "bspline" else None
-        half = domain_half_length(r.F, points.half_length0) if basis == "gimpm" else points.half_length0
+        cells = basis.supporting_cells(grid, r.x) if basis.sliver else None
+        half = domain_half_length(r.F, points.half_length0) if basis.uses_domains else None
         with together(grid.comm):
-            w = weights(basis, grid, r.x, half, cells)
+            w = basis.weights(grid, r.x, half, cells)
         order, groups = group_points(points.material, w)
-        degree = 2 if basis == "bspline" else 1
-        reached = partial(reached_cells, grid, groups, degree)
+        reached = partial(reached_cells, grid, groups, basis)
         setting = GridSetting(grid, basis, self.layout, points, w, reached)
         self.pieces = [piece for term in terms for piece in term.pieces(setting)]
         boxes = [_boxes_of(piece) for piece in self.pieces]
         more = [b.numbers(grid).ravel() for b in boxes]
         touched, node_sets, first = node_sets_of(grid, groups, more)
         claims = claims_of(grid, groups, touched) if grid.comm.size > 1 else None
-        self.nodes = ActiveNodes.build(grid, touched, partial(node_positions, basis, grid), claims)
+        self.nodes = ActiveNodes.build(grid, touched, partial(basis.positions, grid), claims)
         node_sets = self.nodes.local(touched).astype(np.int32)[node_sets]
         self.batches = [
             self._batch(form, m, w, order, groups, (node_sets, first)) for m, form in enumerate(forms)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..basis.base import Weights
+from ..basis.base import Basis, Weights
 from ..geometry.grid import Grid
 
 
@@ -46,10 +46,10 @@ def boxes_of(grid: Grid, sizes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray
     return out
 
 
-def reached_cells(grid: Grid, groups: Groups, degree: int) -> np.ndarray:
-    """Lattice numbers, ascending, of the cells on which the groups' functions, of a degree, are weights."""
+def reached_cells(grid: Grid, groups: Groups, basis: Basis) -> np.ndarray:
+    """Lattice numbers, ascending, of the cells on which the groups' functions are weights."""
     first = grid.node_number(groups.node.reshape(-1, grid.dim))
-    boxes = boxes_of(grid, groups.count - degree)
+    boxes = boxes_of(grid, basis.cells_of_groups(groups.count))
     return np.unique(np.concatenate([first[:0], *((first[g][:, None] + box).ravel() for g, box in boxes)]))
 
 

@@ -40,7 +40,7 @@ class LoadedPoints(NodalSystem):
         timer: Timer,
     ):
         grid, layout = interpolation.grid, interpolation.layout
-        length, pieces = np.array(grid.cell), interpolation.pieces
+        length, pieces = np.array(grid.smallest), interpolation.pieces
         super().__init__(interpolation.nodes, layout, prescribed, length, grid.comm, timer, pieces)
         self.interpolation, self.kernels, self.couple_kernel = interpolation, kernels, couple_kernel
         self.mappings = [self._mapping(b) for b in interpolation.batches]

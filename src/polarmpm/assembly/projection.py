@@ -84,8 +84,9 @@ class CellProjection:
         self._route = Route(comm, at[:, 0])
         self._cells = self._route.forward(at[:, 1])
         name = compat.cell_name(self.mesh)
-        volume = compat.quadrature_weights(name, DEGREE) * np.prod(grid.cell)
-        self._weights = lagrange(name, self._route.forward(snap(grid.local(x)) - index)) / volume
+        size = np.prod(self._route.forward(np.ascontiguousarray(grid.sizes(index))), axis=1)
+        volume = compat.quadrature_weights(name, DEGREE) * size[:, None]
+        self._weights = lagrange(name, self._route.forward(snap(grid.within(x, index)))) / volume
 
     def project(self, moments: np.ndarray, function: Any) -> None:
         """Set a quadrature function from moments (n, c) of this rank's points. Collective."""

@@ -1,9 +1,9 @@
 """Slivers: cells of which the body only fills a thin layer at a face.
 
-A B-spline that reaches the body with its tail only has next to no stiffness: its weight goes with the square
-of the layer's thickness, in each direction. The points of such a layer are weighted instead with the
+A B-spline that reaches the body with its tail only has next to no stiffness: its weight goes with a power of
+the layer's thickness, in each direction. The points of such a layer are weighted instead with the
 polynomials of the cell behind the face, continued through it (cell aggregation). Then every function that is
-left reaches well into the body. Quadratic fields are still represented exactly.
+left reaches well into the body. Polynomials of the splines' degree are still represented exactly.
 """
 
 from __future__ import annotations
@@ -13,17 +13,18 @@ import numpy as np
 from ..geometry.grid import Grid
 from ..tools.parallel import Route, look_up
 
-_THIN = 0.1  # largest thickness of a sliver, in cells
 
-
-def supporting_cells(grid: Grid, x: np.ndarray) -> np.ndarray:
+def supporting_cells(grid: Grid, x: np.ndarray, thickness: float) -> np.ndarray:
     """Lattice index (n, d) of the cell whose polynomials weight each point at x (n, d) (m). Collective.
 
     That is the cell that the point is in, or for slivers the cell behind the face, if there are points in it.
+
+    Args:
+        thickness: the largest one of a sliver, in cells.
     """
     comm, dim = grid.comm, grid.dim
     index = grid.cells_of(x)
-    right = grid.local(x) - index
+    right = grid.within(x, index)
     own, at = np.unique(grid.cell_number(index), return_inverse=True)
     depth = np.zeros((len(own), 2 * dim))  # how far the points reach from the lower and the upper faces
     np.maximum.at(depth, at, np.hstack([right, 1.0 - right]))
@@ -32,7 +33,7 @@ def supporting_cells(grid: Grid, x: np.ndarray) -> np.ndarray:
     cells, place = np.unique(book.forward(own), return_inverse=True)
     deepest = np.zeros((len(cells), 2 * dim))
     np.maximum.at(deepest, place, book.forward(depth))
-    thin = deepest < _THIN
+    thin = deepest < thickness
     step = thin[:, dim:].astype(np.int64) - thin[:, :dim]
 
     def at_target() -> np.ndarray:

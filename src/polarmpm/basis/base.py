@@ -1,15 +1,16 @@
-"""What a basis gives, and their names."""
+"""What the rest of the code asks of a basis: weights, positions of nodes, what its functions allow."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import InputError
 from ..geometry.grid import MARGIN, Grid
-
-BASES = ("gimpm", "mpm", "bspline")
+from ..geometry.planes import PlaneSpec
+from .aggregation import supporting_cells
 
 
 @dataclass
@@ -28,20 +29,113 @@ class Weights:
 
     def products(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
         """Lattice numbers of each point's nodes and their weights, (n, slots^d); unused slots weigh zero."""
-        slots = self.table.shape[-1]
-        index = np.stack(np.unravel_index(np.arange(slots**grid.dim), (slots,) * grid.dim), axis=-1)
+        index = _box(self.table.shape[-1], grid.dim)
         numbers = grid.node_number(self.first)[:, None] + index @ grid.strides
         value = np.prod([self.table[:, i, 0, index[:, i]] for i in range(grid.dim)], axis=0)
         return numbers, value
 
 
-def check_basis(basis: str) -> str:
-    """Raise InputError for an unknown basis."""
-    if basis not in BASES:
-        raise InputError(f"basis = {basis!r}: allowed are {', '.join(BASES)}")
-    return basis
+class Basis(ABC):
+    """Functions on the lattice that weight material points; those of several directions are products.
+
+    The functions of a cell are numbered like lattice nodes, the first one like the cell's lower corner: cell
+    c has the functions c .. c + degree in each direction. To add a basis, derive from this class (`Splines`,
+    if its functions are), say what differs from the defaults, and register it (`registry`).
+
+    Attributes:
+        name: which users write as `basis`.
+        degree: of the functions in each direction; a cell has one more of them. At most 5.
+        walls_only: values can be prescribed on the boundary planes of the grid only.
+        gradients_jump: at the faces of cells, so that a ghost penalty has something to penalise.
+        no_projection: why the points' moments can't be projected on the quadrature points of cells; "": they
+            can.
+        locks: linear functions, which lock in bending and where volume is kept.
+        sliver: largest thickness, in cells, of what fills a cell so little that its points are weighted with
+            the functions of the cell behind it (`aggregation`); 0: there is no such thing.
+        uses_domains: weights depend on the points' current domains, not on their positions alone.
+    """
+
+    name: str
+    degree: int
+    walls_only: bool = False
+    gradients_jump: bool = False
+    no_projection: str = ""
+    locks: bool = False
+    sliver: float = 0.0
+    uses_domains: bool = False
+
+    @property
+    def functions(self) -> int:
+        """Functions of a cell in each direction."""
+        return self.degree + 1
+
+    @abstractmethod
+    def lines(self, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        """Values and gradients (1/m) in each direction of the functions of cells of lattice index (n, d) at
+        positions x (n, d) (m), continued beyond the cells: (n, d, 2, functions)."""
+
+    def positions(self, grid: Grid, numbers: np.ndarray) -> np.ndarray:
+        """Positions (m), (n, d), of nodes of lattice numbers (n,): there nodal values of a linear field are
+        the field's own."""
+        return grid.node_position(numbers)
+
+    def weights(
+        self,
+        grid: Grid,
+        x: np.ndarray,
+        half_length: np.ndarray | None = None,
+        cells: np.ndarray | None = None,
+    ) -> Weights:
+        """Weights of points at x (n, d) (m).
+
+        Args:
+            half_length: of the domains (n, d) (m); needed where `uses_domains`.
+            cells: lattice index (n, d) of the cells whose functions weight the points, from
+                `supporting_cells`. Default: those that the points are in.
+
+        Raises:
+            InputError: domains reach too far beyond the grid.
+        """
+        first = grid.cells_of(x) if cells is None else cells
+        return Weights(first, np.full(x.shape, self.functions, dtype=np.int32), self.lines(grid, x, first))
+
+    def at(self, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        """Values and gradients (1/m) at x (n, d) (m) of the functions of cells of lattice index (n, d),
+        continued beyond the cells: (n, 1 + d, functions^d), the last axis running fastest."""
+        line, index = self.lines(grid, x, cells), _box(self.functions, grid.dim)
+
+        def product(derivative: int) -> np.ndarray:
+            out = np.ones((len(x), len(index)))
+            for i in range(grid.dim):
+                out *= line[:, i, int(i == derivative)][:, index[:, i]]
+            return out
+
+        return np.stack([product(k) for k in (-1, *range(grid.dim))], axis=1)
+
+    def supporting_cells(self, grid: Grid, x: np.ndarray) -> np.ndarray:
+        """Lattice index (n, d) of the cells whose functions weight all points at x (n, d) (m). Collective."""
+        return supporting_cells(grid, x, self.sliver) if self.sliver else grid.cells_of(x)
+
+    def cells_of_groups(self, count: np.ndarray) -> np.ndarray:
+        """Cells (m, d) in each direction, from the one of the first node on, on which groups of points with
+        `count` (m, d) nodes in each direction have their weights."""
+        return count - self.degree
+
+    def check_plane(self, plane: PlaneSpec, grid: Grid) -> None:
+        """Raise InputError for a plane of the grid on which this basis can't prescribe values."""
+        if self.walls_only and plane.axis < grid.dim and not plane.is_wall(grid):
+            raise InputError(
+                f"plane {plane.name} is not a boundary plane of the grid; with basis = {self.name!r} allowed "
+                f"are {grid.lower[plane.axis]:g} and {grid.upper[plane.axis]:g}"
+            )
 
 
 def check_margin(grid: Grid, first: np.ndarray, last: np.ndarray) -> None:
+    """Raise InputError unless the lattice has all nodes from index `first` (n, d) to `last` (n, d)."""
     if np.any(first < -MARGIN) or np.any(last > np.array(grid.shape) + MARGIN):
         raise InputError(f"point domains reach more than {MARGIN} cells beyond the grid")
+
+
+def _box(side: int, dim: int) -> np.ndarray:
+    """Indices (side^d, d) of a box of nodes, the last axis running fastest."""
+    return np.stack(np.unravel_index(np.arange(side**dim), (side,) * dim), axis=-1)

@@ -50,31 +50,33 @@ def seed(
     if inside is not None and not callable(inside):
         raise InputError(f"inside = {inside!r} is not a predicate of positions")
     lower, upper = _bounds(grid, bounds if bounds is not None else getattr(inside, "bounds", None))
-    span = np.maximum(upper - lower, 0)
+    searched = grid.part(lower, np.maximum(upper, lower))
+    span = np.array(searched.shape)
     axes = np.argsort(-span, kind="stable")  # the longest axis varies slowest: ranks get slices of it
     cells = int(np.prod(span))
     start, stop = (cells * r // grid.comm.size for r in (grid.comm.rank, grid.comm.rank + 1))
     step = max(1, _CHUNK // len(xi))
-    corner = np.array(grid.origin) + lower * np.array(grid.cell)
-    found, volumes, error = [], [], None
+    found, volumes, halves, error = [], [], [], None
     try:
         for begin in range(start, stop, step):
             number = np.arange(begin, min(begin + step, stop))
             index = np.stack(np.unravel_index(number, span[axes]), axis=1)[:, np.argsort(axes)]
-            x = (corner + (index[:, None, :] + xi[None]) * np.array(grid.cell)).reshape(-1, grid.dim)
+            x = searched.position(index[:, None, :] + xi[None]).reshape(-1, grid.dim)
             keep = _keep(x, inside, bounds)
+            sizes = np.repeat(searched.sizes(index), len(xi), axis=0)[keep]
             found.append(x[keep])
-            volumes.append(np.tile(share, len(index))[keep])
+            volumes.append(np.tile(share, len(index))[keep] * np.prod(sizes, axis=1))
+            halves.append(0.5 * sizes / per_cell)
     except InputError as e:
         error = e
     collectively(grid.comm, error)
-    x = np.concatenate(found) if found else np.zeros((0, grid.dim))
-    volume = (np.concatenate(volumes) if volumes else np.zeros(0)) * np.prod(grid.cell)
-    half = np.tile(0.5 * np.array(grid.cell) / per_cell, (len(x), 1))
+    none = np.zeros((0, grid.dim))
+    x, half = np.concatenate([none, *found]), np.concatenate([none, *halves])
+    volume = np.concatenate([none[:, 0], *volumes])
     points = Points(x, volume, half, material, grid.comm)
     if points.total == 0:
         raise InputError(
-            f"inside: none of the candidate points between {grid.origin} and {grid.upper} is in the body"
+            f"inside: none of the candidate points between {grid.lower} and {grid.upper} is in the body"
         )
     distribute(grid, points)
     return points
@@ -114,7 +116,7 @@ def _bounds(grid: Grid, bounds: Any) -> tuple[np.ndarray, np.ndarray]:
             f"bounds = {bounds!r}: two corners of {grid.dim} coordinates, the second above the first"
         )
     if not np.all(grid.inside(np.stack([lower, upper]))):
-        raise InputError(f"bounds = {bounds!r} reach outside the grid from {grid.origin} to {grid.upper}")
+        raise InputError(f"bounds = {bounds!r} reach outside the grid from {grid.lower} to {grid.upper}")
     low = np.floor(grid.local(lower[None])[0] + 1e-9).astype(np.int64)
     high = np.ceil(grid.local(upper[None])[0] - 1e-9).astype(np.int64)
     return np.clip(low, 0, shape), np.clip(high, 0, shape)
@@ -174,5 +176,5 @@ def check_inside(grid: Grid, points: Points) -> None:
     count = grid.comm.allreduce(int(outside.sum()))
     if count:
         ids = np.concatenate(grid.comm.allgather(points.id[outside][:20]))
-        lower, upper = (tuple(round(v, 9) for v in c) for c in (grid.origin, grid.upper))
+        lower, upper = (tuple(round(v, 9) for v in c) for c in (grid.lower, grid.upper))
         raise PointsOutsideGrid(np.sort(ids).tolist(), count, f"from {lower} to {upper} m")

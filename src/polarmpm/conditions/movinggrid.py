@@ -71,7 +71,7 @@ class MovingPlane:
         moved = self.displacement(factor)
         if moved == 0.0:
             return grid
-        at = grid.origin[self.axis] + self.index * grid.cell[self.axis] + moved
+        at = grid.plane(self.axis, self.index) + moved
         try:
             return grid.stretched(self.axis, self.index, self.anchor(grid), at)
         except InputError as e:
@@ -97,7 +97,7 @@ def check(planes: Sequence[MovingPlane], supports: Sequence[Support], grid: Grid
                 and where.axis in support.columns
                 and where.index not in (plane.index, anchor)
             ):
-                wall = grid.origin[plane.axis] + anchor * grid.cell[plane.axis]
+                wall = grid.plane(plane.axis, anchor)
                 raise InputError(
                     f"{support.name} prescribes u{name}, but its plane would be shifted: {plane.support} "
                     f"stretches the grid from its wall {name} = {wall:g}, which is the place for it"

@@ -22,10 +22,14 @@ def occupied_cells(grid: Grid, x: np.ndarray) -> np.ndarray:
     return mine if grid.comm.size == 1 else mine[lowest_ranks(grid.comm, mine) == grid.comm.rank]
 
 
+def unit_corners(dim: int) -> np.ndarray:
+    """Corners of the unit box as lattice steps (2^d, d), the first axis running fastest (dolfinx' order)."""
+    return np.array([[(k >> axis) & 1 for axis in range(dim)] for k in range(2**dim)])
+
+
 def corner_numbers(grid: Grid, cells: np.ndarray) -> np.ndarray:
     """Lattice numbers of the cells' corners (m, 2^d), the first axis running fastest (dolfinx' order)."""
-    corner = np.array([[(k >> axis) & 1 for axis in range(grid.dim)] for k in range(2**grid.dim)])
-    return cells[:, None] + corner @ grid.strides
+    return cells[:, None] + unit_corners(grid.dim) @ grid.strides
 
 
 @dataclass

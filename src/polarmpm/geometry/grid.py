@@ -1,7 +1,10 @@
 """The background grid: a Cartesian lattice of box cells.
 
 The lattice is only arithmetic: cells and nodes exist as integer triples (pairs in plane strain), so empty
-space costs nothing. `cellmesh` presents the cells that matter as a dolfinx mesh.
+space costs nothing. `cells` presents the cells that matter as a dolfinx mesh.
+
+Where the grid's planes are is asked through `sizes`, `corners`, `position`, `local`, `within` and `plane`: no
+other module knows that they are equidistant.
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ class Grid:
 
     Attributes:
         origin: lower corner (m), shape (d,).
-        cell: cell sizes (m), shape (d,).
+        cell: cell sizes (m), shape (d,); other modules ask for `sizes`, `smallest` or `largest`.
         shape: number of cells in each direction.
         comm: MPI communicator of all that lives on the grid.
     """
@@ -79,9 +82,24 @@ class Grid:
         return len(self.shape)
 
     @property
+    def lower(self) -> tuple[float, ...]:
+        """Lower corner (m)."""
+        return self.origin
+
+    @property
     def upper(self) -> tuple[float, ...]:
         """Upper corner (m)."""
-        return tuple(o + n * h for o, n, h in zip(self.origin, self.shape, self.cell, strict=True))
+        return tuple(self.plane(axis, n) for axis, n in enumerate(self.shape))
+
+    def description(self) -> dict[str, tuple[float, ...]]:
+        """What tells this lattice from others, by name; for files."""
+        return {"origin": self.origin, "cell": self.cell, "shape": self.shape}
+
+    def part(self, lower: np.ndarray, upper: np.ndarray) -> Grid:
+        """The lattice of the cells from index `lower` (d,) up to `upper` (d,), which isn't in it."""
+        lower, upper = np.asarray(lower, dtype=np.int64), np.asarray(upper, dtype=np.int64)
+        origin, shape = self.corners(lower), upper - lower
+        return replace(self, origin=tuple(map(float, origin)), shape=tuple(map(int, shape)))
 
     def stretched(self, axis: int, index: int, anchor: int, at: float) -> Grid:
         """This lattice stretched evenly along an axis, its plane `anchor` staying and its plane `index` at
@@ -90,7 +108,7 @@ class Grid:
         Raises:
             InputError: the plane would lie on the one that stays, or beyond it.
         """
-        stays = self.origin[axis] + anchor * self.cell[axis]
+        stays = self.plane(axis, anchor)
         cell = (at - stays) / (index - anchor)
         if not cell > 1e-6 * self.cell[axis]:
             raise InputError(f"plane {'xyz'[axis]} = {at:g} has reached the wall {stays:g} of the grid")
@@ -100,6 +118,46 @@ class Grid:
             return (*values[:axis], value, *values[axis + 1 :])
 
         return replace(self, origin=changed(self.origin, origin), cell=changed(self.cell, cell))
+
+    # lines --------------------------------------------------------------------------------------
+    @property
+    def smallest(self) -> tuple[float, ...]:
+        """Size (m) of the smallest cells in each direction, (d,)."""
+        return self.cell
+
+    @property
+    def largest(self) -> tuple[float, ...]:
+        """Size (m) of the largest cells in each direction, (d,)."""
+        return self.cell
+
+    def sizes(self, index: np.ndarray) -> np.ndarray:
+        """Sizes (m) of the cells of lattice index (n, d), (n, d); not to be written to."""
+        return np.broadcast_to(np.array(self.cell), np.shape(index))
+
+    def corners(self, index: np.ndarray) -> np.ndarray:
+        """Lower corners (m) of the cells of lattice index (n, d), (n, d)."""
+        return self.position(index)
+
+    def plane(self, axis: int, index: int) -> float:
+        """Coordinate (m) along an axis of its plane number `index`."""
+        return self.origin[axis] + index * self.cell[axis]
+
+    def planes_of(self, axis: int) -> str:
+        """Where the planes across an axis are; for messages."""
+        return f"{self.origin[axis]:g} + k {self.cell[axis]:g} up to {self.upper[axis]:g}"
+
+    def position(self, xi: np.ndarray) -> np.ndarray:
+        """Coordinates (m), (n, d), of lattice coordinates (n, d); the inverse of `local`."""
+        return np.array(self.origin) + xi * np.array(self.cell)
+
+    def local(self, x: np.ndarray) -> np.ndarray:
+        """Lattice coordinates (n, d) of positions x (n, d) (m): cells from the lower corner."""
+        return (x - np.array(self.origin)) / np.array(self.cell)
+
+    def within(self, x: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """Coordinates (n, d) of positions x (n, d) (m) in the cells of lattice index (n, d): 0 at the lower
+        face, 1 at the upper one, continued beyond them."""
+        return self.local(x) - index
 
     # lattice ------------------------------------------------------------------------------------
     @property
@@ -126,11 +184,7 @@ class Grid:
 
     def node_position(self, number: np.ndarray) -> np.ndarray:
         """Coordinates (m) of nodes, (n, d)."""
-        return np.array(self.origin) + self.node_index(number) * np.array(self.cell)
-
-    def local(self, x: np.ndarray) -> np.ndarray:
-        """Coordinates in cells from the origin, (n, d)."""
-        return (x - np.array(self.origin)) / np.array(self.cell)
+        return self.position(self.node_index(number))
 
     def inside(self, x: np.ndarray) -> np.ndarray:
         """Which points (n, d) lie in the box, its boundary included."""

@@ -28,24 +28,24 @@ class Plane:
     Attributes:
         axis, value: the plane x_axis = value (m).
         side: -1: nodes at and below, +1: at and above, 0: only on the plane.
-        cell: cell size (m), which tells what rounding is.
+        size: (m) of the smallest cell along the axis, which tells what rounding is.
         index: lattice index of the plane along its axis.
     """
 
     axis: int
     value: float
     side: int
-    cell: float
+    size: float
     index: int
 
     def follow(self, grid: Grid) -> None:
         """Stand where the plane of this index is in a grid that has been stretched."""
-        self.cell = grid.cell[self.axis]
-        self.value = grid.origin[self.axis] + self.index * self.cell
+        self.size = grid.smallest[self.axis]
+        self.value = grid.plane(self.axis, self.index)
 
     def __call__(self, position: np.ndarray) -> np.ndarray:
         distance = position[:, self.axis] - self.value
-        on = np.abs(distance) < 1e-6 * self.cell
+        on = np.abs(distance) < 1e-6 * self.size
         return on | (distance * self.side > 0)
 
 
@@ -63,32 +63,23 @@ class PlaneSpec:
         """For messages, such as x = 0."""
         return f"{'xyz'[self.axis]} = {self.value:g}"
 
-    def check_basis(self, basis: str, grid: Grid) -> None:
-        """Raise InputError for a plane on which this basis can't prescribe values.
-
-        B-splines only have functions of their own on the boundary planes of the grid.
-        """
-        if basis != "bspline" or self.axis >= grid.dim:
-            return
-        walls, cell = (grid.origin[self.axis], grid.upper[self.axis]), grid.cell[self.axis]
-        if min(abs(self.value - wall) for wall in walls) > 1e-6 * cell:
-            raise InputError(
-                f"plane {'xyz'[self.axis]} = {self.value:g} is not a boundary plane of the grid; with "
-                f"basis = 'bspline' allowed are {walls[0]:g} and {walls[1]:g}"
-            )
+    def is_wall(self, grid: Grid) -> bool:
+        """Whether it is a boundary plane of the grid."""
+        walls = grid.lower[self.axis], grid.upper[self.axis]
+        return min(abs(self.value - wall) for wall in walls) <= 1e-6 * grid.smallest[self.axis]
 
     def resolve(self, grid: Grid, points: Located, now: Grid | None = None) -> Plane:
         """Check the plane against the grid and find which side the body is on; `now` is the same grid as it
         has been stretched since. Collective."""
         if self.axis >= grid.dim:
             raise InputError(f"plane {'xyz'[self.axis]}: the grid has {grid.dim} dimensions")
-        at = (self.value - grid.origin[self.axis]) / grid.cell[self.axis]
+        at = float(grid.local(np.full(grid.dim, self.value))[self.axis])
         if abs(at - round(at)) > 1e-6 or not -0.5 < at < grid.shape[self.axis] + 0.5:
             raise InputError(
                 f"plane {'xyz'[self.axis]} = {self.value:g} is not a plane of the grid, whose planes are "
-                f"{grid.origin[self.axis]:g} + k {grid.cell[self.axis]:g} up to {grid.upper[self.axis]:g}"
+                f"{grid.planes_of(self.axis)}"
             )
-        found = Plane(self.axis, self.value, 0, grid.cell[self.axis], round(at))
+        found = Plane(self.axis, self.value, 0, grid.smallest[self.axis], round(at))
         if now is not None and now is not grid:
             found.follow(now)
         side = {"below": -1, "above": 1, "none": 0}.get(self.beyond)

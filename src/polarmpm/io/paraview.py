@@ -9,6 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..geometry.cells import unit_corners
 from ..tools.parallel import collectively
 from .files import check_output, replace_file
 
@@ -39,8 +40,7 @@ def padded(vectors: np.ndarray) -> np.ndarray:
 
 def box_corners(centre: np.ndarray, half_length: np.ndarray) -> np.ndarray:
     """Corners (n, 2^d, d) of boxes, the first axis running fastest."""
-    dim = centre.shape[1]
-    sign = np.array([[2 * ((k >> axis) & 1) - 1 for axis in range(dim)] for k in range(2**dim)])
+    sign = 2 * unit_corners(centre.shape[1]) - 1
     return centre[:, None] + sign * half_length[:, None]
 
 

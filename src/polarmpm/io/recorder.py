@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from ..basis.aggregation import supporting_cells
-from ..basis.lattice import weights
 from ..errors import InputError
 from ..geometry.cells import corner_numbers, occupied_cells
 from ..problems.elements import QuasiStaticFEM
@@ -128,15 +126,16 @@ class Recorder:
         dim, system = grid.dim, problem.system
         # The increments belong to the lattice at the last reset, hence to the cells occupied then.
         x = problem.points.x if system is None else system.interpolation.reference.x
-        if problem.basis == "bspline":  # a sliver's far corners have no value
-            x = grid.node_position(grid.node_number(supporting_cells(grid, x))) + 0.5 * np.array(grid.cell)
+        if problem.basis.sliver:  # a sliver's far corners have no value
+            index = problem.basis.supporting_cells(grid, x)
+            x = grid.corners(index) + 0.5 * grid.sizes(index)
         cells = corner_numbers(grid, occupied_cells(grid, x))
         numbers, table = np.unique(cells, return_inverse=True)
         increments = np.zeros((len(numbers), problem.layout.block))
         if system is not None:
             # splines have no nodes at the corners; domains of no length have the standard weights
             corners = grid.node_position(numbers)
-            nodes, weight = weights(problem.basis, grid, corners, np.zeros_like(corners)).products(grid)
+            nodes, weight = problem.basis.weights(grid, corners, np.zeros_like(corners)).products(grid)
             wanted, at = np.unique(nodes, return_inverse=True)
             own = system.nodes.owned
             nodal = look_up(grid.comm, system.nodes.lattice[:own], np.asarray(system.x[:own]), wanted)

@@ -90,8 +90,7 @@ def _header(problem: Any) -> dict[str, Any]:
     ends = {"block": problem.layout.block, "materials": len(problem.points.materials)}
     if isinstance(problem, QuasiStaticFEM):
         return {"format": _FORMAT, **meshstate.header(problem), **ends}
-    grid = problem.initial_grid
-    known = {"origin": grid.origin, "cell": grid.cell, "shape": grid.shape, "basis": problem.basis}
+    known = {**problem.initial_grid.description(), "basis": problem.basis.name}
     return {"format": _FORMAT, **known, **ends}
 
 

@@ -24,8 +24,8 @@ _SNAPPED = 2e-8  # of a cell: domains that end so close to a plane are put on it
 
 @dataclass
 class Totals:
-    """Number of points, volume (m^3), its first moment about the grid's origin (m^4), (d,), and the sum of
-    the moment's absolute values."""
+    """Number of points, volume (m^3), its first moment about the grid's lower corner (m^4), (d,), and the sum
+    of the moment's absolute values."""
 
     count: float
     volume: float
@@ -35,7 +35,7 @@ class Totals:
     @classmethod
     def numbers(cls, points: Points, grid: Grid) -> np.ndarray:
         """Sums over this rank's points, (3 + d,)."""
-        v, x = points.volume0, points.x - np.array(grid.origin)
+        v, x = points.volume0, points.x - np.array(grid.lower)
         return np.array([len(v), v.sum(), v @ np.abs(x).sum(axis=1), *(v @ x)])
 
     @classmethod
@@ -76,13 +76,13 @@ class Conservation:
         points, nodes, grid = interpolation.points, interpolation.nodes, interpolation.grid
         assert self._volumes is not None
         own, d = nodes.owned, grid.dim
-        at = nodes.position[:own] - np.array(grid.origin) + x[:own, :d]
+        at = nodes.position[:own] - np.array(grid.lower) + x[:own, :d]
         mine = Totals.numbers(points, grid)
         sums = np.concatenate([mine, [self._volumes.sum()], self._volumes @ at])
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         now = Totals.of(sums[: len(mine)])
         on_grid = Totals(now.count, sums[len(mine)], sums[len(mine) + 1 :], now.size)
-        _compare("a step: grid instead of points", now, on_grid, _SNAPPED * max(grid.cell) * now.volume)
+        _compare("a step: grid instead of points", now, on_grid, _SNAPPED * max(grid.largest) * now.volume)
         if self._start is None:
             self._start = now
         start = Totals(self._start.count, self._start.volume, now.moment, now.size)

@@ -12,7 +12,8 @@ import numpy as np
 
 from ..assembly.interpolation import Interpolation
 from ..assembly.points import LoadedPoints, PointSystem
-from ..basis.base import check_basis
+from ..basis.base import Basis
+from ..basis.registry import basis_of, names
 from ..bodies.partition import Balance, distribute
 from ..bodies.points import Points, Selection
 from ..bodies.reference import Increments, Reference
@@ -42,11 +43,6 @@ from .state import Progress
 from .surfaces import add_traction
 
 ASSEMBLIES = ("direct", "projection")
-_NO_PROJECTION = {
-    "gimpm": "the internal force would be exact, as a domain is a sum of parts in one cell each, but the "
-    "tangent couples the parts and is no sum of integrals over cells",
-    "bspline": "splines don't live on the cells' Lagrange space",
-}
 _DISTORTED = WhenDistorted()
 # The papers' method, for what they publish: `QuasiStatic(grid, points, **PUBLISHED)`.
 PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": False}
@@ -60,12 +56,14 @@ class _Compiled:
     motion: Motion | None = None
 
 
-def _check_assembly(assembly: str, basis: str) -> str:
+def _check_assembly(assembly: str, basis: Basis) -> str:
     if assembly not in ASSEMBLIES:
         raise InputError(f"assembly = {assembly!r}: allowed are {', '.join(ASSEMBLIES)}")
-    if assembly == "projection" and basis in _NO_PROJECTION:
-        reason = _NO_PROJECTION[basis]
-        raise InputError(f"assembly = 'projection': basis = {basis!r}, allowed is 'mpm': {reason}")
+    if assembly == "projection" and basis.no_projection:
+        raise InputError(
+            f"assembly = 'projection': basis = {basis.name!r}, allowed is "
+            f"{names(lambda b: not b.no_projection)}: {basis.no_projection}"
+        )
     return assembly
 
 
@@ -81,9 +79,9 @@ class QuasiStatic(Problem):
     Args:
         grid: background grid.
         points: the body.
-        basis: weighting functions: "bspline" (quadratic), or "gimpm" or "mpm" (T 2.3.2). The defaults of this
-            and of the resets are the settings with the least error for their time (docs/accuracy.md); those
-            of the papers are `pm.PUBLISHED`.
+        basis: weighting functions: "bspline" (quadratic), "bspline3" (cubic), "gimpm" or "mpm" (T 2.3.2), or
+            a `Basis`. The defaults of this and of the resets are the settings with the least error for their
+            time (docs/accuracy.md); those of the papers are `pm.PUBLISHED`.
         assembly: how residual and tangent are summed over the points: "direct", or (with basis="mpm") as a
             "projection" on a quadrature space, assembled by dolfinx, to the same result.
         reset: when the grid is reset: a policy such as `WhenDistorted(0.2)`, every n steps (1: the papers'
@@ -112,7 +110,7 @@ class QuasiStatic(Problem):
         grid: Grid,
         points: Points,
         *,
-        basis: str = "bspline",
+        basis: str | Basis = "bspline",
         assembly: str = "direct",
         reset: int | ResetPolicy | None = _DISTORTED,
         balanced_reset: bool = True,
@@ -123,8 +121,8 @@ class QuasiStatic(Problem):
     ):
         self.grid = self.initial_grid = grid
         self._moving: list[MovingPlane] = []
-        self.basis, self.policy = check_basis(basis), make_policy(reset)
-        self.assembly, self.solver = _check_assembly(assembly, basis), check_solver(solver)
+        self.basis, self.policy = basis_of(basis), make_policy(reset)
+        self.assembly, self.solver = _check_assembly(assembly, self.basis), check_solver(solver)
         if points.dim != grid.dim:
             raise InputError(f"points have {points.dim} dimensions, the grid has {grid.dim}")
         check_inside(grid, points)
@@ -132,13 +130,15 @@ class QuasiStatic(Problem):
         self.forms = [make_form(m, grid.dim) for m in points.materials]
         for form in self.forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
-        if basis != "bspline" and grid.comm.rank == 0:
-            warn_of_locking(points.materials, f"the functions of basis={basis!r}", "basis='bspline'")
+        if self.basis.locks and grid.comm.rank == 0:
+            warn_of_locking(
+                points.materials, f"the functions of basis={self.basis.name!r}", "basis='bspline'"
+            )
         self.balance = Balance(grid.comm, rebalance)
         self._conservation = Conservation(grid.comm)
         self.rows: dict[str, np.ndarray] = {}
         self.balanced_reset = balanced_reset
-        self.ghost = make_penalty(ghost, points.materials, self.layout, basis, assembly)
+        self.ghost = make_penalty(ghost, points.materials, self.layout, self.basis, assembly)
         if self.ghost:
             self.add(Ghost(self.ghost, self.layout))
         self._compiled = _Compiled()
@@ -152,7 +152,7 @@ class QuasiStatic(Problem):
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
         if isinstance(where, PlaneSpec):
-            where.check_basis(self.basis, self.initial_grid)
+            self.basis.check_plane(where, self.initial_grid)
             return where.resolve(self.initial_grid, self.points, now=self.grid), where.name
         if callable(where):
             return where, getattr(where, "__name__", "predicate")
@@ -198,7 +198,7 @@ class QuasiStatic(Problem):
 
     @property
     def cell_size(self) -> float:
-        return min(self.grid.cell)
+        return min(self.grid.smallest)
 
     # solving --------------------------------------------------------------------------------------
     def _increments(self, system: LoadedPoints) -> Increments:

@@ -25,7 +25,10 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..basis.base import Basis
+from ..basis.registry import names
 from ..errors import InputError
+from ..geometry.cells import unit_corners
 from ..geometry.grid import Grid
 from ..kinematics.layout import Layout
 from ..materials.base import Material
@@ -66,7 +69,7 @@ class GhostPenalty:
 
 
 def make_penalty(
-    ghost: Any, materials: Sequence[Material], layout: Layout, basis: str, assembly: str
+    ghost: Any, materials: Sequence[Material], layout: Layout, basis: Basis, assembly: str
 ) -> GhostPenalty | None:
     """Check what a user gives as `ghost`.
 
@@ -83,10 +86,11 @@ def make_penalty(
         return None
     if not isinstance(ghost, GhostPenalty) and not (isinstance(ghost, str) and ghost in _SHARES):
         raise InputError(f"ghost = {ghost!r}: allowed are None, 'light', 'thesis' and a GhostPenalty")
-    if basis == "bspline":
+    if not basis.gradients_jump:
+        instead = "cell aggregation, which is always on, serves there. " if basis.sliver else ""
         raise InputError(
-            "ghost: gradients of basis = 'bspline' don't jump across faces, there is nothing to penalise; "
-            "cell aggregation, which is always on, serves there. Allowed are 'gimpm' and 'mpm'"
+            f"ghost: gradients of basis = {basis.name!r} don't jump across faces, there is nothing to "
+            f"penalise; {instead}Allowed are {names(lambda b: b.gradients_jump)}"
         )
     if assembly != "direct":
         raise InputError(
@@ -157,14 +161,21 @@ def face_size(cell: Sequence[float], axis: int) -> float:
 
 
 @lru_cache(maxsize=32)
-def stencil(cell: tuple[float, ...], axis: int, power: int = 3) -> np.ndarray:
-    """Matrix (n, n) of a face across an axis on the box of its two cells' nodes, assembled by dolfinx."""
+def stencil(cell: tuple[float, ...], axis: int, power: int = 3, above: float | None = None) -> np.ndarray:
+    """Matrix (n, n) of a face across an axis on the box of its two cells' nodes, assembled by dolfinx.
+
+    Args:
+        cell: sizes (m) of the cell below the face.
+        above: size (m) along the axis of the one above; default: the same.
+    """
     from ..tools import compat
 
     dim, name = len(cell), "quadrilateral" if len(cell) == 2 else "hexahedron"
     boxes = Boxes(tuple(3 if k == axis else 2 for k in range(dim)), np.zeros(1, dtype=np.int64))
     count, positions = boxes.count, boxes.offsets * np.array(cell)
-    corner = np.array([[(k >> a) & 1 for a in range(dim)] for k in range(2**dim)])  # dolfinx' order
+    along = np.array([0.0, cell[axis], cell[axis] + (cell[axis] if above is None else above)])
+    positions[:, axis] = along[boxes.offsets[:, axis]]
+    corner = unit_corners(dim)
     lower = [np.ravel_multi_index(tuple(corner.T), count)]
     upper = [np.ravel_multi_index(tuple((corner + (np.arange(dim) == axis)).T), count)]
     mesh = compat.create_mesh(MPI.COMM_SELF, np.array(lower + upper, dtype=np.int64), positions, name)
@@ -177,9 +188,20 @@ def stencil(cell: tuple[float, ...], axis: int, power: int = 3) -> np.ndarray:
     at = np.arange(len(positions), dtype=np.int32)
     dense = matrix.getValues(at, at)
     matrix.destroy()
-    found = np.rint(space.tabulate_dof_coordinates()[:, :dim] / np.array(cell)).astype(np.int64)
-    order = np.argsort(np.ravel_multi_index(tuple(found.T), count))
+    x = space.tabulate_dof_coordinates()[:, :dim]
+    order = np.argmin(np.linalg.norm(positions[:, None] - x, axis=2), axis=1)
     return np.asarray(dense[np.ix_(order, order)])
+
+
+def _kinds(grid: Grid, axis: int, cells: np.ndarray) -> list[tuple[tuple[float, ...], np.ndarray]]:
+    """The different sizes (m) of the cells (m,) below faces across an axis, with that of the cell above along
+    the axis, (d + 1,), and the cells that have them. Collective; the same sizes on all ranks."""
+    index = grid.node_index(cells)
+    above = grid.sizes(index + (np.arange(grid.dim) == axis))[:, axis]
+    sizes, kind = np.unique(np.column_stack([grid.sizes(index), above]), axis=0, return_inverse=True)
+    mine = [tuple(map(float, size)) for size in sizes]
+    every = sorted({size for there in grid.comm.allgather(mine) for size in there})
+    return [(size, kind.ravel() == (mine.index(size) if size in mine else -1)) for size in every]
 
 
 # terms ------------------------------------------------------------------------------------------
@@ -225,17 +247,18 @@ class Ghost(Term):
         """Forces of the faces across each axis, for the cells that this rank's points reach. Collective."""
         out: list[Piece] = []
         for axis, cells in enumerate(boundary_faces(grid, reached)):
-            boxes = Boxes(tuple(3 if k == axis else 2 for k in range(grid.dim)), cells)
-            one = self._stencil(grid, axis)
-            out.append(GhostFaces(boxes, one[None, :, :, None] * self.scale))
+            count = tuple(3 if k == axis else 2 for k in range(grid.dim))
+            for size, chosen in _kinds(grid, axis, cells):
+                one = self._stencil(grid, axis, size)
+                out.append(GhostFaces(Boxes(count, cells[chosen]), one[None, :, :, None] * self.scale))
         return out
 
-    def _stencil(self, grid: Grid, axis: int) -> np.ndarray:
-        """Made on one rank, so that only one compiles."""
+    def _stencil(self, grid: Grid, axis: int, size: tuple[float, ...]) -> np.ndarray:
+        """Made on one rank, so that only one compiles; `size` as of `_kinds`. Collective."""
         made, error = None, None
         if grid.comm.rank == 0:
             try:
-                made = stencil(grid.cell, axis, self.penalty.power)
+                made = stencil(size[:-1], axis, self.penalty.power, size[-1])
             except Exception as e:
                 error = e
         made, error = grid.comm.bcast((made, error))

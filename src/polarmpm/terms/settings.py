@@ -10,8 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..basis.base import Weights
-from ..basis.lattice import cell_weights
+from ..basis.base import Basis, Weights
 from ..bodies.elements import Elements
 from ..bodies.facets import FacetSurface
 from ..bodies.points import Points
@@ -32,7 +31,7 @@ class GridSetting(Setting):
         reached: gives the lattice numbers, ascending, of the cells that this rank's points reach.
 
     Attributes:
-        grid, basis: the lattice, and the name of its functions.
+        grid, basis: the lattice, and its functions.
         points: the body.
         weights: of the points.
     """
@@ -40,7 +39,7 @@ class GridSetting(Setting):
     def __init__(
         self,
         grid: Grid,
-        basis: str,
+        basis: Basis,
         layout: Layout,
         points: Points,
         weights: Weights,
@@ -65,9 +64,8 @@ class GridSetting(Setting):
         owner, cells = self._find(places)
         rows = np.flatnonzero(owner == self.comm.rank)
         x = places.surface.x[rows] + places.displacement[rows]
-        basis = "bspline" if self.basis == "bspline" else "mpm"
-        count = (3 if basis == "bspline" else 2,) * self.grid.dim
-        table = cell_weights(basis, self.grid, x, cells[rows])
+        count = (self.basis.functions,) * self.grid.dim
+        table = self.basis.at(self.grid, x, cells[rows])
         return Carried(rows, Boxes(count, self.grid.node_number(cells[rows])), table)
 
     def _find(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
