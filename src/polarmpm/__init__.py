@@ -3,6 +3,8 @@
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from .basis.base import Basis, Weights
+from .basis.registry import register as register_basis
 from .bodies.elements import Elements
 from .bodies.facets import Facets
 from .bodies.points import Points, Selection
@@ -18,6 +20,7 @@ from .io.restart import save as save_restart
 from .materials import Hencky, Material, MicropolarElastic, NeoHookean, UserEnergy
 from .problems.elements import QuasiStaticFEM
 from .problems.points import PUBLISHED, QuasiStatic
+from .solvers.choice import register_solver
 from .solvers.newton import Controls
 from .solvers.resetting import EverySteps, Never, WhenDistorted
 from .solvers.stepping import Step
@@ -48,6 +51,7 @@ __version__ = "0.1.0"  # the one place that states it; read without an import wh
 
 __all__ = [
     "PUBLISHED",
+    "Basis",
     "Boxes",
     "ConeApex",
     "Controls",
@@ -88,10 +92,13 @@ __all__ = [
     "UserEnergy",
     "UserPlasticity",
     "VonMises",
+    "Weights",
     "WhenDistorted",
     "YieldSurface",
     "load_restart",
     "plane",
+    "register_basis",
+    "register_solver",
     "save_restart",
     "seed",
     "seed_mesh",

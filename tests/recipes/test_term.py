@@ -1,4 +1,4 @@
-"""Recipe: a term of one's own, in one file: a Winkler foundation, on points, by projection and on a mesh."""
+"""The term of the recipe on points, by projection and on a mesh: exact for a rigid block on springs."""
 
 from __future__ import annotations
 
@@ -6,23 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import ufl
 
 import polarmpm as pm
 from tests.conftest import COMM, MICROPOLAR, NEO_HOOKEAN
 from tests.helpers.bodies import box
 from tests.helpers.ranks import on_ranks, report
-
-
-# recipe: begin
-class Winkler(pm.SurfaceTerm):
-    """Springs of k (Pa/m) against the displacement along a surface's normal."""
-
-    def energy(self, at: Any, p: Any) -> Any:
-        return p.k / 2 * ufl.dot(at.u, at.normal) ** 2
-
-
-# recipe: end
+from tests.recipes.term import Winkler
 
 STIFF = pm.NeoHookean(lam=1e10, mu=1e10)  # Pa: gives way by 1.5e-7 of what the springs do
 WIDTH, HEIGHT, K, LOAD = 2.0, 1.0, 4000.0, 300.0  # m, m, Pa/m, N

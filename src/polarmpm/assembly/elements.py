@@ -56,7 +56,7 @@ class ElementSystem(NodalSystem):
                 not forms.symmetric,
                 solver,
                 self.is_large(),
-                self.solver_hints,
+                self.near_null_space,
             )
 
     @property

@@ -11,6 +11,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from ..solvers.choice import make_solver
+from ..solvers.linear import NearNullSpace, Tangent
 from ..tools import compat
 
 
@@ -22,7 +23,7 @@ class FormMatrix:
         fixed: prescribed unknowns (nodes, block) of this rank, bool.
         symmetric: the matrix is symmetric.
         far_from_symmetric: see `DirectSolver`.
-        solver, large, hints: see `solvers.make_solver`.
+        solver: its name; large, near_null_space: see `solvers.linear.Tangent`.
     """
 
     def __init__(
@@ -34,13 +35,14 @@ class FormMatrix:
         far_from_symmetric: bool,
         solver: str,
         large: bool,
-        hints: Callable[[], tuple[np.ndarray, np.ndarray, np.ndarray]],
+        near_null_space: Callable[[], NearNullSpace],
     ):
         self.forms, self.owned, self.block = forms, owned, fixed.shape[1]
         self.matrix = compat.create_matrix(forms[0])
         rows = np.flatnonzero(fixed[:owned].ravel())
         self._fixed = (rows + self.matrix.getOwnershipRange()[0]).astype(np.int32)
-        self.solver = make_solver(solver, large, self.matrix, symmetric, far_from_symmetric, hints)
+        tangent = Tangent(self.matrix, symmetric, near_null_space, far_from_symmetric, large)
+        self.solver = make_solver(solver, tangent)
         self._vector = self.matrix.createVecRight()
 
     def assemble(

@@ -13,7 +13,8 @@ from ..geometry.nodes import ActiveNodes
 from ..kernels import native
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
-from ..solvers.choice import make_solver, takes_multigrid
+from ..solvers.choice import make_solver, solver_of
+from ..solvers.linear import Tangent
 from ..tools.timing import Timer
 from . import sparsity
 from .interpolation import Interpolation, PointBatch
@@ -154,7 +155,7 @@ class PointSystem(LoadedPoints):
         with timer("pattern"):
             large = self.is_large()
             # multigrid wants whole rows, which PETSc gets from a half only slowly on several ranks
-            whole = self.comm.size > 1 and takes_multigrid(solver, large)
+            whole = self.comm.size > 1 and solver_of(solver, large).whole_rows
             self.pattern = sparsity.build(
                 self.nodes, batches, self.layout.block, symmetric, interpolation.reach, whole
             )
@@ -162,14 +163,10 @@ class PointSystem(LoadedPoints):
             native.fill(self.pattern.matrix, fixed=self._fixed)
             self.terms.bind(self.pattern.matrix, prescribed.fixed)
             plastic = any(m is not None for m in self.mappings)
+            shared = (self.pattern.values, self.pattern.diagonal) if self.pattern.shared else None
+            matrix = self.pattern.petsc_matrix()
             self.solver = make_solver(
-                solver,
-                large,
-                self.pattern.petsc_matrix(),
-                symmetric,
-                plastic,
-                self.solver_hints,
-                (self.pattern.values, self.pattern.diagonal) if self.pattern.shared else None,
+                solver, Tangent(matrix, symmetric, self.near_null_space, plastic, large, shared)
             )
 
     # assembly ---------------------------------------------------------------------------------------

@@ -24,6 +24,7 @@ from ..geometry.nodes import ActiveNodes
 from ..geometry.spacenodes import SpaceNodes
 from ..kernels import native
 from ..kernels.kernel import Kernel
+from ..solvers.linear import NearNullSpace
 from ..terms.base import Boxes
 from ..tools import compat
 from ..tools.parallel import Route, look_up
@@ -164,7 +165,7 @@ class ProjectedSystem(LoadedPoints):
                 plastic,
                 solver,
                 self.is_large(),
-                self._mesh_hints,
+                self._near_null_space_on_mesh,
             )
 
     def _numbers_on_mesh(self) -> np.ndarray:
@@ -186,12 +187,12 @@ class ProjectedSystem(LoadedPoints):
         lattice = self.cells.lattice[:own]
         return look_up(self.comm, lattice, numbers, self.nodes.lattice)[:, 0].astype(np.int64)
 
-    def _mesh_hints(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Hints for the solver in the mesh's order."""
-        own, (motions, weak, as_force) = self.cells.nodes.owned, self.solver_hints()
-        whole = np.repeat(weak[:, None].astype(float), self.layout.block, axis=1)
-        on_mesh = np.stack([self.exchange.to_mesh(v)[:own] for v in (*motions, whole)])
-        return on_mesh[:-1], on_mesh[-1, :, 0] > 0.5, as_force
+    def _near_null_space_on_mesh(self) -> NearNullSpace:
+        """In the mesh's order."""
+        own, space = self.cells.nodes.owned, self.near_null_space()
+        whole = np.repeat(space.weak[:, None].astype(float), self.layout.block, axis=1)
+        on_mesh = np.stack([self.exchange.to_mesh(v)[:own] for v in (*space.motions, whole)])
+        return NearNullSpace(on_mesh[:-1], on_mesh[-1, :, 0] > 0.5, space.as_force)
 
     # assembly ---------------------------------------------------------------------------------------
     def assemble(self, tangent: bool, lift: np.ndarray | None = None) -> Assembled:

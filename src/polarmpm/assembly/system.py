@@ -15,7 +15,7 @@ from ..conditions.prescribed import Prescribed
 from ..geometry.nodes import Nodes
 from ..kinematics.layout import Layout
 from ..solvers.choice import is_large
-from ..solvers.direct import ACCURACY
+from ..solvers.linear import ACCURACY, NearNullSpace
 from ..terms.base import Piece
 from ..tools.timing import Timer
 from .nodalterms import NodalTerms
@@ -166,16 +166,14 @@ class NodalSystem(ABC):
         """Owned nodes at which there is hardly any of the body, bool. Collective."""
         return np.zeros(self.nodes.owned, dtype=bool)
 
-    def solver_hints(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What a multigrid solver wants to know: rigid motions of the body as it is now (k, owned nodes,
-        block), zero at prescribed unknowns; the weak nodes; by which factors (block,) the residual's
-        components count as forces. Collective."""
-        from ..solvers.multigrid import rigid_motions  # small problems don't know of it
+    def near_null_space(self) -> NearNullSpace:
+        """What the tangent hardly resists, of the body as it is now. Collective."""
+        from ..solvers.multigrid import rigid_motions  # lazy import: small problems need no multigrid
 
         own, d = slice(0, self.nodes.owned), self.layout.dim
         motions = rigid_motions(self.positions()[own], self.x[own, d:], self.comm)
         motions = np.where(self.prescribed.fixed[own], 0.0, motions)
-        return motions, self.weak_nodes(), self._as_force
+        return NearNullSpace(motions, self.weak_nodes(), self._as_force)
 
     # terms ------------------------------------------------------------------------------------------
     def term_forces(self) -> np.ndarray:

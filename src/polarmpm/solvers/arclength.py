@@ -22,7 +22,7 @@ from tqdm import tqdm
 
 from ..errors import InputError, LocalFailure, NotConverged
 from . import newton
-from .direct import SingularTangent
+from .linear import SingularTangent
 from .newton import Controls, Outcome, expected_to_end
 from .stepping import Step
 

@@ -1,41 +1,69 @@
-"""The choice of a linear solver."""
+"""The choice of a linear solver, by its name."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
-
-from petsc4py import PETSc
-
-import numpy as np
+from dataclasses import dataclass
 
 from ..errors import InputError
-from .direct import ACCURACY, DirectSolver
+from .direct import DirectSolver
+from .linear import LinearSolver, Tangent
 
-SOLVERS = ("auto", "direct", "multigrid")
 # Nodes in a layer across the body from which on multigrid takes less time in space: their power 1.5 measures
 # the operations of a factor by nested dissection for each entry of the matrix. Several ranks bring a factor
 # little, multigrid nearly all they have.
 _LARGE, _LARGE_ON_RANKS = 250, 150
 
 
-class LinearSolver(Protocol):
-    """Solves with a matrix that changes its entries now and then."""
+@dataclass(frozen=True)
+class Solver:
+    """A way to solve linear systems.
 
-    matrix: PETSc.Mat
-    symmetric: bool
+    Attributes:
+        make: makes a solver of a tangent. Collective.
+        whole_rows: it wants both triangles of symmetric matrices, where several ranks share them.
+    """
 
-    def factor(self) -> None: ...
+    make: Callable[[Tangent], LinearSolver]
+    whole_rows: bool = False
 
-    def solve(self, rhs: np.ndarray, accuracy: float = ACCURACY) -> np.ndarray: ...
 
-    def destroy(self) -> None: ...
+def _direct(tangent: Tangent) -> LinearSolver:
+    return DirectSolver(tangent.matrix, tangent.symmetric, tangent.far_from_symmetric, stored=tangent.stored)
+
+
+def _multigrid(tangent: Tangent) -> LinearSolver:
+    from .multigrid import MultigridSolver  # lazy import: small problems need no multigrid
+
+    return MultigridSolver(
+        tangent.matrix, tangent.symmetric, tangent.near_null_space, tangent.far_from_symmetric
+    )
+
+
+SOLVERS: dict[str, Solver] = {"direct": Solver(_direct), "multigrid": Solver(_multigrid, whole_rows=True)}
+
+
+def register_solver(name: str, make: Callable[[Tangent], LinearSolver], *, whole_rows: bool = False) -> None:
+    """Make a linear solver known by a name, which `QuasiStatic` and `QuasiStaticFEM` take as `solver`.
+
+    Args:
+        make: makes a `LinearSolver` of a `Tangent`; collective.
+        whole_rows: it wants both triangles of symmetric matrices, where several ranks share them.
+
+    Raises:
+        InputError: the name is taken, or make is not a function.
+    """
+    if not isinstance(name, str) or name == "auto" or name in SOLVERS:
+        raise InputError(f"solver = {name!r}: a name other than auto, {', '.join(SOLVERS)}")
+    if not callable(make):
+        raise InputError(f"solver {name!r}: make = {make!r} is not a function of a Tangent")
+    SOLVERS[name] = Solver(make, whole_rows)
 
 
 def check_solver(solver: str) -> str:
-    """Raise InputError unless it is one of `SOLVERS`."""
-    if solver not in SOLVERS:
-        raise InputError(f"solver = {solver!r}: allowed are {', '.join(SOLVERS)}")
+    """Raise InputError unless it is "auto" or a known solver's name."""
+    if solver != "auto" and solver not in SOLVERS:
+        raise InputError(f"solver = {solver!r}: allowed are auto, {', '.join(SOLVERS)}")
     return solver
 
 
@@ -46,24 +74,11 @@ def is_large(dim: int, layer: float, ranks: int) -> bool:
     return dim == 3 and layer >= (_LARGE if ranks == 1 else _LARGE_ON_RANKS)
 
 
-def takes_multigrid(solver: str, large: bool) -> bool:
-    """Whether a solver's name stands for multigrid in a system that `is_large` or isn't."""
-    return solver == "multigrid" or (solver == "auto" and large)
+def solver_of(name: str, large: bool) -> Solver:
+    """The solver of a name; "auto" takes multigrid where the body `is_large`."""
+    return SOLVERS[("multigrid" if large else "direct") if name == "auto" else name]
 
 
-def make_solver(
-    solver: str,
-    large: bool,
-    matrix: PETSc.Mat,
-    symmetric: bool,
-    far_from_symmetric: bool,
-    hints: Callable[[], tuple[np.ndarray, np.ndarray, np.ndarray]],
-    stored: tuple[np.ndarray, np.ndarray] | None = None,
-) -> LinearSolver:
-    """The solver of a name; "auto" takes multigrid where the body `is_large`. Arguments as of
-    `multigrid.MultigridSolver` and `DirectSolver`. Collective."""
-    if not takes_multigrid(solver, large):
-        return DirectSolver(matrix, symmetric, far_from_symmetric, stored=stored)
-    from .multigrid import MultigridSolver  # small problems don't know of it
-
-    return MultigridSolver(matrix, symmetric, hints, far_from_symmetric)
+def make_solver(name: str, tangent: Tangent) -> LinearSolver:
+    """A solver of a tangent. Collective."""
+    return solver_of(name, tangent.large).make(tangent)

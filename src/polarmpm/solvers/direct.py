@@ -10,9 +10,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from ..errors import PolarMPMError
+from .linear import ACCURACY, SingularTangent
 
-ACCURACY = 1e-8  # residual of a linear system relative to its right-hand side, unless told otherwise
 # Relative lift of the factored matrix' diagonal. A node set seen by a single point has fewer constraints than
 # unknowns, and its tangent is exactly singular; slivers of points' domains in a cell come close to that.
 _DIAGONAL = 1e-12
@@ -25,10 +24,6 @@ _METHODS = ["definite", "symmetric", "general"]  # the last one for unsymmetric 
 _KEEP, _OLD, _OLD_LIMIT = 500.0, 5, 25
 _STRICTER = 0.01  # norms of forces and of energy tell too little in bending, and Newton's method would stall
 _SMALL = 1500  # unknowns up to which CHOLMOD, on one rank, takes less time than MUMPS
-
-
-class SingularTangent(PolarMPMError, ArithmeticError):
-    """The tangent could not be factored; the step is cut."""
 
 
 class DirectSolver:

@@ -17,7 +17,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from .direct import ACCURACY, DirectSolver, SingularTangent
+from .direct import DirectSolver
+from .linear import ACCURACY, NearNullSpace, SingularTangent
 
 _LIMIT = 150  # iterations after which a method is given up
 _RESTART = 50  # of GMRES
@@ -41,8 +42,6 @@ _HIERARCHY = {
 _RELAXATION = {"ksp_max_it": 1, "pc_type": "sor"}
 # Symmetric relaxation of a definite matrix has no eigenvalue beyond 1: on one rank none has to be estimated.
 _ONE_RANK, _RANKS = {"ksp_chebyshev_eigenvalues": "0.1,1.1"}, {"esteig_ksp_type": "cg"}
-
-Hints = Callable[[], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
 def rigid_motions(position: np.ndarray, turned: np.ndarray, comm: MPI.Comm) -> np.ndarray:
@@ -169,9 +168,7 @@ class MultigridSolver:
 
     Args:
         matrix, symmetric, far_from_symmetric: see `DirectSolver`.
-        hints: rigid motions (k, owned nodes, block), zero at prescribed unknowns; at which of the nodes
-            (owned nodes,) there is hardly any of the body; by which factors (block,) the right-hand side's
-            components count as forces. Collective.
+        near_null_space: see `linear.Tangent`. Collective.
 
     Attributes:
         iterations: of the Krylov methods so far.
@@ -179,8 +176,14 @@ class MultigridSolver:
         failures: tangents that were left to the direct solver.
     """
 
-    def __init__(self, matrix: PETSc.Mat, symmetric: bool, hints: Hints, far_from_symmetric: bool = False):
-        self.matrix, self.symmetric, self._hints = matrix, symmetric, hints
+    def __init__(
+        self,
+        matrix: PETSc.Mat,
+        symmetric: bool,
+        near_null_space: Callable[[], NearNullSpace],
+        far_from_symmetric: bool = False,
+    ):
+        self.matrix, self.symmetric, self._near_null_space = matrix, symmetric, near_null_space
         self.comm: MPI.Comm = matrix.comm.tompi4py()
         self.iterations = self.hierarchies = 0
         self._far = far_from_symmetric
@@ -236,7 +239,8 @@ class MultigridSolver:
         self._whole.diagonalScale(self._scale, self._scale)
 
     def _build(self) -> None:
-        modes, weak, self._as_force = self._hints()
+        space = self._near_null_space()
+        modes, weak, self._as_force = space.motions, space.weak, space.as_force
         self._whole.setBlockSizes(modes.shape[2], modes.shape[2])
         self._whole.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
         self._whole.setOption(PETSc.Mat.Option.STRUCTURALLY_SYMMETRIC, True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from ..errors import LocalFailure
-from .direct import SingularTangent
+from .linear import SingularTangent
 
 
 class System(Protocol):
