@@ -163,7 +163,7 @@ class Interpolation:
         out = np.zeros((len(self.nodes), c))
         for b in self.batches:
             f = np.ascontiguousarray(point_values[b.rows])
-            native.library().polarmpm_spread(ctypes.byref(b.batch), f.ctypes.data, c, out.ctypes.data)
+            native.library().polarmpm_spread(ctypes.byref(b.batch), f, c, out)
         self.nodes.add_to_owners(out)
         return out
 
@@ -180,6 +180,5 @@ class Interpolation:
 
 
 def _gather(batch: native.Batch, x: np.ndarray, framed: int, z: np.ndarray, value: np.ndarray | None) -> None:
-    to = None if value is None else value.ctypes.data
-    if native.library().polarmpm_gather(ctypes.byref(batch), x.ctypes.data, framed, z.ctypes.data, to):
+    if native.library().polarmpm_gather(ctypes.byref(batch), x, framed, z, value):
         raise MemoryError("no memory to interpolate nodal values")

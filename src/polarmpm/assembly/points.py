@@ -214,9 +214,9 @@ class PointSystem(LoadedPoints):
             ctypes.byref(batch.batch),
             ctypes.byref(self._law(k, matrix is not None)),
             ctypes.byref(matrix) if matrix is not None else None,
-            self.x.ctypes.data,
-            internal.ctypes.data,
-            self._lift_forces.ctypes.data,
+            self.x,
+            internal,
+            self._lift_forces,
         )
         if failed:
             raise MemoryError("no memory for the sums over material points")

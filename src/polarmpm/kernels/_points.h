@@ -1,5 +1,5 @@
-/* What the compiled loops share: structures, which native.py mirrors, and the points' weighting functions; a part of
- * _native.c. */
+/* What the compiled loops share: structures, whose fields structures.py reads here, and the points' weighting
+ * functions; a part of _native.c. */
 #ifndef POLARMPM_POINTS_H
 #define POLARMPM_POINTS_H
 
@@ -9,7 +9,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 7,             /* raised with every change of a structure or signature, here and in native.py */
+    INTERFACE = 8,             /* raised with every change of a structure or signature; native.py reads it here */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */
