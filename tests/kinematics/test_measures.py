@@ -168,3 +168,43 @@ def test_motion_against_numpy(layout):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-13 * abs(b).max())
     if r:
         np.testing.assert_allclose(np.linalg.norm(found[1], axis=1), 1.0, rtol=0, atol=4e-16)
+    gradients = np.concatenate([(h @ F)[:, :d, :d], (k @ F)[:, 3 - r :, :d]], axis=1)
+    by_reference = layout.pack(np.hstack([np.zeros((n, d)), w[:, 3 - r :]]), gradients)
+    for a, b in zip(Motion(layout, COMM, by_reference=True)(state, by_reference), found, strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-14 * abs(b).max())
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_cofactor(d):
+    """det F F^-T, and without a division also where F is singular."""
+    rng = np.random.default_rng(5)
+    F = np.eye(d) + rng.uniform(-0.4, 0.4, (9, d, d))
+
+    def cofactor(f):
+        return kinematics.cofactor(ufl.as_tensor([[f[d * i + j] for j in range(d)] for i in range(d)]))
+
+    expected = np.linalg.det(F)[:, None, None] * np.swapaxes(np.linalg.inv(F), 1, 2)
+    np.testing.assert_allclose(evaluate(cofactor, F.reshape(9, -1)), expected, rtol=0, atol=1e-14)
+    flat = np.diag([2.0, 3.0, 0.0][3 - d :])
+    np.testing.assert_array_equal(evaluate(cofactor, flat.reshape(1, -1))[0].trace(), [3.0, 6.0][d - 2])
+
+
+def test_work_of_a_couple():
+    """m . J_l(w) dw; in a plane the rotation increment is the spin."""
+    m, w, dw = vectors(1.5), vectors(0.8)[::-1].copy(), vectors(1.0)[:, ::-1].copy()
+    found = evaluate(lambda *a: ufl.as_vector([kinematics.couple_work(*a)]), m, w, dw)[:, 0]
+    spin = np.einsum("nij,nj->ni", rotations.right_tangent(-w), dw)
+    np.testing.assert_allclose(found, np.sum(m * spin, axis=1), rtol=0, atol=1e-14)
+    plane = evaluate(lambda *a: ufl.as_vector([kinematics.couple_work(*a)]), m[:, :1], w[:, :1], dw[:, :1])
+    np.testing.assert_array_equal(plane, m[:, :1] * dw[:, :1])
+
+
+def test_turned_quaternions():
+    """In space, in the plane, and where nothing turns."""
+    w, q = vectors(0.7), rotations.from_vector(vectors(2.0)[::-1])
+    expected = rotations.multiply(rotations.from_vector(w), q)
+    np.testing.assert_allclose(rotations.turned(q, w), expected, rtol=0, atol=1e-15)
+    plane = rotations.from_vector(np.pad(w[:, :1], ((0, 0), (2, 0))))
+    found = rotations.turned(rotations.identity(len(w)), w[:, :1])
+    np.testing.assert_allclose(found, plane, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(rotations.turned(q, w[:, :0]), q)

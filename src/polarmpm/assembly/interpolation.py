@@ -148,13 +148,13 @@ class Interpolation:
     # between nodes and points ---------------------------------------------------------------------
     def gather(self, x: np.ndarray) -> Increments:
         """Increments at this rank's points from nodal values (nodes, block)."""
-        d, r, n = self.layout.dim, self.layout.rotations, len(self.points)
-        z, value = np.zeros((n, self.layout.unknowns)), np.zeros((n, self.layout.block))
+        layout, n = self.layout, len(self.points)
+        z, value = np.zeros((n, layout.unknowns)), np.zeros((n, layout.block))
         for b in self.batches:
             zb, vb = np.empty((len(b.rows), z.shape[1])), np.empty((len(b.rows), value.shape[1]))
             _gather(b.batch, x, 0, zb, vb)
             z[b.rows], value[b.rows] = zb, vb
-        return Increments(value, z[:, : d * d].reshape(n, d, d), z[:, d * d + r :].reshape(n, r, d))
+        return Increments(value, layout.part(z, "displacement", 1), layout.part(z, "rotation", 1))
 
     def spread(self, point_values: np.ndarray) -> np.ndarray:
         """Nodal sums of point values (np, c) with the weighting functions; complete on owned rows.
@@ -164,20 +164,14 @@ class Interpolation:
         out = np.zeros((len(self.nodes), c))
         for b in self.batches:
             f = np.ascontiguousarray(point_values[b.rows])
-            native.library().polarmpm_spread(ctypes.byref(b.batch), f.ctypes.data, c, out.ctypes.data)
+            native.library().polarmpm_spread(ctypes.byref(b.batch), f, c, out)
         self.nodes.add_to_owners(out)
         return out
 
     def update_points(self, inc: Increments, motion: Motion) -> None:
         """Set the points' current state from their increments since the reset."""
-        p, ref, d, n = self.points, self.reference, self.layout.dim, len(self.points)
-        p.x = ref.x + inc.value[:, :d]
-        z = np.concatenate([inc.gradient.reshape(n, d * d), inc.value[:, d:]], axis=1)
-        if not self.layout.rotations:
-            (p.F,) = motion((ref.F,), z)
-            return
-        z = np.concatenate([z, inc.rotation_gradient.reshape(n, self.layout.rotations * d)], axis=1)
-        p.F, p.q, p.wryness = motion((ref.F, ref.q, ref.wryness), z)
+        self.points.x = self.reference.x + inc.value[:, : self.layout.dim]
+        motion.move(self.points, self.reference, inc)
 
 
 def _boxes_of(piece: Piece) -> Boxes:
@@ -189,6 +183,5 @@ def _boxes_of(piece: Piece) -> Boxes:
 
 
 def _gather(batch: native.Batch, x: np.ndarray, framed: int, z: np.ndarray, value: np.ndarray | None) -> None:
-    to = None if value is None else value.ctypes.data
-    if native.library().polarmpm_gather(ctypes.byref(batch), x.ctypes.data, framed, z.ctypes.data, to):
+    if native.library().polarmpm_gather(ctypes.byref(batch), x, framed, z, value):
         raise MemoryError("no memory to interpolate nodal values")

@@ -204,9 +204,9 @@ class PointSystem(LoadedPoints):
             ctypes.byref(batch.batch),
             ctypes.byref(self._law(k, matrix is not None)),
             ctypes.byref(matrix) if matrix is not None else None,
-            self.x.ctypes.data,
-            internal.ctypes.data,
-            None if lifted is None else lifted.ctypes.data,
+            self.x,
+            internal,
+            lifted,
         )
         if failed:
             raise MemoryError("no memory for the sums over material points")

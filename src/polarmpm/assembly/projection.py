@@ -99,10 +99,10 @@ class CellProjection:
             len(sent),
             self._weights.shape[1],
             moments.shape[1],
-            place.ctypes.data,
-            self._weights.ctypes.data,
-            sent.ctypes.data,
-            out.ctypes.data,
+            place,
+            self._weights,
+            sent,
+            out,
         )
 
 
@@ -229,10 +229,10 @@ class ProjectedSystem(LoadedPoints):
             failed = native.library().polarmpm_moments(
                 ctypes.byref(batch.batch),
                 ctypes.byref(self._law(k, tangent)),
-                self.x.ctypes.data,
+                self.x,
                 int(self.symmetric),
-                stress[starts[k] :].ctypes.data,
-                moduli[starts[k] :].ctypes.data if tangent else None,
+                stress[starts[k] :],
+                moduli[starts[k] :] if tangent else None,
             )
             if failed:
                 raise MemoryError("no memory for the material points' moments")

@@ -85,8 +85,8 @@ class Pattern:
     def mirror(self) -> None:
         """Complete whole rows by the half of the symmetric sums that hasn't been made."""
         if self.halves is not None:
-            pairs, arrays = len(self.halves[0]), [a.ctypes.data for a in self.halves]
-            native.library().polarmpm_mirror(ctypes.byref(self.matrix), self.block, pairs, *arrays)
+            pairs = len(self.halves[0])
+            native.library().polarmpm_mirror(ctypes.byref(self.matrix), self.block, pairs, *self.halves)
 
     def collect(self) -> None:
         """Add the rows of ghost nodes to their owners' rows. Collective."""
@@ -142,7 +142,7 @@ def build(
     codes = side**grid.dim
     mark = np.zeros((len(nodes), codes), dtype=np.uint8)
     for batch in batches:
-        native.library().polarmpm_couple_nodes(ctypes.byref(batch), reach, mark.ctypes.data)
+        native.library().polarmpm_couple_nodes(ctypes.byref(batch), reach, mark)
     row, code = np.nonzero(mark)
     offset = np.stack(np.unravel_index(np.arange(codes), (side,) * grid.dim), axis=1) - reach
     col = nodes.local(nodes.lattice[row] + (offset @ grid.strides)[code])
@@ -236,9 +236,7 @@ def _scalar_rows(
     indptr = np.concatenate([[0], np.cumsum(lengths.ravel())])
     columns = np.empty(int(indptr[-1]), dtype=np.int32)
     first, cols = np.ascontiguousarray(first, dtype=np.int64), np.ascontiguousarray(cols, dtype=np.int64)
-    native.library().polarmpm_scalar_columns(
-        nodes, first.ctypes.data, cols.ctypes.data, block, int(symmetric), columns.ctypes.data
-    )
+    native.library().polarmpm_scalar_columns(nodes, first, cols, block, int(symmetric), columns)
     return indptr, columns
 
 

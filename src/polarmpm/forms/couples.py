@@ -27,8 +27,7 @@ class CoupleForm:
         space = self.space.function_space(3)
         test, trial = ufl.TestFunction(space), ufl.TrialFunction(space)
         w, m = (ufl.as_vector([c[i] for i in range(3)]) for c in (self.w, self.m))
-        work = -ufl.dot(m, ufl.dot(kin.left_tangent(w), test))
-        self.residual = work * ufl.dx(domain=self.space.domain, degree=1)
+        self.residual = -kin.couple_work(m, w, test) * ufl.dx(domain=self.space.domain, degree=1)
         self.tangent = ufl.derivative(self.residual, self.w, trial)
 
     def _source(self) -> str:

@@ -18,7 +18,7 @@ import ufl
 from ..bodies.elements import Elements
 from ..bodies.facets import Facets
 from ..kinematics import measures as kin
-from ..kinematics.layout import Layout, pack_state, state_size
+from ..kinematics.layout import Layout
 from ..materials.base import Material, parameter_values
 from ..tools import compat
 from .strains import strains, tangent_work, virtual_work
@@ -26,10 +26,7 @@ from .strains import strains, tangent_work, virtual_work
 
 def point_unknowns(layout: Layout, x: Any) -> list[Any]:
     """The scalars z = (dDu/dX, Dw, dDw/dX) of a function x of block size."""
-    d, block, gradient = layout.dim, layout.block, ufl.grad(x)
-    displacement = [gradient[i, j] for i in range(d) for j in range(d)]
-    rotation = [x[i] for i in range(d, block)]
-    return displacement + rotation + [gradient[i, j] for i in range(d, block) for j in range(d)]
+    return layout.scalars(x, ufl.grad(x))
 
 
 def _components(f: Any) -> list[Any]:
@@ -55,7 +52,7 @@ class ElementForms:
         self.elements, self.layout = elements, elements.layout
         self.x, self.total = fem.Function(elements.space), fem.Function(elements.space)
         self.before, self.correction = fem.Function(elements.space), fem.Function(elements.space)
-        size = state_size(self.layout, rotated=False)
+        size = self.layout.state().size
         space = compat.quadrature_space(elements.mesh, size, elements.quadrature_degree)
         self.state = fem.Function(space)
         own = len(elements.body.owned_cells)
@@ -68,7 +65,7 @@ class ElementForms:
     def pack(self) -> None:
         """Write the points' current state into the quadrature function."""
         p = self.elements.points
-        self.put_at_points(self.state, pack_state(self.layout, p.F, p.wryness, p.q))
+        self.put_at_points(self.state, self.layout.state().pack(p.F, p.wryness, p.q))
 
     def put_at_points(self, function: Any, values: np.ndarray) -> None:
         """Set a quadrature function from values (np, c) at the points."""
@@ -135,6 +132,12 @@ class ElementForms:
         values = [self.x[i] for i in range(block)] + [gradient[i, j] for i in range(block) for j in range(d)]
         return compat.Evaluator(self.elements.mesh, ufl.as_vector(values), self.elements.reference_points)
 
+    def values_at_points(self) -> tuple[np.ndarray, np.ndarray]:
+        """(Du, Dw) (n, block) and their gradients by X (n, block, d) at the quadrature points."""
+        d, block, n = self.layout.dim, self.layout.block, len(self.elements.points)
+        values = self.point_values(self.elements.body.owned_cells).reshape(n, block * (1 + d))
+        return values[:, :block], values[:, block:].reshape(n, block, d)
+
     # loads ----------------------------------------------------------------------------------------
     def body_work(self, density: Any) -> Any:
         """Virtual work of forces and couples per reference volume (a quadrature function of block size)."""
@@ -144,17 +147,12 @@ class ElementForms:
 
     def _work(self, load: list[Any]) -> Any:
         """f . dv + m . (spin): couples in space do work on the spin J_l(Dw) d(Dw) (docs/theory.md)."""
-        d, r = self.layout.dim, self.layout.rotations
+        d, rows = self.layout.dim, self.layout.rows("rotation")
         work = sum(load[i] * self.test[i] for i in range(d))
-        if r == 1:
-            work += load[d] * self.test[d]
-        elif r == 3:
-            work += ufl.dot(ufl.as_vector(load[d:]), self._spin())
+        if rows:
+            m, w, dw = (ufl.as_vector([f[i] for i in rows]) for f in (load, self.x, self.test))
+            work += kin.couple_work(m, w, dw)
         return work
-
-    def _spin(self) -> Any:
-        w, dw = (ufl.as_vector([f[i] for i in range(3, 6)]) for f in (self.x, self.test))
-        return ufl.dot(kin.left_tangent(w), dw)
 
     def traction_work(self, facets: Facets, load: Any, couple: bool, follows: bool) -> Any:
         """Virtual work of a traction or couple traction.
@@ -173,7 +171,7 @@ class ElementForms:
 
     def pressure_work(self, facets: Facets, pressure: Any) -> Any:
         """Virtual work of a pressure (a scalar function) against the current normal."""
-        area = ufl.dot(self._cofactor(), ufl.FacetNormal(self.elements.mesh))
+        area = ufl.dot(kin.cofactor(self._deformation()), ufl.FacetNormal(self.elements.mesh))
         force = [-pressure * area[i] for i in range(self.layout.dim)]
         ds = self.elements.surface_measure(facets.facets)
         return sum(f * self.test[i] for i, f in enumerate(force)) * ds
@@ -185,17 +183,11 @@ class ElementForms:
         gradient = ufl.as_tensor([[g0[i, j] + g[i, j] for j in range(d)] for i in range(d)])
         return ufl.Identity(d) + gradient
 
-    def _cofactor(self) -> Any:
-        """cof F: cof F N dA = n da."""
-        f = self._deformation()
-        return ufl.det(f) * ufl.transpose(ufl.inv(f))
-
     def _convected(self, load: Any) -> Any:
         normal = ufl.FacetNormal(self.elements.mesh)
+        area = ufl.dot(kin.cofactor(self._deformation()), normal)
         if len(load) == 1:  # a couple about the axis of the plane: only the area changes
-            area = ufl.dot(self._cofactor(), normal)
             return load * ufl.sqrt(ufl.dot(area, area))
-        area = ufl.dot(self._cofactor(), normal)
         along = ufl.dot(load, normal)
         inside = load - along * normal
         turned = ufl.dot(self._deformation(), inside)

@@ -21,8 +21,7 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
-from ..kernels.kernel import Kernel, matrix
-from ..kinematics import measures as kin
+from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from ..kinematics.layout import Layout, state_size
 from ..materials.base import Material, evaluate_energy, evaluate_scalar, named_parameters
@@ -30,6 +29,7 @@ from ..materials.plastic import Plastic, check_regions
 from ..materials.regions import LocalState, Region, Scales
 from .points import PointForm
 from .returns import LocalProblem, Return, compile_functions
+from .strains import measures, motion
 
 _PLANE = ((0, 0), (0, 1), (1, 0), (1, 1), (2, 2))  # entries of deformations in plane strain
 _PLANE_WRYNESS = ((0, 2), (1, 2), (2, 0), (2, 1))  # plastic flow brings in the third column
@@ -131,25 +131,8 @@ class PlasticForm(PointForm):
     @cached_property
     def _motion(self) -> tuple[Any, Any, Any]:
         """F, Q and Gamma in the frame of the state; Q and Gamma are None of classical materials."""
-        d, r, z, state = self.layout.dim, self.layout.rotations, self.z, self.state
-        g, frame = matrix(z, d, d), matrix(state, d, d)
-        f = kin.plane_tensor(frame) + kin.plane_gradient(g) if d == 2 else frame + g
-        rotated = self.material.isotropic
-        if r == 0:
-            return f, None, None
-        if d == 2:
-            first = 4 if rotated else 6
-            wryness = kin.plane_wryness([state[first + j] + z[5 + j] for j in range(2)])
-            q = kin.plane_exp_map(z[4])
-            if not rotated:
-                q = ufl.dot(q, kin.quaternion_tensor([state[4], 0, 0, state[5]]))
-            return f, q, wryness
-        w = ufl.as_vector([z[9 + i] for i in range(3)])
-        q, increment = kin.exp_map(w), ufl.dot(kin.right_tangent(w), matrix(z, 3, 3, 12))
-        if rotated:
-            return f, q, matrix(state, 3, 3, 9) + increment
-        base = kin.quaternion_tensor([state[9 + i] for i in range(4)])
-        return f, ufl.dot(q, base), matrix(state, 3, 3, 13) + ufl.dot(ufl.transpose(base), increment)
+        now = motion(self.layout, self.z, self.state, rotated=self.material.isotropic)
+        return now.F, now.Q, now.wryness
 
     @cached_property
     def _trial(self) -> tuple[Any, Any]:
@@ -161,10 +144,7 @@ class PlasticForm(PointForm):
 
     def strains(self) -> tuple[Any, ...]:
         """Measures of the elastic energy in the trial state."""
-        deformation, wryness = self._trial
-        if wryness is None:
-            return self.material.measures(deformation)
-        return deformation - ufl.Identity(3), wryness
+        return measures(self.material, *self._trial)
 
     @cached_property
     def energy(self) -> Any:

@@ -113,10 +113,7 @@ class PlasticElementForms(ElementForms):
 
     def _unknowns(self) -> np.ndarray:
         """z = (dDu/dX, Dw, dDw/dX) at the points (n, nz)."""
-        d, r, n = self.layout.dim, self.layout.rotations, len(self.elements.points)
-        values = self.point_values(self.elements.body.owned_cells).reshape(n, (d + r) * (1 + d))
-        value, gradient = values[:, : d + r], values[:, d + r :]
-        return np.hstack([gradient[:, : d * d], value[:, d:], gradient[:, d * d :]])
+        return self.layout.pack(*self.values_at_points())
 
     def _evaluate(self, k: int, inputs: np.ndarray, tangent: bool) -> tuple[np.ndarray, np.ndarray]:
         """s (n, nz) and moduli (n, nz, nz) of a material's points."""
@@ -139,10 +136,8 @@ class PlasticElementForms(ElementForms):
 
 def _frame(layout: Layout, turn: np.ndarray | None, n: int) -> np.ndarray:
     """Matrices (n, nz, nz) from z of gradients by X to z of gradients in the kernels' frame, times Q~^T."""
-    d, r, nz = layout.dim, layout.rotations, layout.unknowns
-    out = np.tile(np.eye(nz), (n, 1, 1))
+    d, out = layout.dim, np.tile(np.eye(layout.unknowns), (n, 1, 1))
     if turn is not None:
-        starts = [d * i for i in range(d)] + [d * d + r + d * i for i in range(r)]
-        for first in starts:
-            out[:, first : first + d, first : first + d] = turn[:, :d, :d]
+        for at in layout.gradients:
+            out[:, at, at] = turn[:, :d, :d]
     return out

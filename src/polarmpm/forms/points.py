@@ -25,9 +25,9 @@ import ufl
 from ..kernels import codegen, jit
 from ..kernels.codegen import Scalariser
 from ..kernels.csource import write_c
-from ..kernels.kernel import Kernel, PointSpace, compile_expressions, generator_version, matrix
+from ..kernels.kernel import Kernel, PointSpace, compile_expressions, generator_version
 from ..kinematics import measures as kin
-from ..kinematics.layout import Layout, pack_state, state_size
+from ..kinematics.layout import Layout
 from ..materials.base import Material, evaluate_energy, named_parameters, parameter_values
 from ..tools import compat
 from .strains import predicts, strains, tangent_work, virtual_work
@@ -47,7 +47,7 @@ class PointForm:
     # sizes --------------------------------------------------------------------------------------
     @property
     def state_size(self) -> int:
-        return state_size(self.layout, rotated=self.material.isotropic)
+        return self.layout.state(rotated=self.material.isotropic).size
 
     @property
     def terminals(self) -> dict[Any, int]:
@@ -76,20 +76,19 @@ class PointForm:
     ) -> np.ndarray:
         """States (n, state_size) of reference values at points; `history` is what `Points.history` gives."""
         if not self.material.isotropic or not self.material.micropolar:
-            return pack_state(self.layout, F, wryness, q)
+            return self.layout.state().pack(F, wryness, q)
         return self.packing(MPI.COMM_SELF)(F, q, wryness)
 
     def packing(self, comm: MPI.Comm) -> Kernel:
         """Kernel (F, q, Gamma) -> state in the rotated frame. Collective."""
         if self._packing is None:
-            d, reference = self.layout.dim, self.space.coefficient(22)
-            turn = kin.quaternion_tensor([reference[9 + i] for i in range(4)])
-            frame = ufl.dot(matrix(reference, 3, 3), ufl.transpose(turn))
-            wryness = ufl.dot(turn, ufl.dot(matrix(reference, 3, 3, 13), ufl.transpose(turn)))
-            rows = range(3) if d == 3 else [2]
-            parts = [frame[i, j] for i in range(d) for j in range(d)]
-            parts += [wryness[i, j] for i in rows for j in range(d)]
-            self._packing = compile_expressions(parts, {reference: 0}, 22, self.space.domain, comm)
+            full = self.layout.in_space.state()
+            reference = self.space.coefficient(full.size)
+            turn = kin.quaternion_tensor(full.quaternion(reference))
+            frame = ufl.dot(full.frame(reference), ufl.transpose(turn))
+            wryness = ufl.dot(turn, ufl.dot(full.wryness(reference), ufl.transpose(turn)))
+            parts = self.layout.state(rotated=True).scalars(frame, wryness)
+            self._packing = compile_expressions(parts, {reference: 0}, full.size, self.space.domain, comm)
         return self._packing
 
     # forms --------------------------------------------------------------------------------------

@@ -204,12 +204,12 @@ class ReturnMapping:
         out_of_memory = native.library().polarmpm_return(
             ctypes.byref(controls),
             n,
-            inputs.ctypes.data,
+            inputs,
             int(tangent),
-            own.ctypes.data,
-            blocks.ctypes.data,
-            status.ctypes.data,
-            iterations.ctypes.data,
+            own,
+            blocks,
+            status,
+            iterations,
         )
         if out_of_memory:
             raise MemoryError("no memory for the return mapping")

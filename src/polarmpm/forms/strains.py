@@ -7,44 +7,36 @@ from typing import Any
 
 import ufl
 
-from ..kernels.kernel import matrix
 from ..kinematics import measures as kin
 from ..kinematics.layout import Layout
+from ..kinematics.motion import Increment, Moved, move
 from ..materials.base import Material, evaluate_energy, named_parameters
 
 
-def strains(material: Material, layout: Layout, z: Any, state: Any, *, rotated: bool) -> tuple[Any, ...]:
-    """(E, Gamma) of a micropolar material, the strain measures of a classical one.
+def motion(layout: Layout, z: Any, state: Any, *, rotated: bool) -> Moved:
+    """F, Q and Gamma at a point, in the frame of its state.
 
     Args:
         z: scalars (G, w, Gw), gradients taken in the frame of the state.
         state: scalars (V~, Gamma~') in the rotated frame, else (F~, q~, Gamma~), or F~ of a classical
             material; of a plane problem without the entries that are known.
     """
-    d, r = layout.dim, layout.rotations
-    g, frame = matrix(z, d, d), matrix(state, d, d)
-    f = kin.plane_tensor(frame) + kin.plane_gradient(g) if d == 2 else frame + g
-    if r == 0:
-        return material.measures(f)
-    if d == 2:
-        return _plane_strains(f, z, state, rotated)
-    w = ufl.as_vector([z[9 + i] for i in range(3)])
-    gw = matrix(z, 3, 3, 12)
-    dq, increment = kin.exp_map(w), ufl.dot(kin.right_tangent(w), gw)
-    if rotated:
-        return ufl.dot(ufl.transpose(dq), f) - ufl.Identity(3), matrix(state, 3, 3, 9) + increment
-    q0t = ufl.transpose(kin.quaternion_tensor([state[9 + i] for i in range(4)]))
-    strain = ufl.dot(q0t, ufl.dot(ufl.transpose(dq), f)) - ufl.Identity(3)
-    return strain, matrix(state, 3, 3, 13) + ufl.dot(q0t, increment)
+    before, by = layout.state(rotated=rotated), Increment.of(layout, z)
+    if not layout.rotations:
+        return move(by, before.frame(state))
+    base = None if rotated else kin.quaternion_tensor(before.quaternion(state))
+    return move(by, before.frame(state), base, before.wryness(state))
 
 
-def _plane_strains(f: Any, z: Any, state: Any, rotated: bool) -> tuple[Any, Any]:
-    first = 4 if rotated else 6
-    wryness = kin.plane_wryness([state[first + j] + z[5 + j] for j in range(2)])
-    strain = ufl.dot(ufl.transpose(kin.plane_exp_map(z[4])), f)
-    if not rotated:
-        strain = ufl.dot(ufl.transpose(kin.quaternion_tensor([state[4], 0, 0, state[5]])), strain)
-    return strain - ufl.Identity(3), wryness
+def measures(material: Material, stretch: Any, wryness: Any) -> tuple[Any, ...]:
+    """(E, Gamma) of U = Q^T F and Gamma; of a classical material, without a wryness, its measures of F."""
+    return material.measures(stretch) if wryness is None else (stretch - ufl.Identity(3), wryness)
+
+
+def strains(material: Material, layout: Layout, z: Any, state: Any, *, rotated: bool) -> tuple[Any, ...]:
+    """Strain measures of a material at a point, see `motion` and `measures`."""
+    now = motion(layout, z, state, rotated=rotated)
+    return measures(material, now.stretch, now.wryness)
 
 
 def stresses(material: Material, strains: Sequence[Any], numbers: Any) -> list[Any]:

@@ -10,6 +10,7 @@ from typing import Any
 import ufl
 
 from ..errors import InputError
+from ..kernels.kernel import matrix
 from ..kinematics.layout import Layout
 from .surfaces import SurfaceForm
 
@@ -70,13 +71,13 @@ class SurfaceEnergyForm(SurfaceForm):
         return ufl.derivative(value, self.y, self.test) if self._energy else value
 
     def _point(self) -> SurfacePoint:
-        layout, d, r = self.layout, self.layout.dim, self.layout.rotations
+        d, r = self.layout.dim, self.layout.rotations
         x, n, u0, f0, theta0, _ = self.coefficients
         u0, theta0 = (
             ufl.as_vector([c[i] for i in range(k)]) if k else None for c, k in ((u0, d), (theta0, r))
         )
-        before = self._tensor(f0)
-        now = ufl.dot(ufl.Identity(d) + self._tensor(self.y, layout.block), before)
+        before = matrix(f0, d, d)
+        now = ufl.dot(ufl.Identity(d) + self.slots.derivative(self.y, "displacement"), before)
         variation = None
         if not self._energy:
             variation = self._displacement(self.test), self._rotation(self.test) if r else None

@@ -16,9 +16,9 @@ import ufl
 from ..kernels import codegen, jit
 from ..kernels.codegen import Scalariser
 from ..kernels.csource import write_c
-from ..kernels.kernel import Kernel, PointSpace, generator_version
+from ..kernels.kernel import Kernel, PointSpace, generator_version, matrix
 from ..kinematics import measures as kin
-from ..kinematics.layout import Layout
+from ..kinematics.layout import SURFACE, Layout
 from ..tools import compat
 
 
@@ -26,6 +26,7 @@ class SurfaceForm:
     """Virtual work of a surface point and its derivative by y, as UFL forms and compiled.
 
     Attributes:
+        slots: of y.
         size: length of y.
         data: numbers of each of the form's coefficients.
         symmetric: the derivative is symmetric.
@@ -37,7 +38,8 @@ class SurfaceForm:
     def __init__(self, layout: Layout, *data: int):
         self.layout, self.data = layout, data
         self.space = PointSpace(compat.point_domain())
-        self.size = layout.block + layout.dim**2
+        self.slots = Layout(layout.dim, layout.rotations, SURFACE)
+        self.size = self.slots.unknowns
         self.y = self.space.coefficient(self.size)
         self.coefficients = [self.space.coefficient(n) for n in data]
         space = self.space.function_space(self.size)
@@ -50,19 +52,14 @@ class SurfaceForm:
         raise NotImplementedError
 
     # parts of y -------------------------------------------------------------------------------------
-    def _value(self, y: Any) -> Any:
-        return ufl.as_vector([y[i] for i in range(self.layout.block)])
-
     def _displacement(self, y: Any) -> Any:
-        return ufl.as_vector([y[i] for i in range(self.layout.dim)])
+        return self.slots.vector(y, "displacement")
 
     def _rotation(self, y: Any) -> Any:
-        d, r = self.layout.dim, self.layout.rotations
-        return ufl.as_vector([y[d + i] for i in range(r)])
+        return self.slots.vector(y, "rotation")
 
-    def _tensor(self, c: Any, start: int = 0) -> Any:
-        d = self.layout.dim
-        return ufl.as_tensor([[c[start + d * i + j] for j in range(d)] for i in range(d)])
+    def _values(self, y: Any) -> list[Any]:
+        return [y[k] for k, slot in enumerate(self.slots.slots) if not slot.axes]
 
     # code -------------------------------------------------------------------------------------------
     def _terminals(self) -> dict[Any, int]:
@@ -108,14 +105,11 @@ class DeadTraction(SurfaceForm):
 
     def virtual_work(self) -> Any:
         force, *couple = self.coefficients
-        d, r = self.layout.dim, self.layout.rotations
-        work = -sum(force[i] * self.test[i] for i in range(d))
+        work = -sum(force[i] * self.test[i] for i in range(self.layout.dim))
         if not self.couples:
             return work
-        m, spin = ufl.as_vector([couple[0][i] for i in range(r)]), self._rotation(self.test)
-        if r == 3:
-            spin = ufl.dot(kin.left_tangent(self._rotation(self.y)), spin)
-        return work - ufl.dot(m, spin)
+        m = ufl.as_vector([couple[0][i] for i in range(self.layout.rotations)])
+        return work - kin.couple_work(m, self._rotation(self.y), self._rotation(self.test))
 
 
 class FollowerPressure(SurfaceForm):
@@ -132,23 +126,10 @@ class FollowerPressure(SurfaceForm):
     def virtual_work(self) -> Any:
         p, before, n = self.coefficients
         d = self.layout.dim
-        f = ufl.dot(ufl.Identity(d) + self._tensor(self.y, self.layout.block), self._tensor(before))
+        f = ufl.dot(ufl.Identity(d) + self.slots.derivative(self.y, "displacement"), matrix(before, d, d))
         normal = ufl.as_vector([n[i] for i in range(d)])
-        area = ufl.dot(_cofactor(f, d), normal)
+        area = ufl.dot(kin.cofactor(f), normal)
         return p[0] * ufl.dot(area, self._displacement(self.test))
-
-
-def _cofactor(f: Any, d: int) -> Any:
-    """cof F, without a division."""
-    if d == 2:
-        return ufl.as_tensor([[f[1, 1], -f[1, 0]], [-f[0, 1], f[0, 0]]])
-    following = (1, 2, 0)
-
-    def minor(i: int, j: int) -> Any:
-        a, b, c, e = following[i], following[following[i]], following[j], following[following[j]]
-        return f[a, c] * f[b, e] - f[a, e] * f[b, c]
-
-    return ufl.as_tensor([[minor(i, j) for j in range(3)] for i in range(3)])
 
 
 class Penalty(SurfaceForm):
@@ -165,7 +146,7 @@ class Penalty(SurfaceForm):
     def virtual_work(self) -> Any:
         p, t, force = self.coefficients
         b = self.layout.block
-        g = [self.y[i] - t[i] for i in range(b)]
+        g = [value - t[i] for i, value in enumerate(self._values(self.y))]
         energy = sum(0.5 * g[i] * p[b * i + j] * g[j] for i in range(b) for j in range(b))
         energy += sum(force[i] * g[i] for i in range(b))
         return ufl.derivative(energy, self.y, self.test)

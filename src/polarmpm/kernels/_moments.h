@@ -6,7 +6,7 @@ INLINE void pull_back(const Batch *b, const double *frame, double *r, int step)
 {
     const int dim = b->dim;
     for (int i = 0; i < block_of(b); ++i) {
-        double *row = r + (i < dim ? dim * i : b->rot + dim * i) * step, old[3] = {0};
+        double *row = r + gradient_slot(dim, b->rot, i) * step, old[3] = {0};
         for (int j = 0; j < dim; ++j) old[j] = row[j * step];
         for (int k = 0; k < dim; ++k) {
             double sum = 0.0;

@@ -11,11 +11,20 @@
 
 int polarmpm_interface(void) { return INTERFACE; }
 
+/* Where z holds a component (axis < 0) or its derivative along an axis, -1: nowhere; for the test of _layout.h. */
+int polarmpm_slot(int32_t dim, int32_t rot, int32_t component, int32_t axis)
+{
+    if (axis >= 0) return gradient_slot(dim, rot, component) + axis;
+    return has_value(dim, component) ? value_slot(dim, rot, component) : -1;
+}
+
+int polarmpm_unknowns(int32_t dim, int32_t rot) { return unknowns_of(dim, rot); }
+
 /* Nodal sums of point values: out[node][c] += S f[point][c]. */
 void polarmpm_spread(const Batch *b, const double *f, int32_t nc, double *out)
 {
     const int stride = largest_group(b);
-    double *s = malloc(sizeof(double) * 4 * stride);
+    double *s = malloc(sizeof(double) * SHAPES * stride);
     for (int64_t g = 0; g < b->ngroups; ++g) {
         const int n = nodes_of(b, g);
         const int32_t *nodes = b->nodes + b->node_first[g];
@@ -61,7 +70,7 @@ void polarmpm_scalar_columns(int64_t nodes, const int64_t *first, const int64_t 
 
 typedef struct {
     double *in, *out, *cin, *cout, *A;
-    vec *shapes, *x, *before, *f, *K;  /* shapes [lane][4][sv], nodal values [component][sv] of a group */
+    vec *shapes, *x, *before, *f, *K;  /* shapes [lane][SHAPES][sv], nodal values [component][sv] of a group */
     Place *at;
     int sv;                            /* vectors of the nodes of the largest group */
     int64_t gathered;                  /* the group of which x and before are; -1: none */
@@ -95,12 +104,10 @@ INLINE double dot(const int nv, const vec *a, const vec *b)
 INLINE void interpolate(const int dim, const int rot, int nv, int sv, const vec *s, const vec *x, double *z,
                         const int step)
 {
-    for (int i = 0; i < dim; ++i)
-        for (int j = 0; j < dim; ++j) z[(dim * i + j) * step] = dot(nv, x + i * sv, s + (1 + j) * sv);
-    for (int i = 0; i < rot; ++i) {
-        z[(dim * dim + i) * step] = dot(nv, x + (dim + i) * sv, s);
-        for (int j = 0; j < dim; ++j)
-            z[(dim * dim + rot + dim * i + j) * step] = dot(nv, x + (dim + i) * sv, s + (1 + j) * sv);
+    for (int i = 0; i < dim + rot; ++i) {
+        double *gradient = z + gradient_slot(dim, rot, i) * step;
+        if (has_value(dim, i)) z[value_slot(dim, rot, i) * step] = dot(nv, x + i * sv, s);
+        for (int j = 0; j < dim; ++j) gradient[j * step] = dot(nv, x + i * sv, s + (1 + j) * sv);
     }
 }
 
@@ -109,6 +116,7 @@ INLINE int evaluate(const int dim, const int rot, const Batch *b, const Law *law
                     int64_t *group, int64_t *group_of, Work *w, int *coupled)
 {
     const int nb = dim + rot, nz = unknowns_of(dim, rot), ns = b->nstate, np = b->nparam, sv = w->sv;
+    const int turn = value_slot(dim, rot, dim);  /* rotations in z; couples do work in space only */
     const int lanes = (int)(b->npoints - start < LANES ? b->npoints - start : LANES);
     int open = 0;
     *coupled = 0;
@@ -124,7 +132,7 @@ INLINE int evaluate(const int dim, const int rot, const Batch *b, const Law *law
             if (law->before) gather_group(nb, n, sv, nodes, law->before, w->before);
             w->gathered = *group;
         }
-        vec *s = w->shapes + (int64_t)l * 4 * sv;
+        vec *s = w->shapes + (int64_t)l * SHAPES * sv;
         shape(dim, b, p, b->count + *group * dim, b->state + p * ns, sv * WIDTH, (double *)s);
         interpolate(dim, rot, nv, sv, s, w->x, w->in + l, LANES);
         if (law->before) interpolate(dim, rot, nv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l, LANES);
@@ -132,9 +140,9 @@ INLINE int evaluate(const int dim, const int rot, const Batch *b, const Law *law
         if (law->couple) {
             const int32_t row = law->couple_of[p];
             *coupled |= row >= 0;
-            for (int k = 0; k < 3; ++k) {
-                w->cin[k * LANES + l] = w->in[(9 + k) * LANES + l];
-                w->cin[(3 + k) * LANES + l] = row >= 0 ? law->couples[3 * row + k] : 0.0;
+            for (int k = 0; k < SPIN; ++k) {
+                w->cin[k * LANES + l] = w->in[(turn + k) * LANES + l];
+                w->cin[(SPIN + k) * LANES + l] = row >= 0 ? law->couples[SPIN * row + k] : 0.0;
             }
         }
     }
@@ -142,7 +150,7 @@ INLINE int evaluate(const int dim, const int rot, const Batch *b, const Law *law
         for (int k = 0; k < nz + ns; ++k) w->in[k * LANES + l] = w->in[k * LANES + lanes - 1];
         for (int k = nz + ns + np; law->before && k < 2 * nz + ns + np; ++k)
             w->in[k * LANES + l] = w->in[k * LANES + lanes - 1];
-        for (int k = 0; k < 6; ++k) w->cin[k * LANES + l] = w->cin[k * LANES + lanes - 1];
+        for (int k = 0; k < 2 * SPIN; ++k) w->cin[k * LANES + l] = w->cin[k * LANES + lanes - 1];
     }
     if (open) law->kernel(w->in, w->out);
     if (*coupled) law->couple(w->cin, w->cout);
@@ -154,12 +162,12 @@ INLINE int evaluate(const int dim, const int rot, const Batch *b, const Law *law
 INLINE void point_terms(const int dim, const int rot, const Batch *b, const Law *law, const Work *w, int64_t p, int l,
                         int coupled, double *r, double *A)
 {
-    const int nz = unknowns_of(dim, rot);
+    const int nz = unknowns_of(dim, rot), turn = value_slot(dim, rot, dim);
     const int64_t row = law->block_of ? law->block_of[p] : -1;
     const double *block = row < 0 ? NULL : law->blocks + row * (nz + (A ? nz * nz : 0)), volume = b->volume[p];
     for (int k = 0; k < nz; ++k) r[k] = volume * (block ? block[k] : w->out[k * LANES + l]);
     if (coupled)
-        for (int k = 0; k < 3; ++k) r[9 + k] += w->cout[k * LANES + l];
+        for (int k = 0; k < SPIN; ++k) r[turn + k] += w->cout[k * LANES + l];
     if (!A) return;
     const double *upper = w->out + nz * LANES + l;
     if (block)
@@ -168,8 +176,9 @@ INLINE void point_terms(const int dim, const int rot, const Batch *b, const Law 
         for (int i = 0; i < nz; ++i)
             for (int j = i; j < nz; ++j, upper += LANES) A[i * nz + j] = A[j * nz + i] = volume * *upper;
     if (coupled)
-        for (int i = 0; i < 3; ++i)
-            for (int j = 0; j < 3; ++j) A[(9 + i) * nz + 9 + j] += w->cout[(3 + 3 * i + j) * LANES + l];
+        for (int i = 0; i < SPIN; ++i)
+            for (int j = 0; j < SPIN; ++j)
+                A[(turn + i) * nz + turn + j] += w->cout[(SPIN * (1 + i) + j) * LANES + l];
 }
 
 /* Memory for the evaluation of points and, with `scatter`, for sums of a group. Returns nonzero without memory. */
@@ -179,8 +188,8 @@ static int create_work(const Batch *b, int tangent, int scatter, Work *w)
     const int most = scatter ? largest : 0, outputs = nz + (tangent ? nz * (nz + 1) / 2 : 0);
     const size_t sv = (largest + WIDTH - 1) / WIDTH, stride = sv * WIDTH, inputs = 2 * nz + b->nstate + b->nparam;
     *w = (Work){.in = vectors(inputs * LANES), .out = vectors((size_t)outputs * LANES),
-                .cin = vectors(6 * LANES), .cout = vectors(12 * LANES), .A = vectors((size_t)LANES * nz * nz),
-                .shapes = vectors(LANES * 4 * stride), .x = vectors(nb * stride), .before = vectors(nb * stride),
+                .cin = vectors(2 * SPIN * LANES), .cout = vectors(SPIN * (1 + SPIN) * LANES), .A = vectors((size_t)LANES * nz * nz),
+                .shapes = vectors(LANES * SHAPES * stride), .x = vectors(nb * stride), .before = vectors(nb * stride),
                 .f = vectors(nb * stride), .K = vectors(tangent && scatter ? most * nb * nb * stride : 1),
                 .at = malloc(sizeof(Place) * (most + 1)), .sv = (int)sv, .gathered = -1};
     if (!(w->in && w->out && w->cin && w->cout && w->A && w->shapes && w->x && w->before && w->f && w->K && w->at))
@@ -218,16 +227,7 @@ FAST int polarmpm_gather(const Batch *b, const double *x, int32_t framed, double
 {
     Work w;
     const int failed = create_work(b, 0, 0, &w);
-    if (failed) {
-    } else if (b->dim == 3 && b->rot == 3) {
-        gather(3, 3, b, x, framed, z, value, &w);
-    } else if (b->dim == 3) {
-        gather(3, 0, b, x, framed, z, value, &w);
-    } else if (b->rot == 1) {
-        gather(2, 1, b, x, framed, z, value, &w);
-    } else {
-        gather(2, 0, b, x, framed, z, value, &w);
-    }
+    if (!failed) SPECIALISED(gather, b, x, framed, z, value, &w);
     free_work(&w);
     return failed;
 }
@@ -238,14 +238,14 @@ INLINE void add_points(const int dim, const int rot, const Batch *b, const Law *
 {
     const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot), sv = w->sv;
     for (int q = l; q < end; ++q) {
-        double r[21];
+        double r[UNKNOWNS_MAX];
         point_terms(dim, rot, b, law, w, start + q, q, coupled, r, M ? w->A + q * nz * nz : NULL);
-        add_residual(dim, rot, nv, sv, w->shapes + q * 4 * sv, r, w->f);
+        add_residual(dim, rot, nv, sv, w->shapes + q * SHAPES * sv, r, w->f);
     }
     for (int P; M && l < end; l += P) {
         P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
         add_tangents(dim, rot, nv, M->half, P, start + l == b->first[g], n, w->A + l * nz * nz,
-                     w->shapes + l * 4 * sv, sv, w->K);
+                     w->shapes + l * SHAPES * sv, sv, w->K);
     }
 }
 
@@ -282,16 +282,7 @@ FAST int polarmpm_assemble(const Batch *b, const Law *law, const Matrix *M, cons
     if (b->npoints == 0) return 0;
     Work w;
     const int failed = create_work(b, M != NULL, 1, &w);
-    if (failed) {
-    } else if (b->dim == 3 && b->rot == 3) {
-        assemble(3, 3, b, law, M, x, force, rhs, &w);
-    } else if (b->dim == 3) {
-        assemble(3, 0, b, law, M, x, force, rhs, &w);
-    } else if (b->rot == 1) {
-        assemble(2, 1, b, law, M, x, force, rhs, &w);
-    } else {
-        assemble(2, 0, b, law, M, x, force, rhs, &w);
-    }
+    if (!failed) SPECIALISED(assemble, b, law, M, x, force, rhs, &w);
     free_work(&w);
     return failed;
 }
@@ -311,3 +302,10 @@ void polarmpm_mirror(const Matrix *M, int32_t nb, int64_t pairs, const int32_t *
 
 #include "_moments.h"
 #include "_return.h"
+
+/* Sizes of the structures as compiled; native.py compares them with those that it has read from the headers. */
+#define SIZE_OF(structure) const int64_t polarmpm_size_##structure = sizeof(structure)
+SIZE_OF(Batch);
+SIZE_OF(Matrix);
+SIZE_OF(Law);
+SIZE_OF(Return);

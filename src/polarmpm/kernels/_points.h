@@ -1,7 +1,9 @@
-/* What the compiled loops share: structures, which native.py mirrors, and the points' weighting functions; a part of
- * _native.c. */
+/* What the compiled loops share: structures, whose fields structures.py reads here, and the points' weighting
+ * functions; a part of _native.c. */
 #ifndef POLARMPM_POINTS_H
 #define POLARMPM_POINTS_H
+
+#include "_layout.h"
 
 #include <math.h>
 #include <stdint.h>
@@ -9,7 +11,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 7,             /* raised with every change of a structure or signature, here and in native.py */
+    INTERFACE = 8,             /* raised with every change of a structure or signature; native.py reads it here */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */
@@ -18,7 +20,6 @@ enum {
 typedef double vec __attribute__((vector_size(8 * WIDTH), aligned(8 * WIDTH)));
 typedef void (*kernel_t)(const double *in, double *out);
 
-#define INLINE static inline __attribute__((always_inline))
 #if defined(__x86_64__) && defined(__gnu_linux__) && !defined(__clang__)
 #define FAST __attribute__((target_clones("arch=x86-64-v4", "fma", "default")))
 #else
@@ -56,14 +57,13 @@ typedef struct {
     kernel_t kernel;           /* (z, state, param [, z before]) -> residual [, upper triangle of the tangent] */
     kernel_t couple;           /* (w, m) -> residual, tangent; NULL without couples */
     const int32_t *couple_of;  /* [point] row of `couples`, -1: none */
-    const double *couples;     /* [row][3] */
+    const double *couples;     /* [row][SPIN] */
     const double *before;      /* nodal values before the last correction, for the tangent's kernel; NULL: not needed */
     const int32_t *block_of;   /* [point] row of `blocks`, -1: evaluate the kernel; NULL: kernel for all points */
     const double *blocks;      /* [row][nz (+ nz nz with tangent)] per volume, from the return mapping */
 } Law;
 
 INLINE int block_of(const Batch *b) { return b->dim + b->rot; }
-INLINE int unknowns_of(int dim, int rot) { return dim * dim + rot * (1 + dim); }
 
 static int nodes_of(const Batch *b, int64_t group)
 {

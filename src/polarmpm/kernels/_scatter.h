@@ -2,39 +2,39 @@
 #include "_points.h"
 
 /* B^T A B of P points of a group, added to its dense matrix K[node][i][k][nv]; the first points of a group overwrite
- * what an earlier group has left. s holds their values and gradients, [P][4][sv] vectors; A is [P][nz][nz].
+ * what an earlier group has left. s holds their values and gradients, [P][SHAPES][sv] vectors; A is [P][nz][nz].
  * With several points at once an entry of K is read and written once for all of them. Of a symmetric matrix blocks
  * right of the diagonal are summed, and where both nodes are of one vector only entries with i <= k (`mirror`). */
 INLINE void add_tangent(const int dim, const int rot, int nv, int symmetric, const int P, int first, int n,
                         const double *A, const vec *s, int sv, vec *K)
 {
-    const int nb = dim + rot, d2 = dim * dim, nz = unknowns_of(dim, rot);
+    const int nb = dim + rot, nz = unknowns_of(dim, rot);
     for (int k = 0; k < nb; ++k)
         for (int v = 0; v < nv; ++v) {
             const int left = v * WIDTH, right = n > left + WIDTH ? left + WIDTH : n;
-            const int rows = symmetric && !v ? (k < dim ? dim * (k + 1) : d2 + rot + dim * (k - dim + 1)) : nz;
-            vec T[MANY][21];  /* column k of A B for the nodes of vector v */
+            const int rows = symmetric && !v ? end_slot(dim, rot, k) : nz;
+            vec T[MANY][UNKNOWNS_MAX];  /* column k of A B for the nodes of vector v */
             for (int q = 0; q < P; ++q) {
-                const vec *sq = s + q * 4 * sv + v;
-                const double *column = A + q * nz * nz + (k < dim ? dim * k : d2 + rot + dim * (k - dim));
-                const double *value = A + q * nz * nz + d2 + k - dim;
+                const vec *sq = s + q * SHAPES * sv + v;
+                const double *column = A + q * nz * nz + gradient_slot(dim, rot, k);
+                const double *value = A + q * nz * nz + value_slot(dim, rot, k);
                 for (int r = 0; r < rows; ++r) {
                     vec sum = column[r * nz] * sq[sv];
                     for (int j = 1; j < dim; ++j) sum += column[r * nz + j] * sq[(1 + j) * sv];
-                    if (k >= dim) sum += value[r * nz] * sq[0];
+                    if (has_value(dim, k)) sum += value[r * nz] * sq[0];
                     T[q][r] = sum;
                 }
             }
             for (int i = 0; i < nb; ++i) {
-                const int row = i < dim ? dim * i : d2 + rot + dim * (i - dim);
+                const int row = gradient_slot(dim, rot, i);
                 const int end = !symmetric ? n : i > k ? left : right;
                 for (int a = 0; a < end; ++a) {
                     vec *out = K + ((a * nb + i) * nb + k) * nv + v;
                     vec sum = first ? (vec){0} : *out;
                     for (int q = 0; q < P; ++q) {
-                        const double *g = (const double *)(s + q * 4 * sv) + a;
+                        const double *g = (const double *)(s + q * SHAPES * sv) + a;
                         for (int j = 0; j < dim; ++j) sum += g[(1 + j) * sv * WIDTH] * T[q][row + j];
-                        if (i >= dim) sum += g[0] * T[q][d2 + i - dim];
+                        if (has_value(dim, i)) sum += g[0] * T[q][value_slot(dim, rot, i)];
                     }
                     *out = sum;
                 }
@@ -57,12 +57,10 @@ INLINE void add_tangents(const int dim, const int rot, int nv, int symmetric, in
 INLINE void add_residual(const int dim, const int rot, int nv, int sv, const vec *s, const double *r, vec *f)
 {
     for (int v = 0; v < nv; ++v) {
-        for (int i = 0; i < dim; ++i)
-            for (int j = 0; j < dim; ++j) f[i * sv + v] += r[dim * i + j] * s[(1 + j) * sv + v];
-        for (int i = 0; i < rot; ++i) {
-            f[(dim + i) * sv + v] += r[dim * dim + i] * s[v];
-            for (int j = 0; j < dim; ++j)
-                f[(dim + i) * sv + v] += r[dim * dim + rot + dim * i + j] * s[(1 + j) * sv + v];
+        for (int i = 0; i < dim + rot; ++i) {
+            const double *gradient = r + gradient_slot(dim, rot, i);
+            if (has_value(dim, i)) f[i * sv + v] += r[value_slot(dim, rot, i)] * s[v];
+            for (int j = 0; j < dim; ++j) f[i * sv + v] += gradient[j] * s[(1 + j) * sv + v];
         }
     }
 }

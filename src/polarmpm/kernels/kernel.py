@@ -42,15 +42,8 @@ class Kernel:
             raise ValueError(f"kernel has {self.inputs} inputs, {widths.sum()} are given")
         blocks = np.array([c.ctypes.data for c in flat], dtype=np.uintp)
         out = np.empty((rows, self.outputs))
-        if native.library().polarmpm_evaluate(
-            self.address,
-            rows,
-            len(flat),
-            widths.ctypes.data,
-            blocks.ctypes.data,
-            self.outputs,
-            out.ctypes.data,
-        ):
+        evaluate = native.library().polarmpm_evaluate
+        if evaluate(self.address, rows, len(flat), widths, blocks, self.outputs, out):
             raise MemoryError("no memory to evaluate a kernel")
         return out
 

@@ -9,95 +9,63 @@ from typing import Any
 
 import numpy as np
 
-INTERFACE = 7  # the same number as in _points.h
+from . import structures
+from .structures import Structure, declared_in
 
-_I32, _I64, _PTR = ctypes.c_int32, ctypes.c_int64, ctypes.c_void_p
-
-
-class Batch(ctypes.Structure):
-    """Points of one material, sorted by node set; mirrors the C structure."""
-
-    _fields_ = [
-        ("dim", _I32),
-        ("rot", _I32),
-        ("slots", _I32),
-        ("nstate", _I32),
-        ("nparam", _I32),
-        ("npoints", _I64),
-        ("ngroups", _I64),
-        ("weights", _PTR),
-        ("count", _PTR),
-        ("state", _PTR),
-        ("param", _PTR),
-        ("volume", _PTR),
-        ("first", _PTR),
-        ("node_first", _PTR),
-        ("nodes", _PTR),
-    ]
+INTERFACE = structures.constant("_points.h", "INTERFACE")  # what the headers say; the build may be older
 
 
-class Matrix(ctypes.Structure):
-    """Where the blocks of node pairs stand in the sparse matrix; mirrors the C structure."""
-
-    _fields_ = [
-        ("symmetric", _I32),
-        ("half", _I32),
-        ("reach", _I32),
-        ("place", _PTR),
-        ("row_start", _PTR),
-        ("number", _PTR),
-        ("fixed", _PTR),
-        ("lift", _PTR),
-        ("values", _PTR),
-    ]
+@declared_in("_points.h")
+class Batch(Structure):
+    """Points of one material, sorted by node set."""
 
 
-class Law(ctypes.Structure):
-    """Compiled kernels of a batch; mirrors the C structure."""
-
-    _fields_ = [
-        ("kernel", _PTR),
-        ("couple", _PTR),
-        ("couple_of", _PTR),
-        ("couples", _PTR),
-        ("before", _PTR),
-        ("block_of", _PTR),
-        ("blocks", _PTR),
-    ]
+@declared_in("_points.h")
+class Matrix(Structure):
+    """Where the blocks of node pairs stand in the sparse matrix."""
 
 
-class Return(ctypes.Structure):
-    """Kernels and controls of a return mapping; mirrors the C structure."""
-
-    _fields_ = [
-        ("local", _PTR),
-        ("stress", _PTR),
-        ("moduli", _PTR),
-        ("row_scale", _PTR),
-        ("tolerance", ctypes.c_double),
-        ("loose", ctypes.c_double),
-        ("nin", _I32),
-        ("nx", _I32),
-        ("nz", _I32),
-        ("most", _I32),
-    ]
+@declared_in("_points.h")
+class Law(Structure):
+    """Compiled kernels of a batch."""
 
 
-def fill(structure: Any, **arrays: Any) -> None:
-    """Set numbers and array addresses of a structure, which keeps the arrays alive."""
-    kept = structure.__dict__.setdefault("kept", {})
-    for name, value in arrays.items():
+@declared_in("_return.h")
+class Return(Structure):
+    """Kernels and controls of a return mapping."""
+
+
+STRUCTURES = (Batch, Matrix, Law, Return)
+
+
+def fill(structure: Structure, **values: Any) -> None:
+    """Set numbers and array addresses of a structure, which keeps the arrays alive.
+
+    Raises:
+        TypeError: a field that the structure doesn't have, or a value that is not of the field's type.
+        ValueError: an array that is not contiguous, or a number out of range.
+    """
+    for name, value in values.items():
+        field = structure.declared.get(name)
+        if field is None:
+            allowed = ", ".join(structure.declared)
+            raise TypeError(f"{type(structure).__name__} has no field {name}; it has {allowed}")
+        field.check(value)
         if isinstance(value, np.ndarray):
-            if not value.flags.c_contiguous:
-                raise ValueError(f"{name} is not contiguous")
-            kept[name] = value
+            structure.kept[name] = value
             value = value.ctypes.data
+        else:
+            structure.kept.pop(name, None)
         setattr(structure, name, value)
 
 
 @lru_cache(maxsize=1)
 def library() -> ctypes.CDLL:
-    """The shared library, built when the package was installed."""
+    """The shared library, built when the package was installed.
+
+    Raises:
+        ImportError: it isn't built, or from other headers than the package's.
+    """
     spec = importlib.util.find_spec("polarmpm.kernels._native")
     if spec is None or spec.origin is None:
         raise ImportError("polarmpm.kernels._native is not built; install the package (pip install -e .)")
@@ -108,18 +76,15 @@ def library() -> ctypes.CDLL:
             f"polarmpm.kernels._native has interface {built}, the package needs {INTERFACE}; "
             "install it again (pip install -e .)"
         )
-    lib.polarmpm_gather.argtypes = [_PTR, _PTR, _I32, _PTR, _PTR]
-    lib.polarmpm_spread.argtypes = [_PTR, _PTR, _I32, _PTR]
-    lib.polarmpm_couple_nodes.argtypes = [_PTR, _I32, _PTR]
-    lib.polarmpm_scalar_columns.argtypes = [_I64, _PTR, _PTR, _I32, _I32, _PTR]
-    lib.polarmpm_assemble.argtypes = [_PTR] * 6
-    lib.polarmpm_mirror.argtypes = [_PTR, _I32, _I64, _PTR, _PTR, _PTR, _PTR]
-    lib.polarmpm_moments.argtypes = [_PTR, _PTR, _PTR, _I32, _PTR, _PTR]
-    lib.polarmpm_project.argtypes = [_I64, _I32, _I32, _PTR, _PTR, _PTR, _PTR]
-    lib.polarmpm_return.argtypes = [_PTR, _I64, _PTR, _I32, _PTR, _PTR, _PTR, _PTR]
-    lib.polarmpm_evaluate.argtypes = [_PTR, _I64, _I32, _PTR, _PTR, _I32, _PTR]
-    for name in ("gather", "assemble", "moments", "return", "evaluate"):
-        getattr(lib, f"polarmpm_{name}").restype = ctypes.c_int
-    for name in ("spread", "couple_nodes", "scalar_columns", "mirror", "project"):
-        getattr(lib, f"polarmpm_{name}").restype = None
+    for structure in STRUCTURES:
+        size = ctypes.c_int64.in_dll(lib, f"polarmpm_size_{structure.__name__}").value
+        if size != ctypes.sizeof(structure):
+            raise ImportError(
+                f"polarmpm.kernels._native has a {structure.__name__} of {size} bytes, the headers declare "
+                f"{ctypes.sizeof(structure)}; install it again (pip install -e .)"
+            )
+    for name, returns, arguments in structures.prototypes():
+        function = getattr(lib, name)
+        function.argtypes = [argument.converter for argument in arguments]
+        function.restype = ctypes.c_int if returns else None
     return lib

@@ -1,11 +1,22 @@
-"""How the values at a point are laid out in its vector of unknowns and in its state."""
+"""The table of the values at a point: what stands where in its vector of unknowns and in its state.
+
+The unknowns of a material point are z = (du/dx, w, dw/dx). `POINT` says so, and all that reads or writes z in
+Python asks a `Layout`; the sums over points in C ask `kernels/_layout.h`, which a test holds against it.
+Another field, or another derivative, is another part of a table; it takes the weights that supply it.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+import dataclasses
+from functools import cached_property
+from itertools import combinations_with_replacement
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+import ufl
+
+from ..kernels.kernel import matrix
+from . import measures as kin
 
 
 class Kind(Protocol):
@@ -15,41 +26,213 @@ class Kind(Protocol):
     def micropolar(self) -> bool: ...
 
 
-@dataclass(frozen=True)
+class Part(NamedTuple):
+    """A field ("displacement", "rotation") with order 0, or all of its derivatives of an order."""
+
+    field: str
+    order: int
+
+
+class Slot(NamedTuple):
+    """A scalar of a part: the component of a field, differentiated along `axes` (none, one, ...)."""
+
+    field: str
+    component: int
+    axes: tuple[int, ...]
+
+
+POINT = (Part("displacement", 1), Part("rotation", 0), Part("rotation", 1))  # z of a material point
+SURFACE = (Part("displacement", 0), Part("rotation", 0), Part("displacement", 1))  # y of a point on a surface
+
+
+@dataclasses.dataclass(frozen=True)
 class Layout:
-    """Sizes of the values at a point, for a space dimension and a number of rotations."""
+    """Sizes and slots of the values at a point, for a space dimension and a number of rotations.
+
+    A part's scalars stand one after the other, component by component, each with all its derivatives.
+    """
 
     dim: int
     rotations: int
-
-    @property
-    def block(self) -> int:
-        """Unknowns of a node."""
-        return self.dim + self.rotations
-
-    @property
-    def unknowns(self) -> int:
-        """Length of z."""
-        return self.dim * self.dim + self.rotations * (1 + self.dim)
+    parts: tuple[Part, ...] = dataclasses.field(default=POINT, repr=False)
 
     @staticmethod
     def of(material: Kind, dim: int) -> Layout:
         return Layout(dim, (1 if dim == 2 else 3) if material.micropolar else 0)
 
+    # sizes ----------------------------------------------------------------------------------------
+    @property
+    def block(self) -> int:
+        """Unknowns of a node: displacements, then rotations."""
+        return self.dim + self.rotations
+
+    def rows(self, field: str) -> range:
+        """A field's components among the unknowns of a node."""
+        return range(self.dim) if field == "displacement" else range(self.dim, self.block)
+
+    def axes(self, order: int) -> list[tuple[int, ...]]:
+        """Different derivatives of an order."""
+        return list(combinations_with_replacement(range(self.dim), order))
+
+    @cached_property
+    def slots(self) -> tuple[Slot, ...]:
+        """The table, in the order of z."""
+        return tuple(
+            Slot(field, component, axes)
+            for field, order in self.parts
+            for component in range(len(self.rows(field)))
+            for axes in self.axes(order)
+        )
+
+    @property
+    def unknowns(self) -> int:
+        """Length of z."""
+        return len(self.slots)
+
+    def where(self, field: str, order: int = 0) -> slice:
+        """A part's place in z; an empty one of a field that isn't there."""
+        at = [k for k, s in enumerate(self.slots) if (s.field, len(s.axes)) == (field, order)]
+        return slice(at[0], at[-1] + 1) if at else slice(0, 0)
+
+    @cached_property
+    def gradients(self) -> list[slice]:
+        """The place of each component's gradient."""
+        d, starts = self.dim, [k for k, s in enumerate(self.slots) if s.axes == (0,)]
+        return [slice(first, first + d) for first in starts]
+
+    # numbers --------------------------------------------------------------------------------------
+    def pack(self, *derivatives: np.ndarray) -> np.ndarray:
+        """z (n, unknowns) of the nodal unknowns at points: values (n, block), gradients (n, block, d), ..."""
+        n, columns = len(derivatives[0]), []
+        for field, order in self.parts:
+            rows, axes = self.rows(field), np.array(self.axes(order), dtype=int).T
+            of_field = derivatives[order][:, rows.start : rows.stop]
+            columns.append(of_field[(slice(None), slice(None), *axes)].reshape(n, len(rows) * axes.shape[-1]))
+        return np.concatenate(columns, axis=1)
+
+    def part(self, z: np.ndarray, field: str, order: int = 0) -> np.ndarray:
+        """A part of z (n, unknowns): values (n, components) or derivatives (n, components, `axes`)."""
+        components = len(self.rows(field))
+        shape = (components, len(self.axes(order))) if order else (components,)
+        return z[:, self.where(field, order)].reshape(len(z), *shape)
+
+    # UFL ------------------------------------------------------------------------------------------
+    def scalars(self, value: Any, gradient: Any) -> list[Any]:
+        """z of a function of block size and its gradient."""
+        found = []
+        for field, component, axes in self.slots:
+            row = self.rows(field)[component]
+            found.append(gradient[(row, *axes)] if axes else value[row])
+        return found
+
+    def vector(self, z: Any, field: str) -> Any:
+        """A field's components, as many as there are."""
+        at = self.where(field)
+        return ufl.as_vector([z[i] for i in range(at.start, at.stop)])
+
+    def value(self, z: Any, field: str) -> Any:
+        """A field's vector in space: in plane strain the rotation is about the third axis."""
+        v = self.vector(z, field)
+        if self.dim == 3:
+            return v
+        return ufl.as_vector([0, 0, v[0]] if field == "rotation" else [v[0], v[1], 0])
+
+    def derivative(self, z: Any, field: str) -> Any:
+        """A field's gradient, as many rows and columns as there are."""
+        return matrix(z, len(self.rows(field)), self.dim, self.where(field, 1).start)
+
+    def gradient(self, z: Any, field: str) -> Any:
+        """A field's gradient in space, 3 x 3."""
+        g = self.derivative(z, field)
+        if self.dim == 3:
+            return g
+        return kin.plane_wryness([g[0, 0], g[0, 1]]) if field == "rotation" else kin.plane_gradient(g)
+
+    # state ----------------------------------------------------------------------------------------
+    def state(self, *, rotated: bool = False) -> StateLayout:
+        """What stands where in a point's state."""
+        return StateLayout(self, rotated)
+
+    @property
+    def in_space(self) -> Layout:
+        """The layout in which nothing is left out for a plane, the one of `Points`."""
+        return Layout(3, 3 if self.rotations else 0)
+
+
+@dataclasses.dataclass(frozen=True)
+class StateLayout:
+    """A point's state: its frame, its rotation as a quaternion, its wryness, without entries that are known.
+
+    The frame is F~, or V~ = F~ Q~^T with `rotated`, where the rotation needs no slots.
+    """
+
+    layout: Layout
+    rotated: bool
+
+    @cached_property
+    def _sizes(self) -> tuple[int, int, int]:
+        d, r = self.layout.dim, self.layout.rotations
+        return d * d, 0 if self.rotated or r == 0 else (4 if d == 3 else 2), r * d
+
+    @property
+    def size(self) -> int:
+        """Number of scalars."""
+        return sum(self._sizes)
+
+    @property
+    def at_frame(self) -> slice:
+        return slice(0, self._sizes[0])
+
+    @property
+    def at_rotation(self) -> slice:
+        first = self._sizes[0]
+        return slice(first, first + self._sizes[1])
+
+    @property
+    def at_wryness(self) -> slice:
+        return slice(self.size - self._sizes[2], self.size)
+
+    def frame(self, state: Any) -> Any:
+        """3 x 3 tensor, in UFL."""
+        frame = matrix(state, self.layout.dim, self.layout.dim, self.at_frame.start)
+        return frame if self.layout.dim == 3 else kin.plane_tensor(frame)
+
+    def quaternion(self, state: Any) -> list[Any]:
+        """Four components, in UFL."""
+        at = self.at_rotation
+        q = [state[i] for i in range(at.start, at.stop)]
+        return q if self.layout.dim == 3 else [q[0], 0, 0, q[1]]
+
+    def wryness(self, state: Any) -> Any:
+        """3 x 3 tensor, in UFL."""
+        g = matrix(state, self.layout.rotations, self.layout.dim, self.at_wryness.start)
+        return g if self.layout.dim == 3 else kin.plane_wryness([g[0, 0], g[0, 1]])
+
+    def scalars(self, frame: Any, wryness: Any) -> list[Any]:
+        """A state without a quaternion, of 3 x 3 tensors in UFL."""
+        d, r = self.layout.dim, self.layout.rotations
+        found = [frame[i, j] for i in range(d) for j in range(d)]
+        return found + [wryness[i, j] for i in range(3 - r, 3) for j in range(d)]
+
+    def pack(self, frame: np.ndarray, wryness: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """States (n, size) of tensors (n, 3, 3) and quaternions (n, 4)."""
+        d, r, n = self.layout.dim, self.layout.rotations, len(frame)
+        parts: list[np.ndarray] = [frame[:, :d, :d].reshape(n, d * d)]
+        if self._sizes[1]:
+            parts.append(q if d == 3 else q[:, [0, 3]])
+        if r:
+            parts.append(wryness[:, 3 - r :, :d].reshape(n, r * d))
+        return np.concatenate(parts, axis=1)
+
+    def unpack(self, state: np.ndarray) -> tuple[np.ndarray, ...]:
+        """(F, q, Gamma) of states in space (n, size), of classical materials (F,)."""
+        n = len(state)
+        F = state[:, self.at_frame].reshape(n, 3, 3)
+        if not self.layout.rotations:
+            return (F,)
+        return F, state[:, self.at_rotation].copy(), state[:, self.at_wryness].reshape(n, 3, 3)
+
 
 def state_size(layout: Layout, *, rotated: bool) -> int:
-    """Number of scalars of a state, see `strains`."""
-    d, r = layout.dim, layout.rotations
-    quaternion = 0 if rotated or r == 0 else (4 if d == 3 else 2)
-    return d * d + quaternion + r * d
-
-
-def pack_state(layout: Layout, frame: np.ndarray, wryness: np.ndarray, q: np.ndarray | None) -> np.ndarray:
-    """States (n, state_size) of tensors (n, 3, 3) and, but for the rotated frame, quaternions (n, 4)."""
-    d, n = layout.dim, len(frame)
-    parts: list[np.ndarray] = [frame[:, :d, :d].reshape(n, d * d)]
-    if layout.rotations:
-        if q is not None:
-            parts.append(q if d == 3 else q[:, [0, 3]])
-        parts.append(wryness.reshape(n, 9) if d == 3 else wryness[:, 2, :2])
-    return np.concatenate(parts, axis=1)
+    """Number of scalars of a state."""
+    return layout.state(rotated=rotated).size

@@ -56,6 +56,27 @@ def left_tangent(w: Any) -> Any:
     return right_tangent(-w)
 
 
+def couple_work(m: Any, w: Any, dw: Any) -> Any:
+    """Virtual work m . J_l(w) dw of a couple: it does work on the spin J_l(w) dw, not on dw.
+
+    Vectors of three components, or of one, about the normal of a plane, where the two agree.
+    """
+    return m[0] * dw[0] if len(m) == 1 else ufl.dot(m, ufl.dot(left_tangent(w), dw))
+
+
+def cofactor(f: Any) -> Any:
+    """cof F of a 2 x 2 or 3 x 3 tensor, without a division: cof F N dA = n da."""
+    if f.ufl_shape == (2, 2):
+        return ufl.as_tensor([[f[1, 1], -f[1, 0]], [-f[0, 1], f[0, 0]]])
+    following = (1, 2, 0)
+
+    def minor(i: int, j: int) -> Any:
+        a, b, c, e = following[i], following[following[i]], following[j], following[following[j]]
+        return f[a, c] * f[b, e] - f[a, e] * f[b, c]
+
+    return ufl.as_tensor([[minor(i, j) for j in range(3)] for i in range(3)])
+
+
 def quaternion_tensor(q: Any) -> Any:
     """Rotation tensor of a unit quaternion (scalar first), T (3.168)."""
     v = ufl.as_vector((q[1], q[2], q[3]))

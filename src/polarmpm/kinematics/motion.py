@@ -1,58 +1,145 @@
 """How increments move the state of a point on, T 3.4.5, in UFL and compiled.
 
-F = (I + du/dx~) F~, Q = exp(hat(Dw)) Q~ as unit quaternions, Gamma = Gamma~ + Q~^T J_r(Dw) dw/dx~ F~.
+F = F~ + G, Q = exp(hat(w)) Q~, Gamma = Gamma~ + Q~^T J_r(w) Gw, with G = du/dX = du/dx~ F~ and Gw = dw/dx~ F~
+of increments since the last reset. In the rotated frame the same holds of V~ = F~ Q~^T and Q~ Gamma~ Q~^T,
+with no rotation before and V~ in the place of F~.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 from mpi4py import MPI
 
 import numpy as np
 import ufl
 
-from ..kernels.kernel import Kernel, PointSpace, compile_expressions, matrix
+from ..kernels.kernel import Kernel, PointSpace, compile_expressions
 from ..tools import compat
 from . import measures as kin
 from .layout import Layout
 
 
-class Motion:
-    """Compiled update of points of a layout. Collective."""
+class State(Protocol):
+    """F (n, 3, 3), unit quaternions q (n, 4) and wryness (n, 3, 3) of points."""
 
-    def __init__(self, layout: Layout, comm: MPI.Comm):
-        self.layout = layout
+    F: np.ndarray
+    q: np.ndarray
+    wryness: np.ndarray
+
+
+class Increments(Protocol):
+    """At points: value (n, block), gradients (n, d, d) and (n, r, d)."""
+
+    value: np.ndarray
+    gradient: np.ndarray
+    rotation_gradient: np.ndarray
+
+
+class Increment(NamedTuple):
+    """Increments at a point in UFL: G, w and Gw, the latter two None of classical materials.
+
+    plane: the rotation is about the third axis; nothing else of w and Gw is looked at.
+    """
+
+    gradient: Any
+    rotation: Any = None
+    rotation_gradient: Any = None
+    plane: bool = False
+
+    @staticmethod
+    def of(layout: Layout, z: Any) -> Increment:
+        """Of a point's unknowns."""
+        gradient = layout.gradient(z, "displacement")
+        if not layout.rotations:
+            return Increment(gradient)
+        turning = layout.gradient(z, "rotation")
+        return Increment(gradient, layout.value(z, "rotation"), turning, layout.dim == 2)
+
+    def times(self, frame: Any) -> Increment:
+        """With gradients times a tensor, such as those by x~ times F~."""
+        turning = self.rotation_gradient
+        turning = None if turning is None else ufl.dot(turning, frame)
+        return Increment(ufl.dot(self.gradient, frame), self.rotation, turning, self.plane)
+
+
+class Moved(NamedTuple):
+    """State of a point in UFL: F, Q as the turn of the increments after a base (None: no rotation), Gamma."""
+
+    F: Any
+    turn: Any = None
+    base: Any = None
+    wryness: Any = None
+
+    @property
+    def Q(self) -> Any:
+        """The microrotation; None of classical materials."""
+        return self.turn if self.base is None else ufl.dot(self.turn, self.base)
+
+    @property
+    def stretch(self) -> Any:
+        """U = Q^T F; F of classical materials."""
+        if self.turn is None:
+            return self.F
+        back = ufl.dot(ufl.transpose(self.turn), self.F)
+        return back if self.base is None else ufl.dot(ufl.transpose(self.base), back)
+
+
+def move(by: Increment, F: Any, base: Any = None, wryness: Any = None) -> Moved:
+    """Move (F~, Q~, Gamma~) on; Q~ and Gamma~ are None where there is no rotation, and no wryness, before."""
+    F = F + by.gradient
+    if by.rotation is None:
+        return Moved(F)
+    change = by.rotation_gradient
+    if by.plane:  # turns about one axis commute with each other, and leave the third row alone
+        row = [change[2, j] if wryness is None else wryness[2, j] + change[2, j] for j in range(2)]
+        return Moved(F, kin.plane_exp_map(by.rotation[2]), base, kin.plane_wryness(row))
+    change = ufl.dot(kin.right_tangent(by.rotation), change)
+    if base is not None:
+        change = ufl.dot(ufl.transpose(base), change)
+    return Moved(F, kin.exp_map(by.rotation), base, change if wryness is None else wryness + change)
+
+
+class Motion:
+    """Compiled update of points of a layout. Collective.
+
+    Args:
+        by_reference: gradients are taken by X, not by x~.
+    """
+
+    def __init__(self, layout: Layout, comm: MPI.Comm, *, by_reference: bool = False):
+        self.layout, self._by_reference = layout, by_reference
+        self._full = layout.in_space.state()
         space = PointSpace(compat.point_domain())
-        size = 22 if layout.rotations else 9
-        self._state, self._z = space.coefficient(size), space.coefficient(layout.unknowns)
+        size, unknowns = self._full.size, layout.unknowns
+        self._state, self._z = space.coefficient(size), space.coefficient(unknowns)
         terminals = {self._state: 0, self._z: size}
-        inputs = size + layout.unknowns
-        self._kernel: Kernel = compile_expressions(self._expressions(), terminals, inputs, space.domain, comm)
+        self._kernel: Kernel = compile_expressions(
+            self._expressions(), terminals, size + unknowns, space.domain, comm
+        )
 
     def _expressions(self) -> list[Any]:
-        d, r, s, z = self.layout.dim, self.layout.rotations, self._state, self._z
-        F, gradient = matrix(s, 3, 3), matrix(z, d, d)
-        if d == 2:
-            gradient = kin.plane_gradient(gradient)
-        moved = ufl.dot(ufl.Identity(3) + gradient, F)
-        if r == 0:
-            return [moved]
-        q, wryness = [s[9 + i] for i in range(4)], matrix(s, 3, 3, 13)
-        if d == 2:
-            w, turning = ufl.as_vector([0, 0, z[4]]), kin.plane_wryness([z[5], z[6]])
-        else:
-            w, turning = ufl.as_vector([z[9 + i] for i in range(3)]), matrix(z, 3, 3, 12)
-        turned = kin.quaternion_product(kin.exp_quaternion(w), q)
+        full, s = self._full, self._state
+        F, by = full.frame(s), Increment.of(self.layout, self._z)
+        if not self._by_reference:
+            by = by.times(F)
+        if by.rotation is None:
+            return [move(by, F).F]
+        q = full.quaternion(s)
+        now = move(by, F, kin.quaternion_tensor(q), full.wryness(s))
+        turned = kin.quaternion_product(kin.exp_quaternion(by.rotation), q)
         length = ufl.sqrt(sum(c * c for c in turned))
-        back = ufl.transpose(kin.quaternion_tensor(q))
-        change = ufl.dot(back, ufl.dot(kin.right_tangent(w), ufl.dot(turning, F)))
-        return [moved, ufl.as_vector([c / length for c in turned]), wryness + change]
+        return [now.F, ufl.as_vector([c / length for c in turned]), now.wryness]
 
     def __call__(self, state: tuple[np.ndarray, ...], z: np.ndarray) -> tuple[np.ndarray, ...]:
-        """States (F, q, Gamma), of classical materials (F,), moved on by z = (du/dx~, w, dw/dx~) (n, nz)."""
-        out, n = self._kernel(*state, z), len(z)
-        F = out[:, :9].reshape(n, 3, 3)
-        if not self.layout.rotations:
-            return (F,)
-        return F, out[:, 9:13].copy(), out[:, 13:].reshape(n, 3, 3)
+        """States (F, q, Gamma), of classical materials (F,), moved on by z = (du/dx, w, dw/dx) (n, nz)."""
+        return self._full.unpack(self._kernel(*state, z))
+
+    def move(self, points: State, before: State, inc: Increments) -> None:
+        """Set F, q and wryness of points to what increments make of an earlier state."""
+        gradients = np.concatenate([inc.gradient, inc.rotation_gradient], axis=1)
+        z = self.layout.pack(inc.value, gradients)
+        if self.layout.rotations:
+            points.F, points.q, points.wryness = self((before.F, before.q, before.wryness), z)
+        else:
+            (points.F,) = self((before.F,), z)

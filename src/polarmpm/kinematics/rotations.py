@@ -40,6 +40,11 @@ def from_vector(w: Array) -> Array:
     return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * w], axis=1)
 
 
+def turned(q: Array, w: Array) -> Array:
+    """Unit quaternions exp(w) q of rotation vectors (n, 3), (n, 1) in the plane, or (n, 0) of no rotation."""
+    return normalise(multiply(from_vector(in_space(w)), q)) if w.shape[1] else q
+
+
 def to_vector(q: Array) -> Array:
     """Rotation vector of a quaternion, T (3.171), with an angle between 0 and 2 pi; for output only.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from ..forms.elements import ElementForms
 from ..geometry.planes import PlaneSpec
 from ..geometry.surfaces import Surface
 from ..kinematics import rotations
+from ..kinematics.motion import Motion
 from ..materials.base import warn_of_locking
 from ..solvers.choice import check_solver
 from ..solvers.newton import Controls
@@ -245,11 +247,8 @@ class QuasiStaticFEM(Problem):
 
     def _increments(self, system: ElementSystem) -> Increments:
         system.forms.x.x.array[:] = system.x.ravel()
-        d, block = self.layout.dim, self.layout.block
-        values = self.forms.point_values(self.elements.body.owned_cells)
-        values = values.reshape(len(self.points), block * (1 + d))
-        gradient = values[:, block:].reshape(-1, block, d)
-        return Increments(values[:, :block], gradient[:, :d], gradient[:, d:])
+        d, (value, gradient) = self.layout.dim, self.forms.values_at_points()
+        return Increments(value, gradient[:, :d], gradient[:, d:])
 
     def _check(self, increments: Increments) -> str:
         d = self.layout.dim
@@ -265,20 +264,8 @@ class QuasiStaticFEM(Problem):
         e, p, d = self.elements, self.points, self.layout.dim
         base = p.q
         p.x = p.x + increments.value[:, :d]
-        p.F = p.F.copy()
-        p.F[:, :d, :d] += increments.gradient
-        if self.layout.rotations:
-            w = rotations.in_space(increments.value[:, d:])
-            gw: np.ndarray = np.zeros((len(p), 3, 3))
-            if d == 3:
-                gw = increments.rotation_gradient
-            else:
-                gw[:, 2, :2] = increments.rotation_gradient[:, 0]
-            back = np.swapaxes(rotations.to_tensor(p.q), 1, 2)
-            p.wryness = p.wryness + back @ rotations.right_tangent(w) @ gw
-            p.q = rotations.normalise(rotations.multiply(rotations.from_vector(w), p.q))
-            turn = rotations.from_vector(rotations.in_space(system.x[:, d:]))
-            e.q = rotations.normalise(rotations.multiply(turn, e.q))
+        self._motion.move(p, p, increments)
+        e.q = rotations.turned(e.q, system.x[:, d:])
         self.forms.flow(base)
         e.displacement = e.displacement + system.x[:, :d]
         self._last_loads = None if system.varying else system.loads  # others depend on the increments
@@ -286,6 +273,11 @@ class QuasiStaticFEM(Problem):
         g = self.progress
         g.factor, g.step = factor, g.step + 1
         g.reset_factor = g.rotation_factor = factor
+
+    @cached_property
+    def _motion(self) -> Motion:
+        """Update of the points by gradients with respect to X. Collective."""
+        return Motion(self.layout, self.comm, by_reference=True)
 
     def _rebase(self, system: ElementSystem | None) -> None:
         """Count increments from the present state on."""

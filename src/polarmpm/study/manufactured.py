@@ -15,8 +15,9 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
+from ..forms.strains import measures
 from ..kernels.kernel import compile_expressions
-from ..kinematics import measures as kin
+from ..kinematics.motion import Increment, move
 from ..materials import Material
 from ..materials.base import named_parameters, parameter_values
 from ..problems.base import Problem
@@ -48,9 +49,9 @@ class Solution:
         X = ufl.variable(ufl.as_vector([point[i] for i in range(3)]))
         p = named_parameters(material, numbers)
         u, theta = displacement(X), rotation(X)
-        F, Q = ufl.Identity(3) + ufl.diff(u, X), kin.exp_map(theta)
-        E = ufl.variable(ufl.dot(ufl.transpose(Q), F) - ufl.Identity(3))
-        wryness = ufl.variable(ufl.dot(kin.right_tangent(theta), ufl.diff(theta, X)))
+        now = move(Increment(ufl.diff(u, X), theta, ufl.diff(theta, X)), ufl.Identity(3))
+        F, Q = now.F, now.Q
+        E, wryness = map(ufl.variable, measures(material, now.stretch, now.wryness))
         w = material.energy(E, wryness, p)
         P, QS = ufl.dot(Q, ufl.diff(w, E)), ufl.dot(Q, ufl.diff(w, wryness))
         tau, J = ufl.dot(P, ufl.transpose(F)), ufl.det(F)

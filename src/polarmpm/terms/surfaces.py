@@ -152,7 +152,7 @@ class SurfaceSupport(SurfaceCondition):
         self.gap = self._gap(y)
         on_body = -self.surface.area[:, None] * force
         if self.layout.rotations == 3:
-            on_body[:, d:] = _spin_forces(y[:, d:b], on_body[:, d:])
+            on_body[:, d:] = _spin_forces(self.form.slots.part(y, "rotation"), on_body[:, d:])
         self.reaction = on_body[:, :d].sum(axis=0), on_body[:, d:].sum(axis=0)
         if self.augment:
             self.multiplier = force
@@ -160,7 +160,7 @@ class SurfaceSupport(SurfaceCondition):
     def _gap(self, y: np.ndarray) -> np.ndarray:
         """How far the prescribed displacements are missed (n,) (m)."""
         d, (_, target, _) = self.layout.dim, self._data
-        miss = y[:, :d] - target[:, :d]
+        miss = self.form.slots.part(y, "displacement") - target[:, :d]
         if self._normal is not None:
             return np.abs(np.sum(miss * self.surface.normal, axis=1))
         held = [c for c in range(d) if c in self._columns]

@@ -37,15 +37,13 @@ class SurfacePiece(Piece):
         self.term, self.rows, self.boxes = term, carried.rows, carried.boxes
         layout, self.name, self.carried, self.external = term.layout, term.name, term.carried, term.external
         self.symmetric, self.linear = term.form.symmetric, term.linear
-        b, d, table = layout.block, layout.dim, carried.table
+        b, table = layout.block, carried.table
         self.pairs = np.stack(np.divmod(np.arange(b * b), b), axis=1)
         m, _, n = table.shape
         self._map = np.zeros((m, term.form.size, n, b))  # from nodal increments to y
-        for i in range(b):
-            self._map[:, i, :, i] = table[:, 0]
-        for i in range(d):
-            for j in range(d):
-                self._map[:, b + d * i + j, :, i] = table[:, 1 + j]
+        slots = term.form.slots
+        for k, (field, component, axes) in enumerate(slots.slots):
+            self._map[:, k, :, slots.rows(field)[component]] = table[:, 1 + axes[0] if axes else 0]
         self._map = self._map.reshape(m, term.form.size, n * b)
         self._area = term.surface.area[self.rows]
 
@@ -166,17 +164,15 @@ class SurfaceCondition(Term):
 
     def commit(self, y: np.ndarray, rows: np.ndarray) -> None:
         """Move the points with the increments y (m, size) of those on this rank. Collective."""
-        n, d, b = len(self.surface), self.layout.dim, self.layout.block
+        n, d, slots = len(self.surface), self.layout.dim, self.form.slots
         every = np.zeros((n, self.form.size))
         every[rows] = y
         self.comm.Allreduce(MPI.IN_PLACE, every)
-        w = every[:, d:b]
-        self.u = self._at["u"] + every[:, :d]
-        self.F = (np.eye(d) + every[:, b:].reshape(n, d, d)) @ self._at["F"]
+        w = slots.part(every, "rotation")
+        self.u = self._at["u"] + slots.part(every, "displacement")
+        self.F = (np.eye(d) + slots.part(every, "displacement", 1)) @ self._at["F"]
         self.theta = self._at["theta"] + w
-        if self.layout.rotations:
-            turn = rotations.from_vector(rotations.in_space(w))
-            self.q = rotations.normalise(rotations.multiply(turn, self._at["q"]))
+        self.q = rotations.turned(self._at["q"], w)
         self.committed = True
         self.converged(every)
 

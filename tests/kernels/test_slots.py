@@ -1,0 +1,31 @@
+"""The table of a point's unknowns in Python and the one of the compiled loops are the same."""
+
+from __future__ import annotations
+
+import pytest
+
+from polarmpm.kernels import native, structures
+from polarmpm.kinematics.layout import Layout
+
+LAYOUTS = [Layout(2, 0), Layout(3, 0), Layout(2, 1), Layout(3, 3)]
+
+
+@pytest.mark.parametrize("layout", LAYOUTS, ids=str)
+def test_every_slot_is_where_c_has_it(layout):
+    lib, d, r = native.library(), layout.dim, layout.rotations
+    assert lib.polarmpm_unknowns(d, r) == layout.unknowns
+    in_c = {
+        lib.polarmpm_slot(d, r, component, axis): (component, axis)
+        for component in range(layout.block)
+        for axis in range(-1, d)
+    }
+    in_c.pop(-1)
+    in_python = {
+        k: (layout.rows(s.field)[s.component], s.axes[0] if s.axes else -1)
+        for k, s in enumerate(layout.slots)
+    }
+    assert in_c == in_python
+
+
+def test_there_is_room_for_every_layout():
+    assert structures.constant("_layout.h", "UNKNOWNS_MAX") == max(layout.unknowns for layout in LAYOUTS)
