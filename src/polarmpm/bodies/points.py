@@ -105,6 +105,7 @@ class Points:
         self.q = rotations.identity(n)
         self.wryness = np.zeros((n, 3, 3))
         self.volume0, self.half_length0 = volume.copy(), half_length.copy()
+        self._has_history = False
         self._add_history()
 
     def __len__(self) -> int:
@@ -165,8 +166,8 @@ class Points:
 
     def _add_history(self) -> None:
         """Arrays of plastic materials, where they are needed and missing."""
-        if self.plastic and not hasattr(self, "plastic_F"):
-            n = len(self)
+        if self.plastic and not self._has_history:
+            n, self._has_history = len(self), True
             self.plastic_F = np.tile(np.eye(3), (n, 1, 1))
             self.plastic_wryness = np.zeros((n, 3, 3))
             self.hardening, self.dissipation = np.zeros(n), np.zeros(n)

@@ -164,7 +164,8 @@ class ElementForms:
         """
         ds, values = self.elements.surface_measure(facets.facets), _components(load)
         if follows:
-            values = _components(self._convected(ufl.as_vector(values)))
+            normal = ufl.FacetNormal(self.elements.mesh)
+            values = _components(kin.convected(ufl.as_vector(values), normal, self._deformation()))
         if couple:
             return self._work([0.0] * self.layout.dim + values) * ds
         return sum(f * self.test[i] for i, f in enumerate(values)) * ds
@@ -182,16 +183,3 @@ class ElementForms:
         g0, g = ufl.grad(self.total), ufl.grad(self.x)
         gradient = ufl.as_tensor([[g0[i, j] + g[i, j] for j in range(d)] for i in range(d)])
         return ufl.Identity(d) + gradient
-
-    def _convected(self, load: Any) -> Any:
-        normal = ufl.FacetNormal(self.elements.mesh)
-        area = ufl.dot(kin.cofactor(self._deformation()), normal)
-        if len(load) == 1:  # a couple about the axis of the plane: only the area changes
-            return load * ufl.sqrt(ufl.dot(area, area))
-        along = ufl.dot(load, normal)
-        inside = load - along * normal
-        turned = ufl.dot(self._deformation(), inside)
-        # size of the part in the surface over its convected length; without that part nothing is divided by 0
-        tiny = 1e-60
-        stretch = ufl.sqrt((ufl.dot(inside, inside) + tiny) / (ufl.dot(turned, turned) + tiny))
-        return along * area + ufl.sqrt(ufl.dot(area, area)) * stretch * turned

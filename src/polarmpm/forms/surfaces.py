@@ -112,6 +112,32 @@ class DeadTraction(SurfaceForm):
         return work - kin.couple_work(m, self._rotation(self.y), self._rotation(self.test))
 
 
+class FollowerTraction(SurfaceForm):
+    """A force (N/m^2) and a couple (N/m) per current area that follow the surface, see `measures.convected`.
+
+    Data: F~ row by row, N, the force, and with `couples` the couple.
+    """
+
+    symmetric = False
+
+    def __init__(self, layout: Layout, couples: bool):
+        self.couples = couples
+        d = layout.dim
+        super().__init__(layout, d * d, d, d, *([layout.rotations] if couples else []))
+
+    def virtual_work(self) -> Any:
+        d, (before, n, *loads) = self.layout.dim, self.coefficients
+        f = ufl.dot(ufl.Identity(d) + self.slots.derivative(self.y, "displacement"), matrix(before, d, d))
+        normal = ufl.as_vector([n[i] for i in range(d)])
+        sizes = (d, self.layout.rotations)
+        given = [ufl.as_vector([c[i] for i in range(k)]) for c, k in zip(loads, sizes, strict=False)]
+        now = [kin.convected(load, normal, f) for load in given]
+        work = -ufl.dot(now[0], self._displacement(self.test))
+        if self.couples:
+            work -= kin.couple_work(now[1], self._rotation(self.y), self._rotation(self.test))
+        return work
+
+
 class FollowerPressure(SurfaceForm):
     """A pressure p (Pa) on the current surface, p cof(F) N . du with F = (I + G) F~.
 

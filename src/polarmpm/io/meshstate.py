@@ -38,6 +38,9 @@ def arrays(problem: QuasiStaticFEM) -> dict[str, np.ndarray]:
     nodes = e.cell_nodes[: len(e.body.owned_cells)]
     out = {f"points/{name}": getattr(e.points, name) for name in ("id", *_names(e.points))}
     out["cells/id"] = e.body.original_cells
+    kept = {f"kept/{name}": a for name, a in problem.kept().items()}
+    if kept:
+        out |= {"kept/id": e.points.id, **kept}
     nodal = {"X": e.nodes.position, "displacement": e.displacement, "q": e.q}
     return out | {f"cells/{name}": nodal[name][nodes] for name in _OF_CELLS}
 
@@ -50,12 +53,15 @@ def put(problem: QuasiStaticFEM, rows: dict[str, np.ndarray], path: Any) -> None
     """
     e, p = problem.elements, problem.points
     of_points, has_points = _find(problem, rows, "points", _names(p), p.id)
+    names = tuple(name[5:] for name in rows if name.startswith("kept/") and name != "kept/id")
+    kept, has_kept = _find(problem, rows, "kept", names, p.id) if names else ({}, True)
     numbers = np.asarray(e.mesh.topology.original_cell_index, dtype=np.int64)  # ghosts too
     of_cells, has_cells = _find(problem, rows, "cells", _OF_CELLS, numbers)
     near, error = _NEAR * e.cell_size, None
     if not (
         has_points
         and has_cells
+        and has_kept
         and np.all(np.abs(of_points["X"] - p.X) <= near)
         and np.all(np.abs(of_cells["X"] - e.nodes.position[e.cell_nodes]) <= near)
     ):
@@ -65,6 +71,7 @@ def put(problem: QuasiStaticFEM, rows: dict[str, np.ndarray], path: Any) -> None
     collectively(problem.comm, error)
     for name in set(of_points) - {"X", "material"}:
         setattr(p, name, of_points[name])
+    problem.keep(kept)
     e.displacement, e.q = np.zeros_like(e.displacement), np.zeros_like(e.q)
     # backwards, so that a node gets what this rank's own cells say, which come first
     back = e.cell_nodes[::-1]

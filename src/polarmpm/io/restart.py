@@ -40,6 +40,8 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
     path, comm = Path(path), problem.comm
     temporary = path.with_name(path.name + ".part")
     arrays = meshstate.arrays(problem) if isinstance(problem, QuasiStaticFEM) else _arrays(problem)
+    for name, a in problem.term_state().items():  # the same on every rank
+        arrays[f"terms/{name.replace('/', '.')}"] = a if comm.rank == 0 else a[:0]
     for rank in range(comm.size):
         error: Exception | None = None
         if rank == comm.rank:
@@ -62,8 +64,6 @@ def _arrays(problem: Any) -> dict[str, np.ndarray]:
         arrays |= {f"reference/{f.name}": getattr(reference, f.name) for f in fields(reference)}
         arrays |= {"nodes/lattice": lattice, "nodes/increments": values}
     arrays |= {f"kept/{name}": a for name, a in problem.kept().items()}
-    for name, a in problem.term_state().items():  # the same on every rank
-        arrays[f"surfaces/{name.replace('/', '.')}"] = a if problem.comm.rank == 0 else a[:0]
     return arrays
 
 
@@ -119,6 +119,8 @@ def load(problem: Problem, path: str | os.PathLike[str]) -> None:
     except InputError as e:
         error = e
     collectively(problem.comm, error)
+    terms = {name[6:].replace(".", "/"): a for name, a in rows.items() if name.startswith("terms/")}
+    problem.restore_terms(terms)
     if isinstance(problem, QuasiStaticFEM):
         meshstate.put(problem, rows, path)
         problem.restore(Progress(**saved))
@@ -140,8 +142,6 @@ def _put(
         reference = Reference(*(rows[f"reference/{f.name}"] for f in fields(Reference)))
         between = reference, rows["nodes/lattice"], rows["nodes/increments"]
     problem.points.replace({name: rows[f"points/{name}"] for name in problem.points.fields})
-    surfaces = {name[9:].replace(".", "/"): a for name, a in rows.items() if name.startswith("surfaces/")}
-    problem.restore_terms(surfaces)
     kept = {name[5:]: a for name, a in rows.items() if name.startswith("kept/")}
     problem.restore(progress, between, kept, shares)
 
@@ -159,7 +159,7 @@ def _check(problem: Problem, file: h5py.File, path: Any) -> None:
 def _read_all(file: h5py.File, comm: MPI.Comm) -> dict[str, np.ndarray]:
     groups = [group for group in file if group != "counts"]
     names = [f"{group}/{name}" for group in groups for name in file[group]]
-    whole = [name for name in names if name.startswith("surfaces/")]
+    whole = [name for name in names if name.startswith("terms/")]
     return {name: file[name][:] if name in whole else _read(file, name, comm) for name in names}
 
 

@@ -77,6 +77,29 @@ def cofactor(f: Any) -> Any:
     return ufl.as_tensor([[minor(i, j) for j in range(3)] for i in range(3)])
 
 
+def convected(load: Any, normal: Any, f: Any) -> Any:
+    """A load per current area that follows the surface, as a load per undeformed area.
+
+    Its part along the normal follows the normal; the part in the surface is convected with it and keeps its
+    size. Of a couple about the normal of a plane (one component) only the area changes.
+
+    Args:
+        load: measured on the undeformed body; d components, or one.
+        normal: unit normal of the undeformed surface (d,).
+        f: deformation gradient (d, d).
+    """
+    area = ufl.dot(cofactor(f), normal)
+    if len(load) == 1:
+        return load * ufl.sqrt(ufl.dot(area, area))
+    along = ufl.dot(load, normal)
+    inside = load - along * normal
+    turned = ufl.dot(f, inside)
+    # size of the part in the surface over its convected length; without that part nothing is divided by 0
+    tiny = 1e-60
+    stretch = ufl.sqrt((ufl.dot(inside, inside) + tiny) / (ufl.dot(turned, turned) + tiny))
+    return along * area + ufl.sqrt(ufl.dot(area, area)) * stretch * turned
+
+
 def quaternion_tensor(q: Any) -> Any:
     """Rotation tensor of a unit quaternion (scalar first), T (3.168)."""
     v = ufl.as_vector((q[1], q[2], q[3]))

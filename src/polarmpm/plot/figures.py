@@ -153,21 +153,7 @@ def plot_mesh(
     Raises:
         InputError: not one value for each local node, cell or point; on every rank alike.
     """
-    counts = {
-        "nodes": len(elements.nodes),
-        "cells": len(elements.body.owned_cells),
-        "points": len(elements.points),
-    }
-    if at not in counts:
-        raise InputError(f"at = {at!r}: allowed are {', '.join(counts)}")
-    colour = None if values is None else np.asarray(values, float)
-    error = None
-    if colour is not None and colour.shape != (counts[at],):
-        error = InputError(f"values: have the shape {colour.shape}, {counts[at]} numbers are needed at {at}")
-    collectively(elements.comm, error)
-    if colour is not None and at == "points":
-        colour = elements.cell_mean(colour)
-    faces = gather_faces(elements, colour, at == "nodes")
+    faces = gather_faces(elements, _mesh_values(elements, values, at), at == "nodes")
     if faces is None:
         return None
     faces.scale(length[0])
@@ -187,6 +173,23 @@ def plot_mesh(
     if mappable is not None and label is not None:
         drawing.colour_bar(ax, mappable, label, elements.dim)
     return ax
+
+
+def _mesh_values(elements: Elements, values: np.ndarray | None, at: str) -> np.ndarray | None:
+    """Values at the nodes or on the cells, see `plot_mesh`. Collective."""
+    counts = {
+        "nodes": len(elements.nodes),
+        "cells": len(elements.body.owned_cells),
+        "points": len(elements.points),
+    }
+    if at not in counts:
+        raise InputError(f"at = {at!r}: allowed are {', '.join(counts)}")
+    colour = None if values is None else np.asarray(values, float)
+    error = None
+    if colour is not None and colour.shape != (counts[at],):
+        error = InputError(f"values: have the shape {colour.shape}, {counts[at]} numbers are needed at {at}")
+    collectively(elements.comm, error)
+    return elements.cell_mean(colour) if colour is not None and at == "points" else colour
 
 
 def load_displacement(

@@ -134,15 +134,21 @@ class Conditions(ABC):
         """Tractions, pressures, supports and terms of one's own on surfaces."""
         return [term for term in self.terms if isinstance(term, SurfaceCondition)]
 
-    def traction(self, where: Surface, *, force: Any = None, couple: Any = None) -> None:
-        """A dead traction (N/m^2) and couple traction (N/m; one number in plane strain) per undeformed area
-        on a surface that the body carries. Values as in `fix`.
+    def traction(
+        self, where: Surface, *, force: Any = None, couple: Any = None, follows: bool = False
+    ) -> None:
+        """A traction (N/m^2) and couple traction (N/m; one number in plane strain) on a surface that the body
+        carries. Values as in `fix`.
+
+        Dead: per undeformed area, fixed in space. `follows=True`: per current area; the part along the
+        undeformed normal follows the current normal, the part in the surface is convected with it and keeps
+        its size.
 
         Raises:
             InputError: neither is given, values of the wrong size, a surface of another dimension; at the
                 next step: points of the surface outside of the body.
         """
-        surfaces.add_traction(self, "traction", where, force, couple)
+        surfaces.add_traction(self, where, force, couple, follows=follows)
 
     def pressure(self, where: Surface, p: Any) -> None:
         """A pressure (Pa) against the current normal of a surface that the body carries, -p cof(F) N dA.
@@ -173,6 +179,16 @@ class Conditions(ABC):
     def term_state(self) -> dict[str, np.ndarray]:
         """What a restart needs of the terms, the same on every rank, by names such as "0/u"."""
         return {f"{k}/{name}": a for k, term in enumerate(self.terms) for name, a in term.state().items()}
+
+    def term_rows(self) -> dict[str, np.ndarray]:
+        """The terms' rows of the local points, by names such as "term 0.mass"."""
+        return {f"term {k}.{name}": a for k, term in enumerate(self.terms) for name, a in term.rows.items()}
+
+    def restore_term_rows(self, rows: dict[str, np.ndarray]) -> None:
+        """Put in rows such as those of `term_rows`, of which there may be others."""
+        for k, term in enumerate(self.terms):
+            start = f"term {k}."
+            term.rows = {name[len(start) :]: a for name, a in rows.items() if name.startswith(start)}
 
     def restore_terms(self, arrays: dict[str, np.ndarray]) -> None:
         """Put in what `term_state` gave, before `restore`; the problem has the same terms.

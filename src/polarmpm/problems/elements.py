@@ -31,7 +31,7 @@ from ..tools import compat
 from ..tools.parallel import together
 from .base import Problem
 from .state import Progress
-from .surfaces import add_traction
+from .surfaces import add_load
 
 
 def _make_forms(elements: Elements) -> ElementForms:
@@ -74,6 +74,10 @@ class QuasiStaticFEM(Problem):
     """Equilibrium of a body meshed with finite elements under slowly changing loads. All methods are
     collective.
 
+    Attributes:
+        rows: arrays (np, ...) of the script's own by name, one row a local quadrature point; they go into
+            restart files.
+
     Args:
         elements: the body.
         controls: tolerances of Newton's method.
@@ -91,6 +95,7 @@ class QuasiStaticFEM(Problem):
         self.surface_loads: list[SurfaceLoad] = []
         self.progress.reset_due = False
         self._system: ElementSystem | None = None
+        self.rows: dict[str, np.ndarray] = {}
         self._last_loads: np.ndarray | None = None  # forces of the last converged state's loads
         self._body: Any = None  # densities of body loads at the quadrature points
 
@@ -120,7 +125,7 @@ class QuasiStaticFEM(Problem):
                 plane strain they count per unit thickness, and the couple is one number.
         """
         if isinstance(where, Surface):
-            return add_traction(self, "load", where, force, couple, 1.0 / float(where.area.sum()))
+            return add_load(self, where, force, couple)
         group = self.elements.facets(where)
         self._add_surface(group, {"force": force, "couple": couple}, False, 1.0 / group.area, "load")
 
@@ -133,9 +138,7 @@ class QuasiStaticFEM(Problem):
         its size. Values as in `fix`; functions of two arguments get (factor, initial positions (n, d)).
         """
         if isinstance(where, Surface):
-            if follows:
-                raise InputError("traction: follows = True: facets are needed, not a Surface")
-            return super().traction(where, force=force, couple=couple)
+            return super().traction(where, force=force, couple=couple, follows=follows)
         group = self.elements.facets(where)
         self._add_surface(group, {"force": force, "couple": couple}, follows, 1.0, "traction")
 
@@ -288,6 +291,15 @@ class QuasiStaticFEM(Problem):
             system.x = np.zeros_like(system.x)
             if self.terms:
                 system.put_pieces(self._pieces())
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """What is kept for each local quadrature point beside its state: rows (np, ...) by name."""
+        return {f"rows.{name}": a for name, a in self.rows.items()} | self.term_rows()
+
+    def keep(self, rows: dict[str, np.ndarray]) -> None:
+        """Put in rows such as those of `kept`."""
+        self.rows = {name[5:]: a for name, a in rows.items() if name.startswith("rows.")}
+        self.restore_term_rows(rows)
 
     def restore(self, progress: Progress) -> None:
         """Continue from a state that has been put into the elements already; see `io.restart`."""

@@ -40,7 +40,7 @@ from ..tools.parallel import look_up, together
 from .base import Problem
 from .conservation import Conservation, Totals
 from .state import Progress
-from .surfaces import add_traction
+from .surfaces import add_load
 
 ASSEMBLIES = ("direct", "projection")
 _DISTORTED = WhenDistorted()
@@ -175,7 +175,7 @@ class QuasiStatic(Problem):
         they count per unit thickness, and the couple is one number.
         """
         if isinstance(where, Surface):
-            return add_traction(self, "load", where, force, couple, 1.0 / float(where.area.sum()))
+            return add_load(self, where, force, couple)
         if not isinstance(where, Selection):
             raise InputError(
                 f"selection = {where!r}: use points.where, points.farthest, points.nearest, or a Surface"
@@ -328,9 +328,7 @@ class QuasiStatic(Problem):
 
     def kept(self) -> dict[str, np.ndarray]:
         """What is kept for each local point from step to step, beside its state: rows (np, ...) by name."""
-        out = {f"rows.{name}": a for name, a in self.rows.items()}
-        for k, term in enumerate(self.terms):
-            out |= {f"term {k}.{name}": a for name, a in term.rows.items()}
+        out = {f"rows.{name}": a for name, a in self.rows.items()} | self.term_rows()
         if self._last_x is not None:
             out["last_x"] = self._last_x
         if self._balanced is not None:
@@ -340,9 +338,7 @@ class QuasiStatic(Problem):
     def _keep(self, rows: dict[str, np.ndarray]) -> None:
         """Put in rows such as those of `kept`."""
         self.rows = {name[5:]: a for name, a in rows.items() if name.startswith("rows.")}
-        for k, term in enumerate(self.terms):
-            start = f"term {k}."
-            term.rows = {name[len(start) :]: a for name, a in rows.items() if name.startswith(start)}
+        self.restore_term_rows(rows)
         self._last_x = rows.get("last_x")
         self._balanced = (rows["forces"], rows["couples"]) if "forces" in rows else None
 

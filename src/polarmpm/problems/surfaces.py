@@ -40,10 +40,21 @@ def _name(problem: Loaded, kind: str) -> str:
 
 
 def add_traction(
-    problem: Loaded, kind: str, surface: Any, force: Any, couple: Any, share: float = 1.0
+    problem: Loaded,
+    surface: Any,
+    force: Any,
+    couple: Any,
+    *,
+    follows: bool = False,
 ) -> None:
-    """See `Conditions.traction`; a `load` has a share."""
-    problem.add(Traction(_name(problem, kind), surface, force, couple, share))
+    """See `Conditions.traction`."""
+    problem.add(Traction(_name(problem, "traction"), surface, force, couple, follows=follows))
+
+
+def add_load(problem: Loaded, surface: Surface, force: Any, couple: Any) -> None:
+    """A total, spread evenly over a surface."""
+    share = 1.0 / float(surface.area.sum())
+    problem.add(Traction(_name(problem, "load"), surface, force, couple, share=share))
 
 
 def add_pressure(problem: Loaded, surface: Any, p: Any) -> None:

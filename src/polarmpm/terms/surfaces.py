@@ -11,7 +11,7 @@ import numpy as np
 from ..conditions.amplitudes import Amplitude
 from ..conditions.supports import Support
 from ..errors import InputError
-from ..forms.surfaces import DeadTraction, FollowerPressure, Penalty, SurfaceForm
+from ..forms.surfaces import DeadTraction, FollowerPressure, FollowerTraction, Penalty, SurfaceForm
 from ..geometry.surfaces import Surface
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
@@ -19,14 +19,27 @@ from .surfaceterms import SurfaceCondition
 
 
 class Traction(SurfaceCondition):
-    """A dead traction (N/m^2) and couple traction (N/m) per undeformed area.
+    """A traction (N/m^2) and couple traction (N/m), dead and per undeformed area, or following the surface.
 
     Args:
+        follows: per current area, see `kinematics.measures.convected`.
         share: a factor on both; 1 over the area where totals are given.
     """
 
-    def __init__(self, name: str, surface: Surface, force: Any, couple: Any, share: float = 1.0):
+    def __init__(
+        self,
+        name: str,
+        surface: Surface,
+        force: Any,
+        couple: Any,
+        *,
+        follows: bool = False,
+        share: float = 1.0,
+    ):
         super().__init__(name, surface)
+        if not isinstance(follows, bool):
+            raise InputError(f"{name}: follows = {follows!r}: True or False")
+        self.follows = follows
         if force is None and couple is None:
             raise InputError(f"{name}: neither force nor couple is given")
         self._given, self._share = (force, couple), share
@@ -44,10 +57,13 @@ class Traction(SurfaceCondition):
         self.proportional = self.form.symmetric  # couples in space turn with the spin
 
     def make_form(self) -> SurfaceForm:
-        return DeadTraction(self.layout, len(self._values) > 1)
+        couples = len(self._values) > 1
+        return FollowerTraction(self.layout, couples) if self.follows else DeadTraction(self.layout, couples)
 
     def values(self, factor: float) -> list[np.ndarray]:
-        return [a.at(factor, self.surface.x) * self._share for a in self._values]
+        loads = [a.at(factor, self.surface.x) * self._share for a in self._values]
+        before = [self._at["F"].reshape(len(self.surface), -1), self.surface.normal] if self.follows else []
+        return before + loads
 
 
 class Pressure(SurfaceCondition):
