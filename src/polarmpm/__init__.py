@@ -24,12 +24,12 @@ from .terms.ghost import GhostPenalty
 
 if TYPE_CHECKING:
     from .materials.cones import DruckerPrager, VonMises
-    from .materials.plastic import Plastic, UserPlasticity
+    from .materials.plastic import Continuation, Plastic, UserPlasticity
     from .materials.regions import ConeApex, Edge, Region, SmoothPart, YieldSurface
 
 _PLASTIC = {
     **dict.fromkeys(("DruckerPrager", "VonMises"), "cones"),
-    **dict.fromkeys(("Plastic", "UserPlasticity"), "plastic"),
+    **dict.fromkeys(("Continuation", "Plastic", "UserPlasticity"), "plastic"),
     **dict.fromkeys(("ConeApex", "Edge", "Region", "SmoothPart", "YieldSurface"), "regions"),
 }
 
@@ -46,6 +46,7 @@ __version__ = "0.1.0"
 __all__ = [
     "PUBLISHED",
     "ConeApex",
+    "Continuation",
     "Controls",
     "DruckerPrager",
     "Edge",
