@@ -30,12 +30,12 @@ from .terms.surfaceterms import SurfaceTerm
 
 if TYPE_CHECKING:
     from .materials.cones import DruckerPrager, VonMises
-    from .materials.plastic import Plastic, UserPlasticity
+    from .materials.plastic import Continuation, Plastic, UserPlasticity
     from .materials.regions import ConeApex, Edge, Region, SmoothPart, YieldSurface
 
 _PLASTIC = {
     **dict.fromkeys(("DruckerPrager", "VonMises"), "cones"),
-    **dict.fromkeys(("Plastic", "UserPlasticity"), "plastic"),
+    **dict.fromkeys(("Continuation", "Plastic", "UserPlasticity"), "plastic"),
     **dict.fromkeys(("ConeApex", "Edge", "Region", "SmoothPart", "YieldSurface"), "regions"),
 }
 
@@ -54,6 +54,7 @@ __all__ = [
     "Basis",
     "Boxes",
     "ConeApex",
+    "Continuation",
     "Controls",
     "DruckerPrager",
     "Edge",

@@ -215,6 +215,86 @@ def test_a_surface_out_of_reach_changes_nothing():
     np.testing.assert_allclose(a0, a1, rtol=0, atol=1e-9 * np.abs(a1).max())
 
 
+class EvenReturn(pm.Region):
+    """The cut-off by hand: its flow is even, exp(-m I / 3), and leaves the wryness alone."""
+
+    name = "tension"
+
+    def __init__(self, surface: pm.YieldSurface):
+        self.surfaces = (surface,)
+
+    def residual(self, s: Any) -> list[Any]:
+        m, turn = s.multipliers[0], ufl.Identity(3) if s.Q is None else ufl.transpose(s.Q)
+        rows = s.flat(s.Ue - ufl.exp(-m / 3) * ufl.dot(turn, s.Fe_trial))
+        rows += [] if s.Ge is None else s.flat_wryness(s.Ge - s.Ge_trial)
+        return [*rows, s.chi - s.chi_before - m, self.surfaces[0].at(s)]
+
+    def row_scale(self, scales: Any) -> np.ndarray:
+        strains = [1.0] * scales.deformation + [scales.length] * scales.wryness
+        return np.array([*strains, 1.0, 1.0 / scales.modulus])
+
+    def flow(self, s: Any) -> list[Any]:
+        tau, _ = s.kirchhoff()
+        return [s.multipliers[0] * ufl.tr(tau) / 3, s.multipliers[0]]
+
+
+class ByHand(CutCone):
+    @property
+    def regions(self) -> tuple[pm.Region, ...]:
+        shear, tension, edge = super().regions
+        return shear, EvenReturn(tension.surfaces[0]), edge
+
+
+@pytest.mark.parametrize("elastic", [ELASTIC, NEO_HOOKEAN], ids=MATERIALS)
+def test_a_region_of_a_users_own(elastic):
+    answers = []
+    for kind in (CutCone, ByHand):
+        driven, z = scattered(kind(elastic), 2, 400, size=0.004, tension=0.002)
+        s, a, y = driven.stress(z)
+        answers.append((s, a, driven.mapping.dissipation(), y.region))
+    assert (answers[0][3] == CUT).sum() >= 25
+    for one, other in zip(*answers, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * np.abs(other).max())
+
+
+@dataclass(frozen=True)
+class Clay(pm.Plastic):
+    """Modified Cam-Clay: an ellipse of p and q that grows with the plastic change of volume chi."""
+
+    elastic: pm.Material
+
+    def plastic_parameters(self) -> dict[str, float]:
+        return {"M": 1.2, "start": 60.0, "compression": 0.05}
+
+    def ellipse(self, tau: Any, nu: Any, chi: Any, p: Any) -> Any:
+        half = p.start / 2 * ufl.exp(-chi / p.compression)
+        s, mean = ufl.dev(ufl.sym(tau)), ufl.tr(tau) / 3
+        return ufl.sqrt(1.5 * ufl.inner(s, s) / p.M**2 + (mean + half) ** 2) - half
+
+    def growth(self, tau: Any, nu: Any, chi: Any, p: Any) -> Any:
+        t = ufl.variable(tau)
+        return ufl.tr(ufl.diff(self.ellipse(t, nu, chi, p), t))
+
+    @property
+    def regions(self) -> tuple[pm.Region, ...]:
+        return (pm.SmoothPart(pm.YieldSurface("ellipse", self.ellipse, hardening=self.growth)),)
+
+
+def test_chi_may_be_the_plastic_change_of_volume():
+    """Compaction hardens, dilation softens; the tangent is consistent."""
+    driven, z = scattered(Clay(HENCKY), 2, 400, size=0.004, tension=-0.004)
+    driven.points.hardening[:] = 0.0
+    errors = tangent_errors(driven, z)
+    assert len(errors["ellipse"]) >= 100
+    assert errors["ellipse"].max() < 1e-6
+    volume, chi = np.linalg.det(driven.points.plastic_F), driven.points.hardening.copy()
+    driven.advance(z)
+    change = np.log(np.linalg.det(driven.points.plastic_F) / volume)
+    np.testing.assert_allclose(driven.points.hardening - chi, change, rtol=0, atol=1e-10)
+    assert change.min() < -1e-3
+    assert change.max() > 1e-4
+
+
 # bodies ---------------------------------------------------------------------------------------------
 def pulled(material: Any) -> Any:
     """A short beam that is bent and pulled: its upper side is cut off, and it is sheared at the lower one."""
@@ -289,6 +369,19 @@ def test_mistakes_in_regions_are_named(regions, message):
     points = pm.seed(grid, material=Odd(NEO_HOOKEAN, regions))
     with pytest.raises(pm.InputError, match=message):
         pm.QuasiStatic(grid, points, **pm.PUBLISHED)
+
+
+@dataclass(frozen=True)
+class Lost(CutCone):
+    def first_region(self, tau: Any, nu: Any, chi: Any, p: Any) -> dict[str, Any]:
+        return {"apex": ufl.tr(tau)}
+
+
+def test_a_first_region_that_is_not_there():
+    with pytest.raises(
+        pm.InputError, match=r"first_region of Lost: 'apex' is none .*: tension, shear\+tension"
+    ):
+        Driven(Lost(NEO_HOOKEAN), 1)
 
 
 @pytest.mark.parametrize(

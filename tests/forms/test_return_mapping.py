@@ -693,8 +693,12 @@ def test_states_that_are_not_finite_are_named():
 # near the apex ------------------------------------------------------------------------------------
 def near_the_apex(n: int, seed: int = 3) -> tuple[Driven, np.ndarray]:
     """Points that have been sheared a lot, and increments whose return lies close to the edge of the apex."""
+    return _sheared(cone(phi=25.0, psi=5.0), n, seed)
+
+
+def _sheared(material: Any, n: int, seed: int) -> tuple[Driven, np.ndarray]:
     rng = np.random.default_rng(seed)
-    driven = Driven(cone(phi=25.0, psi=5.0), n)
+    driven = Driven(material, n)
     driven.points.F[:, 0, 1] = rng.uniform(-1.5, 1.5, n)
     driven.points.plastic_F = driven.points.F.copy()
     z = 1e-3 * rng.standard_normal((n, driven.size))
@@ -714,6 +718,34 @@ def test_every_state_near_the_apex_has_a_return():
     x = driven.solve(z)
     assert np.abs(yield_value(driven.material, x.tau, x.nu, x.chi)).max() < 1e-9 * MU
     assert np.all(driven.mapping.dissipation() >= 0.0)
+
+
+def test_a_users_surface_is_approached_through_rounder_ones():
+    """A cone whose tip is rounded off next to nothing: without help some states have no return."""
+
+    def smooth(tau: Any, nu: Any, p: Any) -> Any:
+        s = ufl.dev(ufl.sym(tau))
+        return ufl.sqrt(1.5 * (ufl.inner(s, s) + ufl.inner(nu, nu) / p.l**2) + p.radius**2)
+
+    def f(tau: Any, nu: Any, chi: Any, p: Any) -> Any:
+        return smooth(tau, nu, p) + p.a * ufl.tr(tau) / 3 - p.strength
+
+    def g(tau: Any, nu: Any, chi: Any, p: Any) -> Any:
+        return smooth(tau, nu, p) + p.b * ufl.tr(tau) / 3
+
+    values = {"a": slope(25.0), "b": slope(5.0), "strength": K, "l": L_P, "radius": 1e-3 * K}
+    alone = pm.UserPlasticity(ELASTIC, f, values, g, length=L_P)
+    driven, z = _sheared(alone, 400, 3)
+    with pytest.raises(pm.errors.LocalFailure):
+        driven.solve(z)
+    rounder = pm.Continuation("radius", tuple(share * K for share in (1.0, 0.3, 0.1, 0.03, 0.01, 0.003)))
+    driven, z = _sheared(pm.UserPlasticity(ELASTIC, f, values, g, length=L_P, continuation=rounder), 400, 3)
+    x = driven.solve(z)
+    f_found = np.sqrt(q_of(x.tau, x.nu) ** 2 + (1e-3 * K) ** 2) + slope(25.0) * trace(x.tau) / 3 - K
+    assert len(x.rows) > 300
+    assert np.abs(f_found).max() < 1e-8 * K
+    with pytest.raises(pm.InputError, match="continuation: 'tip' is none of the values"):
+        pm.UserPlasticity(ELASTIC, f, values, continuation=pm.Continuation("tip", (1.0,)))
 
 
 def test_the_apex_is_the_limit_of_rounded_tips():

@@ -21,6 +21,7 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
+from ..errors import InputError
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from ..kinematics.layout import Layout, state_size
@@ -280,6 +281,12 @@ class PlasticForm(PointForm):
         rows = [ue[i, j] for i, j in deformation] + [ge[i, j] for i, j in wryness]
         rows += [chi, *([ufl.as_ufl(0.0)] * (self.local_size - self.hardening_column - 1))]
         rows += [surface.value(owner, tau, nu, chi, p) for surface in self.surfaces]
-        likely = self.material.first_region(tau, nu, chi, p)
+        likely, others = self.material.first_region(tau, nu, chi, p), [r.name for r in self.regions[1:]]
+        for name in likely:
+            if name not in others:
+                allowed = ", ".join(others) or "none"
+                raise InputError(
+                    f"material: first_region of {owner}: {name!r} is none of its others: {allowed}"
+                )
         never = ufl.as_ufl(-1.0)
-        return rows + ([ufl.as_ufl(likely.get(r.name, never)) for r in self.regions[1:]] or [never])
+        return rows + ([ufl.as_ufl(likely.get(name, never)) for name in others] or [never])

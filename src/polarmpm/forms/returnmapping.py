@@ -213,7 +213,9 @@ class ReturnMapping:
         )
         if out_of_memory:
             raise MemoryError("no memory for the return mapping")
-        return np.pad(own, ((0, 0), (0, X.shape[1] - size))), blocks, status != 0, iterations
+        if size < X.shape[1]:
+            own = np.pad(own, ((0, 0), (0, X.shape[1] - size)))
+        return own, blocks, status != 0, iterations
 
     # history --------------------------------------------------------------------------------------
     def update_history(self, points: Points, rows: np.ndarray, base: np.ndarray) -> None:

@@ -110,7 +110,10 @@ def field_values(problem: Any, field: str | AnyField) -> np.ndarray:
 
 
 def _values(field: Field, points: Points) -> np.ndarray:
-    values = np.asarray(field.function(points))
+    try:
+        values = np.asarray(field.function(points))
+    except Exception as e:  # a user's function may raise anything, and on one rank alone
+        raise InputError(f"field {field.name!r} can't be evaluated: {e}") from e
     if values.shape[:1] != (len(points),):
         raise InputError(
             f"field {field.name!r}: the shape {values.shape} is given; a row for each of the {len(points)} "

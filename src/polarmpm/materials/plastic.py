@@ -191,6 +191,8 @@ class UserPlasticity(Plastic):
         values: the numbers p.name, so that changing them compiles nothing; the elastic part's are there too.
         hardening: energy (Pa) stored by hardening as a function of (chi, p); default: none.
         length: a length (m) of the microstructure.
+        continuation: a number that makes the surface smoother, and values of it through which a return is
+            approached where Newton's method finds none, such as the radius of a rounded tip.
 
     Example:
         >>> UserPlasticity(elastic, lambda tau, nu, chi, p: ufl.sqrt(ufl.inner(tau, tau)) - p.y, {"y": 1e6})
@@ -202,6 +204,7 @@ class UserPlasticity(Plastic):
     flow: Function | Mapping[str, Function] | None = None
     hardening: Function | None = None
     length: float = 1.0
+    continuation: Continuation | None = None
 
     def __post_init__(self) -> None:
         check_elastic(self.elastic)
@@ -213,6 +216,8 @@ class UserPlasticity(Plastic):
             require_finite(name, value)
         require_finite("length", self.length)
         require(self.length > 0, "length", self.length, "length > 0")
+        if self.continuation is not None and self.continuation.parameter not in self.values:
+            raise InputError(f"continuation: {self.continuation.parameter!r} is none of the values")
 
     def _check_functions(self) -> None:
         given = {"hardening": self.hardening} if self.hardening is not None else {}

@@ -82,13 +82,6 @@ class LocalState:
         """The same of a wryness; nothing of a classical material."""
         return [tensor[i, j] for i, j in self.entries[1]]
 
-    def hardening_rate(self) -> Any:
-        """Row by which chi grows by the sum of the multipliers."""
-        row = self.chi - self.chi_before
-        for multiplier in self.multipliers:
-            row = row - multiplier
-        return row
-
     def hardening_work(self) -> Any:
         """Lambda Dchi (Pa): what hardening stores of the step's plastic work, T (4.17)."""
         chi = ufl.variable(self.chi)
@@ -123,11 +116,14 @@ class YieldSurface:
         name: of the surface and of the region on which it alone is active.
         function: f (Pa) in UFL, smooth where it is zero; nu is None for a classical material.
         potential: g (Pa), whose derivatives are the directions of flow; default: f (associated flow).
+        hardening: h(tau, nu, chi, p), by which chi grows per multiplier: dchi = h dgamma, such as
+            tr(dg/dtau) where chi is the plastic change of volume; default: 1.
     """
 
     name: str
     function: Callable[..., Any]
     potential: Callable[..., Any] | None = None
+    hardening: Callable[..., Any] | None = None
 
     def value(self, owner: str, *arguments: Any) -> Any:
         """f as a UFL scalar; raises InputError with the owner's name."""
@@ -137,6 +133,14 @@ class YieldSurface:
         """g as a UFL scalar; raises InputError with the owner's name."""
         what = f"potential of {owner} ({self.name!r})"
         return evaluate_scalar(what, self.potential or self.function, *arguments)
+
+    def growth(self, s: LocalState, multiplier: Any) -> Any:
+        """By how much chi grows at X."""
+        if self.hardening is None:
+            return multiplier
+        tau, nu = s.kirchhoff()
+        what = f"hardening of {s.owner} ({self.name!r})"
+        return multiplier * evaluate_scalar(what, self.hardening, tau, nu, s.chi, s.p)
 
     def at(self, s: LocalState) -> Any:
         """f at X."""
@@ -186,7 +190,7 @@ class Region(ABC):
 class Edge(Region):
     """Where smooth surfaces meet: one multiplier for each of them (Koiter), T (4.57)-(4.60) otherwise.
 
-    All of them are zero, their flows add up, and chi grows by the sum of the multipliers.
+    All yield functions are zero, flows and the growth of chi add up.
     """
 
     def __init__(self, *surfaces: YieldSurface, name: str = ""):
@@ -202,7 +206,10 @@ class Edge(Region):
             turn = ufl.transpose(s.Q)
             step = _sum([m * ufl.dot(turn, ufl.dot(wryness, s.F)) for m, _, wryness in flows])
             rows += s.flat_wryness(s.Ge + step - s.Ge_trial)
-        return [*rows, s.hardening_rate(), *(surface.at(s) for surface in self.surfaces)]
+        chi = s.chi - s.chi_before
+        for multiplier, surface in zip(s.multipliers, self.surfaces, strict=True):
+            chi = chi - surface.growth(s, multiplier)
+        return [*rows, chi, *(surface.at(s) for surface in self.surfaces)]
 
     def row_scale(self, scales: Scales) -> np.ndarray:
         strains = [1.0] * scales.deformation + [scales.length] * scales.wryness + [1.0]
@@ -286,7 +293,7 @@ class ConeApex(Region):
             back = ufl.inv(ufl.dot(ufl.transpose(s.F), s.F))
             spring = self.cone.apex_spring(s.p)
             rows += s.flat_wryness(couple + spring * ufl.dot(s.Ge - s.Ge_trial, back))
-        rows.append(s.hardening_rate())
+        rows.append(s.chi - s.chi_before - s.multipliers[0])
         dilatancy = ufl.conditional(ufl.gt(dilatancy, 0.0), dilatancy, friction)
         rows.append(s.multipliers[0] - ufl.ln(ufl.det(ratio)) / dilatancy)
         return rows
