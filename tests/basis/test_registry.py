@@ -9,24 +9,13 @@ import polarmpm as pm
 from polarmpm.basis.base import Basis
 from polarmpm.basis.registry import BASES, basis_of, register
 from tests.conftest import NEO_HOOKEAN, by_id
-
-
-class Hats(Basis):
-    """All that a basis has to say: here once more the tents."""
-
-    name = "hats"
-    degree = 1
-    gradients_jump = True
-
-    def lines(self, grid: pm.Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        r, one = grid.within(x, cells), np.ones_like(x)
-        ends = [np.stack([1.0 - r, -one / grid.sizes(cells)], 2), np.stack([r, one / grid.sizes(cells)], 2)]
-        return np.stack(ends, axis=3)
+from tests.recipes.basis import Hats
 
 
 @pytest.fixture
 def known():
     before = dict(BASES)
+    BASES.pop("hats", None)
     yield
     BASES.clear()
     BASES.update(before)

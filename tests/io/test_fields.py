@@ -16,6 +16,7 @@ from polarmpm.io.fields import OF_MATERIALS, OF_POINTS, choose, field_arrays
 from tests.conftest import COMM, MICROPOLAR, beam
 from tests.helpers.bodies import box
 from tests.helpers.plasticity import ELASTIC, cylinder
+from tests.recipes.field import DEPTH, MISES
 
 meshio = pytest.importorskip("meshio")
 
@@ -43,10 +44,6 @@ def mises(stress: np.ndarray) -> np.ndarray:
     return np.sqrt(1.5 * np.einsum("nij,nij->n", s, s))
 
 
-MISES = pm.MaterialField("mises", lambda s: ufl.sqrt(1.5 * ufl.inner(ufl.dev(s.stress), s.stress)), "Pa")
-LOWER = pm.Field("depth", lambda p: -p.x[:, 1], "m")
-
-
 def written(path: Any, problem: Any, fields: Any, **options: Any) -> dict[str, np.ndarray]:
     """What is read back of a state, in the order of the ids."""
     with pm.Recorder(path, problem, fields=(*fields, "id"), **options):
@@ -62,7 +59,7 @@ def written(path: Any, problem: Any, fields: Any, **options: Any) -> dict[str, n
 def test_a_field_in_one_line(folder, monkeypatch, domains):
     """In the table of what needs the material, or in that of what the points know."""
     monkeypatch.setitem(OF_MATERIALS, "mises", MISES)
-    monkeypatch.setitem(OF_POINTS, "depth", LOWER)
+    monkeypatch.setitem(OF_POINTS, "depth", DEPTH)
     problem = by_points()
     found = written(folder / "a.pvd", problem, ("stress", "mises", "depth"), domains=domains)
     assert set(found) == {"stress", "mises", "depth"}
@@ -92,7 +89,7 @@ def test_a_users_own_fields(folder):
     problem = by_points()
     jump = pm.Field("away", lambda p: p.x - 1.0)
     forces = pm.MaterialField("normal", lambda s: s.stress[0, :])
-    found = written(folder / "a.pvd", problem, (MISES, LOWER, jump, forces, "displacement"))
+    found = written(folder / "a.pvd", problem, (MISES, DEPTH, jump, forces, "displacement"))
     stress = gathered(problem.points, problem.fields().stress)
     np.testing.assert_allclose(found["mises"], mises(stress), rtol=1e-12)
     np.testing.assert_allclose(found["normal"], stress[:, 0], rtol=1e-12)
