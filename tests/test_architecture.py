@@ -123,7 +123,7 @@ def is_basis(node: ast.AST) -> bool:
 
 
 def asks_for_a_basis(node: ast.AST) -> bool:
-    """Whether code depends on which basis there is: by comparing it or a name, looking it up, or by its class."""
+    """Whether code depends on which basis there is: by a comparison, a table, or its class."""
     constants = {n.value for n in ast.walk(node) if isinstance(n, ast.Constant)}
     named = any(isinstance(c, str) and c in BASES for c in constants)
     if isinstance(node, ast.Compare):

@@ -1,5 +1,5 @@
-"""B-splines: supports, slivers, patch test, bending, order of convergence, output. The quadratic ones, and what
-cubic ones have to fulfil as they do."""
+"""B-splines: supports, slivers, patch test, bending, order of convergence, output. Quadratic
+ones, and where they have to fulfil the same, cubic ones."""
 
 from __future__ import annotations
 
