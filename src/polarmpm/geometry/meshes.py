@@ -14,6 +14,7 @@ import ufl
 from ..errors import InputError
 from ..tools import compat
 from ..tools.parallel import collectively
+from .cells import unit_corners
 from .gmsh import read_gmsh_groups
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
@@ -136,4 +137,4 @@ def _corners(cell: str) -> np.ndarray:
     dim = 2 if cell in ("triangle", "quadrilateral") else 3
     if cell in ("triangle", "tetrahedron"):
         return np.vstack([np.zeros(dim), np.eye(dim)])
-    return np.array([[(k >> axis) & 1 for axis in range(dim)] for k in range(2**dim)], dtype=float)
+    return unit_corners(dim).astype(float)
