@@ -82,6 +82,11 @@ def test_tensors_in_space(layout):
         expected[2][:, 3 - r :, :d] = gradient[:, d:]
     assert all(len(e.ufl_shape) == a.ndim - 1 for e, a in zip(expressions, expected, strict=True))
     found = numbers(expressions, z, layout.pack(value, gradient))
+    surface = Layout(d, r, SURFACE)
+    y = PointSpace(compat.point_domain()).coefficient(surface.unknowns)
+    displacement = numbers([surface.value(y, "displacement")], y, surface.pack(value, gradient))
+    np.testing.assert_array_equal(displacement[:, :d], value[:, :d])
+    assert not displacement[:, d:].any()
     np.testing.assert_array_equal(found, np.hstack([a.reshape(n, -1) for a in expected]))
 
 
