@@ -3,6 +3,8 @@
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from .basis.base import Basis
+from .basis.registry import register as register_basis
 from .bodies.elements import Elements, Facets
 from .bodies.points import Points, Selection
 from .bodies.seeding import seed, seed_mesh
@@ -39,6 +41,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "PUBLISHED",
+    "Basis",
     "Controls",
     "DruckerPrager",
     "Elements",
@@ -72,6 +75,7 @@ __all__ = [
     "WhenDistorted",
     "load_restart",
     "plane",
+    "register_basis",
     "save_restart",
     "seed",
     "seed_mesh",
