@@ -252,7 +252,7 @@ def test_orders_of_convergence(basis):
     degree."""
     degree = basis_of(basis).degree
     errors = []
-    for cells in (3, 6):
+    for cells in (4, 8):  # without points in the middle, where the exact couple stress, to divide by, is zero
         grid = pm.Grid.box((0, 0, 0), (1, 1, 1), 1 / cells)
         points = pm.seed(grid, material=WAVE, points_per_cell=degree + 1, layout="gauss")
         exact = manufactured.Solution(WAVE, wave, wave, grid.comm)
