@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import polarmpm as pm
-from polarmpm.basis.base import Basis
-from polarmpm.basis.registry import BASES, basis_of, register
+from polarmpm.basis.registry import BASES, basis_of
 from tests.conftest import NEO_HOOKEAN, by_id
 from tests.recipes.basis import Hats
 
@@ -21,7 +20,7 @@ def known():
     BASES.update(before)
 
 
-def pulled(basis: str | Basis) -> np.ndarray:
+def pulled(basis: str | pm.Basis) -> np.ndarray:
     """A bar between planes with a load at its end, a ghost penalty and a surface."""
     grid = pm.Grid.box((0, 0), (4, 3), 1.0)
     points = pm.seed(grid, material=NEO_HOOKEAN, bounds=((0, 0), (3, 1)))
@@ -38,7 +37,7 @@ def test_a_basis_of_the_users_own(known):
     """As an instance, and by its name once it has been registered; it needs nothing else."""
     expected = pulled("mpm")
     np.testing.assert_allclose(pulled(Hats()), expected, rtol=0, atol=1e-12)
-    register(Hats())
+    pm.register_basis(Hats())
     np.testing.assert_allclose(pulled("hats"), expected, rtol=0, atol=1e-12)
     with pytest.raises(pm.InputError, match="allowed are gimpm, mpm, bspline, bspline3, hats"):
         basis_of("hat")
@@ -51,11 +50,11 @@ def test_a_basis_of_the_users_own(known):
 
 
 def test_names_stand_for_one_class(known):
-    register(basis_of("mpm"))  # once more
+    pm.register_basis(basis_of("mpm"))  # once more
     with pytest.raises(pm.InputError, match="'mpm': a Tents has this name already"):
-        register(type("Other", (Hats,), {"name": "mpm"})())
+        pm.register_basis(type("Other", (Hats,), {"name": "mpm"})())
     with pytest.raises(pm.InputError, match="basis = 'mpm' is not a Basis"):
-        register("mpm")
+        pm.register_basis("mpm")
 
 
 def test_every_basis_says_what_it_is():

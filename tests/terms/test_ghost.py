@@ -54,6 +54,19 @@ def test_stencil_in_closed_form(cell):
             assert np.abs(stencil(cell, axis, power) - expected).max() < 1e-13 * np.abs(expected).max()
 
 
+@pytest.mark.parametrize("cell", [(0.5, 0.2), (0.5, 0.2, 0.3)])
+def test_stencil_between_cells_of_two_sizes(cell):
+    """There the jump is (1/a, -1/a - 1/b, 1/b)."""
+    mass, above = np.array([[2.0, 1.0], [1.0, 2.0]]) / 6, 0.35
+    for axis in range(len(cell)):
+        expected = np.ones((1, 1)) * face_size(cell, axis) / 3
+        jump = np.array([1 / cell[axis], -1 / cell[axis] - 1 / above, 1 / above])
+        for k, h in enumerate(cell):
+            expected = np.kron(expected, np.outer(jump, jump) if k == axis else mass * h)
+        found = stencil(cell, axis, 1, above)
+        assert np.abs(found - expected).max() < 1e-13 * np.abs(expected).max()
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 def test_faces_add_up_to_dolfinx_assembly(dim):
     """All faces of an irregular body against one assembly by dolfinx over tagged facets of its cell mesh."""

@@ -21,13 +21,16 @@ class QuadraticSplines(Splines):
     def lines(self, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
         right, size = snap(grid.within(x, cells)), grid.sizes(cells)
         left = 1.0 - right
-        lower, upper = _shares(grid, cells)
-        values = [lower * left**2, upper * right**2]
-        slopes = [-2.0 * lower * left / size, 2.0 * upper * right / size]
+        below, above = (share * r for share, r in zip(_shares(grid, cells), (left, right), strict=True))
         table = np.empty((*x.shape, 2, 3))
-        for k, (below, above) in enumerate((values, slopes)):
-            table[:, :, k, 0], table[:, :, k, 2] = below, above
-            table[:, :, k, 1] = (1.0 if k == 0 else 0.0) - below - above
+        values, slopes = table[:, :, 0], table[:, :, 1]
+        np.multiply(below, left, out=values[:, :, 0])
+        np.multiply(above, right, out=values[:, :, 2])
+        np.divide(-2.0 * below, size, out=slopes[:, :, 0])
+        np.divide(2.0 * above, size, out=slopes[:, :, 2])
+        for of, total in ((values, 1.0), (slopes, 0.0)):
+            np.subtract(total, of[:, :, 0], out=of[:, :, 1])
+            of[:, :, 1] -= of[:, :, 2]
         return table
 
 

@@ -10,7 +10,10 @@ from .splines import Splines, neighbours
 
 class CubicSplines(Splines):
     """Cubic B-splines: second derivatives are continuous. Their positions are the inner planes, the walls,
-    and a place a third of a cell from each wall."""
+    and a place a third of a cell from each wall.
+
+    Four points a cell in each direction are needed where a body is one cell across.
+    """
 
     name = "bspline3"
     degree = 3
