@@ -62,10 +62,11 @@ def seed(
             number = np.arange(begin, min(begin + step, stop))
             index = np.stack(np.unravel_index(number, span[axes]), axis=1)[:, np.argsort(axes)]
             x = searched.position(index[:, None, :] + xi[None]).reshape(-1, grid.dim)
-            keep = _keep(x, inside, bounds)
-            sizes = np.repeat(searched.sizes(index), len(xi), axis=0)[keep]
+            keep = np.flatnonzero(_keep(x, inside, bounds))
+            cell, place = np.divmod(keep, len(xi))
+            sizes = searched.sizes(index[cell])
             found.append(x[keep])
-            volumes.append(np.tile(share, len(index))[keep] * np.prod(sizes, axis=1))
+            volumes.append(share[place] * np.prod(sizes, axis=1))
             halves.append(0.5 * sizes / per_cell)
     except InputError as e:
         error = e
