@@ -19,6 +19,7 @@ from .io.restart import load as load_restart
 from .io.restart import save as save_restart
 from .materials import Hencky, Material, MicropolarElastic, NeoHookean, UserEnergy
 from .problems.elements import QuasiStaticFEM
+from .problems.observer import Observer
 from .problems.points import PUBLISHED, QuasiStatic
 from .solvers.choice import register_solver
 from .solvers.newton import Controls
@@ -74,6 +75,7 @@ __all__ = [
     "Never",
     "NotConserved",
     "NotConverged",
+    "Observer",
     "Piece",
     "Plastic",
     "Points",

@@ -28,6 +28,7 @@ from ..terms.surfaces import SurfaceSupport
 from ..tools.parallel import together
 from ..tools.timing import Timer
 from .conditions import Conditions
+from .observer import Observer
 from .state import Fields, StateFields, choose_fields
 from .work import StepStart, step_work
 
@@ -38,12 +39,14 @@ class Problem(Conditions):
     Attributes:
         progress: load factor and number of steps of the last converged state.
         steps: converged steps so far.
+        observers: told what happens in the run, see `Observer`.
         timer: CPU seconds of this rank by phase.
     """
 
     def __init__(self, comm: MPI.Comm, points: Points, dim: int, controls: Controls | None):
         super().__init__(comm, points, dim)
         self.controls, self.timer = controls or Controls(), Timer()
+        self.observers: list[Observer] = []
         self.term_works: dict[str, float] = {}  # work (J) done against each term that is no load, by name
         self.steps: list[Step] = []
         self._fields = StateFields(comm)
@@ -272,8 +275,13 @@ class Problem(Conditions):
                 self.progress.carried_work += carried
                 self._equilibrium = system.nodes, system.residual, system.x[:, self.layout.dim :].copy()
                 self._last_x, self.progress.factor_change = self.points.x, factor - self.progress.factor
+                for observer in self.observers:
+                    observer.after_convergence(self, factor)
                 self._commit_terms(system, start.x)
+                base = self.progress.rotation_factor
                 self._commit(system, at_points, factor)
+                for observer in self.observers:
+                    observer.after_commit(self, self.progress.rotation_factor != base)
             else:
                 system.x = start.x
 
@@ -284,6 +292,10 @@ class Problem(Conditions):
         self.progress.ghost_work = self.term_works.get("ghost", 0.0)
         self.progress.term_work = sum(self.term_works.values()) - self.progress.ghost_work
         system.terms.commit(system.x)
+
+    def _tell_of_reset(self) -> None:
+        for observer in self.observers:
+            observer.after_reset(self)
 
     def _prescribed(self, nodes: Nodes) -> Prescribed:
         with self.timer("conditions"), together(self.comm):

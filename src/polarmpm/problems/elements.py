@@ -272,10 +272,10 @@ class QuasiStaticFEM(Problem):
         self.forms.flow(base)
         e.displacement = e.displacement + system.x[:, :d]
         self._last_loads = None if system.varying else system.loads  # others depend on the increments
-        self._rebase(system)
         g = self.progress
         g.factor, g.step = factor, g.step + 1
         g.reset_factor = g.rotation_factor = factor
+        self._rebase(system)
 
     @cached_property
     def _motion(self) -> Motion:
@@ -291,6 +291,7 @@ class QuasiStaticFEM(Problem):
             system.x = np.zeros_like(system.x)
             if self.terms:
                 system.put_pieces(self._pieces())
+            self._tell_of_reset()
 
     def kept(self) -> dict[str, np.ndarray]:
         """What is kept for each local quadrature point beside its state: rows (np, ...) by name."""

@@ -46,7 +46,6 @@ ASSEMBLIES = ("direct", "projection")
 _DISTORTED = WhenDistorted()
 # The papers' method, for what they publish: `QuasiStatic(grid, points, **PUBLISHED)`.
 PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": False}
-_ROTATION_LIMIT = 1.0  # rad; larger increments than this get a new base after a step
 
 
 @dataclass
@@ -73,6 +72,8 @@ class QuasiStatic(Problem):
     Attributes:
         grid: the background grid as of the last reset.
         initial_grid: the grid that was given; moving planes (see `plane`) stretch it.
+        rotation_limit: rotation increments that are larger than this (rad) somewhere get a new base after a
+            step.
         rows: arrays (np, ...) of the script's own by name, one row a local point. They follow the points when
             these move to other ranks at a reset, and into restart files.
 
@@ -134,6 +135,7 @@ class QuasiStatic(Problem):
             warn_of_locking(
                 points.materials, f"the functions of basis={self.basis.name!r}", "basis='bspline'"
             )
+        self.rotation_limit = 1.0
         self.balance = Balance(grid.comm, rebalance)
         self._conservation = Conservation(grid.comm)
         self.rows: dict[str, np.ndarray] = {}
@@ -221,7 +223,7 @@ class QuasiStatic(Problem):
         p.reset_due = self.policy.due(p.since_reset, increments.gradient, self.comm)
         if not p.reset_due and self.layout.rotations:
             largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
-            if self.comm.allreduce(largest, op=MPI.MAX) > _ROTATION_LIMIT:
+            if self.comm.allreduce(largest, op=MPI.MAX) > self.rotation_limit:
                 system.rebase_rotations()
                 for term in self.terms:
                     term.rebase_rotations()
@@ -244,30 +246,39 @@ class QuasiStatic(Problem):
         if old is not None and not p.reset_due and not self._stale:
             return old
         self._compile()
-        if old is None or p.reset_due:
-            grid = movinggrid.grid_at(self._moving, self.initial_grid, p.factor)
-            check_inside(grid, self.points)
-            self._put_grid(grid)
-            if self.balance.due():
-                with self.timer("migration"):
-                    self._migrate()
-            with self.timer("reset"):
-                interpolation = self._interpolate(None)
-            self._system = self._build(interpolation)
-            p.reset_due, p.since_reset = False, 0
-            p.reset_factor = p.rotation_factor = p.factor
-            if self.balanced_reset and p.step:
-                # not the loads of now: what was added since the last step is to be felt
-                self._system.set_loads(*(self._balanced or self._loads_at(p.factor)))
-                self._set_terms(p.factor, carrying=True)
-                self._system.carry_imbalance()
+        reset = old is None or p.reset_due
+        if old is None or reset:
+            self._system = self._reset()
         else:
             self._system = self._build(old.interpolation)
             self._system.x[:], self._system.carried[:] = old.x, old.carried
         if old is not None:
             old.destroy()
         self._stale = False
+        if reset:
+            self._tell_of_reset()
         return self._system
+
+    def _reset(self) -> LoadedPoints:
+        """The system of a new grid, from whose nodes increments count."""
+        p = self.progress
+        grid = movinggrid.grid_at(self._moving, self.initial_grid, p.factor)
+        check_inside(grid, self.points)
+        self._put_grid(grid)
+        if self.balance.due():
+            with self.timer("migration"):
+                self._migrate()
+        with self.timer("reset"):
+            interpolation = self._interpolate(None)
+        system = self._build(interpolation)
+        p.reset_due, p.since_reset = False, 0
+        p.reset_factor = p.rotation_factor = p.factor
+        if self.balanced_reset and p.step:
+            # not the loads of now: what was added since the last step is to be felt
+            system.set_loads(*(self._balanced or self._loads_at(p.factor)))
+            self._set_terms(p.factor, carrying=True)
+            system.carry_imbalance()
+        return system
 
     def _migrate(self, reference: Reference | None = None) -> Reference | None:
         """Deal the points out afresh, with all that is kept for each of them between steps, or between resets

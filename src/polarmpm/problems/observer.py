@@ -1,0 +1,26 @@
+"""Hooks into a run, for what watches it or goes along with it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class Observer:
+    """Told what happens in a run: derive from it, say what you want to hear, and append it to
+    `problem.observers`. All methods are collective, and must leave the problem as it is.
+
+    The decisions of a run can be replayed by another one: the reset policy (`reset=`) decides on resets,
+    `problem.rotation_limit` on new bases of the rotations, and the steps' load factors are in
+    `problem.steps`.
+    """
+
+    def after_reset(self, problem: Any) -> None:
+        """Increments count from the present state on: the grid has been reset, or, of elements, a step been
+        committed. `problem.system` is that of the steps to come."""
+
+    def after_convergence(self, problem: Any, factor: float) -> None:
+        """A step to a load factor has converged and been found acceptable: `problem.system` has its
+        increments, residual and tangent, the body still the state of the last step."""
+
+    def after_commit(self, problem: Any, rebased: bool) -> None:
+        """The solution has become the body's state; `rebased`: rotation increments count from it on."""
