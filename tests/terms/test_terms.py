@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import ufl
 
 import polarmpm as pm
 from tests.conftest import COMM, MICROPOLAR, NEO_HOOKEAN, beam, by_id
@@ -208,3 +209,45 @@ def test_a_reset_carries_along_what_it_may(carried):
     assert COMM.allreduce(float(np.abs(forces[free]).sum())) > 0
     expected = np.where(free, 0.0 if carried else forces, 0.0)
     np.testing.assert_allclose(np.where(free, system.residual[own], 0.0), expected, rtol=0, atol=1e-9)
+
+
+# a scene that nobody built the seam for ------------------------------------------------------------------
+class Floor(pm.SurfaceTerm):
+    """A rigid floor y = p.y: a penalty on what lies below it."""
+
+    def energy(self, at: Any, p: Any) -> Any:
+        depth = p.y - (at.X[1] + at.u[1])
+        return p.k / 2 * ufl.conditional(ufl.gt(depth, 0.0), depth, 0.0) ** 2
+
+
+@pytest.mark.parametrize("method", ["bspline", "projection", "elements"])
+def test_a_block_comes_to_rest_on_a_floor(method):
+    """Let down with its head it meets the floor 0.05 m below and is pressed onto it; then it is lifted off."""
+    gap, k, width = 0.05, 2e6, 2.0
+    if method == "elements":
+        elements = pm.Elements(box("quadrilateral", (6, 3), (width, 1.0)), material=NEO_HOOKEAN, degree=2)
+        problem: Any = pm.QuasiStaticFEM(elements)
+        foot: pm.Surface = elements.surface(pm.plane(y=0.0))
+    else:
+        grid = pm.Grid.box((0.0, -1.0), (width, 1.0), 0.25)
+        points = pm.seed(grid, material=NEO_HOOKEAN, points_per_cell=3, bounds=((0.0, 0.0), (width, 1.0)))
+        options = {"basis": "mpm", "assembly": method} if method == "projection" else {"basis": method}
+        problem = pm.QuasiStatic(grid, points, reset=None, **options)
+        foot = pm.Surface.line((0.0, 0.0), (width, 0.0), 16)
+    for side in (0.0, width):
+        problem.fix(pm.plane(x=side), ux=0)
+    head = problem.fix(pm.plane(y=1.0), uy=lambda t: -0.1 * t)
+    problem.add(Floor("floor", foot, {"k": k, "y": -gap}))
+    list(problem.march(4, progress=False))
+    forces = [problem.reaction(head)[0][1]]
+    # uniaxial strain: S(u) of the block in series with the floor's springs
+    lam, mu = NEO_HOOKEAN.lam, NEO_HOOKEAN.mu
+    sunk = -forces[0] / (k * width)
+    stretch = 1.0 - 0.1 + gap + sunk
+    stress = mu * (stretch - 1 / stretch) + lam * np.log(stretch) / stretch
+    np.testing.assert_allclose(forces[0], stress * width, rtol=1e-5)
+    np.testing.assert_allclose(problem.surfaces[0].u[:, 1], -gap - sunk, rtol=1e-6)
+    list(problem.march(4, to=0.0, progress=False))
+    forces.append(problem.reaction(head)[0][1])
+    assert abs(forces[1]) < 1e-8 * abs(forces[0])
+    np.testing.assert_allclose(problem.surfaces[0].u, 0.0, atol=1e-9)
