@@ -222,7 +222,7 @@ class Floor(pm.SurfaceTerm):
 
 @pytest.mark.parametrize("method", ["bspline", "projection", "elements"])
 def test_a_block_comes_to_rest_on_a_floor(method):
-    """Let down with its head it meets the floor 0.05 m below and is pressed onto it; then it is lifted off."""
+    """Let down with its head it meets the floor 0.05 m below, is pressed onto it, and lifted off."""
     gap, k, width = 0.05, 2e6, 2.0
     if method == "elements":
         elements = pm.Elements(box("quadrilateral", (6, 3), (width, 1.0)), material=NEO_HOOKEAN, degree=2)
@@ -230,7 +230,8 @@ def test_a_block_comes_to_rest_on_a_floor(method):
         foot: pm.Surface = elements.surface(pm.plane(y=0.0))
     else:
         grid = pm.Grid.box((0.0, -1.0), (width, 1.0), 0.25)
-        points = pm.seed(grid, material=NEO_HOOKEAN, points_per_cell=3, bounds=((0.0, 0.0), (width, 1.0)))
+        bounds = (0.0, 0.0), (width, 1.0)
+        points = pm.seed(grid, material=NEO_HOOKEAN, points_per_cell=3, bounds=bounds, layout="gauss")
         options = {"basis": "mpm", "assembly": method} if method == "projection" else {"basis": method}
         problem = pm.QuasiStatic(grid, points, reset=None, **options)
         foot = pm.Surface.line((0.0, 0.0), (width, 0.0), 16)
