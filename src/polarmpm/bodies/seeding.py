@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import InputError, PointsOutsideGrid
 from ..geometry.grid import Grid
 from ..materials.base import Material
-from ..tools.parallel import collectively
+from ..tools.parallel import raise_on_all_ranks
 from .partition import distribute
 from .points import Points
 
@@ -69,7 +69,7 @@ def seed(
             halves.append(0.5 * sizes / per_cell)
     except InputError as e:
         error = e
-    collectively(grid.comm, error)
+    raise_on_all_ranks(grid.comm, error)
     none = np.zeros((0, grid.dim))
     x, half = np.concatenate([none, *found]), np.concatenate([none, *halves])
     volume = np.concatenate([none[:, 0], *volumes])

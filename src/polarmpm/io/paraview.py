@@ -10,7 +10,7 @@ from mpi4py import MPI
 import numpy as np
 
 from ..geometry.cells import unit_corners
-from ..tools.parallel import collectively
+from ..tools.parallel import raise_on_all_ranks
 from .files import check_output, replace_file
 
 # dolfinx' nodes in VTK's order, by meshio's name of the cell: corners (in dolfinx with the first axis
@@ -106,7 +106,7 @@ class Collection:
                 write_vtu(self._piece(number, self.comm.rank), x, cells, point_data, cell_data, kind)
             except OSError as e:
                 error = e
-        collectively(self.comm, error)
+        raise_on_all_ranks(self.comm, error)
         has = self.comm.allgather(bool(len(cells)))
         self._entries[number] = time, [rank for rank, there in enumerate(has) if there]
         if self.comm.rank == 0:
@@ -114,7 +114,7 @@ class Collection:
                 replace_file(self.path, self._xml())
             except OSError as e:
                 error = e
-        collectively(self.comm, error)
+        raise_on_all_ranks(self.comm, error)
 
     def _piece(self, number: int, rank: int) -> Path:
         return self.folder / f"{self.path.stem}_{number:04d}_p{rank}.vtu"

@@ -25,7 +25,7 @@ from ..solvers.arclength import ArcSchedule, Path
 from ..solvers.newton import Controls, Outcome
 from ..solvers.stepping import Schedule, Step, march
 from ..terms.surfaces import SurfaceSupport
-from ..tools.parallel import together
+from ..tools.parallel import errors_on_all_ranks
 from ..tools.timing import Timer
 from .conditions import Conditions
 from .state import Fields, StateFields, choose_fields
@@ -119,7 +119,7 @@ class Problem(Conditions):
 
     def _prescribed_at(self, system: NodalSystem, factor: float) -> np.ndarray:
         p = self.progress
-        with together(self.comm):
+        with errors_on_all_ranks(self.comm):
             return system.prescribed.increments(factor, p.reset_factor, p.rotation_factor)
 
     def attempt(self, factor: float) -> Outcome:
@@ -175,7 +175,7 @@ class Problem(Conditions):
         """
         schedule = ArcSchedule(first, until, largest, smallest, to, steps, progress)
         system = self._prepare()
-        with together(self.comm):
+        with errors_on_all_ranks(self.comm):
             places = self._load_places()
         apart = [term.name for term in self.terms if not term.proportional]
         if apart:
@@ -286,7 +286,7 @@ class Problem(Conditions):
         system.terms.commit(system.x)
 
     def _prescribed(self, nodes: Nodes) -> Prescribed:
-        with self.timer("conditions"), together(self.comm):
+        with self.timer("conditions"), errors_on_all_ranks(self.comm):
             return Prescribed(nodes, self.supports, self.layout)
 
     # results --------------------------------------------------------------------------------------

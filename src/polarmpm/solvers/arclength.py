@@ -205,9 +205,9 @@ class Path:
         self.factor += growth
         self.put_load()
 
-    def retreat(self) -> bool:
+    def backtrack(self) -> bool:
         """Take back half of the last correction; False if there is none in this step."""
-        if not self.system.retreat():
+        if not self.system.backtrack():
             return False
         self.growth *= 0.5
         self.factor -= self.growth
@@ -250,8 +250,8 @@ def _stop_at(
 def _iterate(path: Path, controls: Controls, outcome: Outcome) -> None:
     system, tangent = path.system, True
     while True:
-        newton.evaluate(system, tangent, path.retreat)
-        force, energy = system.measures()
+        newton.evaluate(system, tangent, path.backtrack)
+        force, energy = system.convergence_measures()
         outcome.history.append((force, energy))
         if not math.isfinite(force) or force > controls.divergence:
             outcome.reason = f"diverged (force measure {force:.3g})"

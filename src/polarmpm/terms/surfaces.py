@@ -22,7 +22,7 @@ class Traction(SurfaceCondition):
     """A traction (N/m^2) and couple traction (N/m), dead and per undeformed area, or following the surface.
 
     Args:
-        follows: per current area, see `kinematics.measures.convected`.
+        follows: per current area, see `kinematics.tensors.convected`.
         share: a factor on both; 1 over the area where totals are given.
     """
 
