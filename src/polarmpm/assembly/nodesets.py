@@ -51,7 +51,9 @@ def reached_cells(grid: Grid, groups: Groups, basis: Basis) -> np.ndarray:
     """Lattice numbers, ascending, of the cells on which the groups' functions are weights."""
     lowest = grid.node_number(groups.node.reshape(-1, grid.dim))
     boxes = boxes_of(grid, basis.cells_of_groups(groups.count))
-    return np.unique(np.concatenate([lowest[:0], *((lowest[g][:, None] + box).ravel() for g, box in boxes)]))
+    cells = [(lowest[g][:, None] + box).ravel() for g, box in boxes]
+    reached: np.ndarray = np.unique(np.concatenate([lowest[:0], *cells]))
+    return reached
 
 
 def ownership_priorities(grid: Grid, groups: Groups, touched: np.ndarray) -> np.ndarray:

@@ -70,7 +70,8 @@ class LoadedPoints(NodalSystem):
         return elastic and self.couple_kernel is None and self.terms.symmetric
 
     def weak_nodes(self) -> np.ndarray:
-        return self.node_volumes()[: self.nodes.owned] < _WEAK * np.prod(self.length)
+        weak: np.ndarray = self.node_volumes()[: self.nodes.owned] < _WEAK * np.prod(self.length)
+        return weak
 
     def node_volumes(self) -> np.ndarray:
         return self.interpolation.spread(self.interpolation.points.volume0[:, None])[:, 0]
@@ -214,7 +215,8 @@ class PointSystem(LoadedPoints):
             raise MemoryError("no memory for the sums over material points")
 
     def diagonal(self) -> np.ndarray:
-        return self.pattern.values[self.pattern.diagonal].reshape(-1, self.layout.block)
+        diagonal: np.ndarray = self.pattern.values[self.pattern.diagonal].reshape(-1, self.layout.block)
+        return diagonal
 
     def solve(self, right: np.ndarray, fresh: bool, accuracy: float) -> np.ndarray:
         if fresh:

@@ -152,7 +152,8 @@ class NodalSystem(ABC):
 
     def positions(self) -> np.ndarray:
         """Current positions (nodes, d) (m)."""
-        return self.nodes.position + self.x[:, : self.layout.dim]
+        x: np.ndarray = self.nodes.position + self.x[:, : self.layout.dim]
+        return x
 
     def is_large(self) -> bool:
         """Whether `solver="auto"` takes multigrid. Collective."""
@@ -183,7 +184,8 @@ class NodalSystem(ABC):
         self.nodes.add_to_owners(forces)
         before = self.external
         self.external = self.with_terms(before)
-        return forces + (before - self.external)
+        residual: np.ndarray = forces + (before - self.external)
+        return residual
 
     def with_terms(self, loads: np.ndarray) -> np.ndarray:
         """Loads (nodes, block) and those of the terms. Collective."""
@@ -191,7 +193,8 @@ class NodalSystem(ABC):
             return loads
         of_terms = self.terms.forces(self.x, lambda piece: piece.external)
         self.nodes.add_to_owners(of_terms)
-        return loads - of_terms
+        with_them: np.ndarray = loads - of_terms
+        return with_them
 
     def lifted_by_terms(self, lift: np.ndarray) -> np.ndarray:
         """Tangents of the terms times a lift (nodes, block), on this rank."""

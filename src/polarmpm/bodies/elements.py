@@ -255,15 +255,16 @@ class Elements:
         weights = self.points.volume0.reshape(shape)
         weights = weights / weights.sum(axis=1, keepdims=True)
         values = np.asarray(values)
-        return np.einsum("cq,cq...->c...", weights, values.reshape(*shape, *values.shape[1:]))
+        means: np.ndarray = np.einsum("cq,cq...->c...", weights, values.reshape(*shape, *values.shape[1:]))
+        return means
 
     def mean_displacement(self, facets: Facets | None = None) -> np.ndarray:
         """Mean displacement (m) over facets, shape (d,). Collective."""
         return self.mean(self.displacement, facets)
 
 
-def _mask(mask: Any, n: int) -> np.ndarray:
-    mask = np.asarray(mask)
+def _mask(values: Any, n: int) -> np.ndarray:
+    mask: np.ndarray = np.asarray(values)
     if mask.shape != (n,) or mask.dtype != bool:
         raise InputError(f"predicate: returned {mask.dtype} {mask.shape}; a bool for each position is needed")
     return mask

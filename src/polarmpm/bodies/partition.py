@@ -41,7 +41,8 @@ def bisect(comm: MPI.Comm, index: np.ndarray, weight: np.ndarray, ranks: int | N
         part = 2 * part + (key >= cut[part])
         start = np.stack([start, start + half], axis=1).ravel()
         count = np.stack([half, count - half], axis=1).ravel()
-    return start[part]
+    rank: np.ndarray = start[part]
+    return rank
 
 
 def _order(comm: MPI.Comm, index: np.ndarray, part: np.ndarray, parts: int) -> tuple[np.ndarray, np.ndarray]:
@@ -152,7 +153,8 @@ class LoadShares:
         if self.comm.size == 1 or self.limit is None:
             return False
         s = self.shares
-        return s.work > self.limit * s.best_work or s.ghosts > self.limit * s.best_ghosts
+        worse: bool = s.work > self.limit * s.best_work or s.ghosts > self.limit * s.best_ghosts
+        return worse
 
     def distributed(self) -> None:
         """Take note that the points have been distributed."""

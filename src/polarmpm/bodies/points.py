@@ -115,13 +115,15 @@ class Points:
     @property
     def total(self) -> int:
         """Number of points of all ranks. Collective."""
-        return self.comm.allreduce(len(self))
+        total: int = self.comm.allreduce(len(self))
+        return total
 
     # state --------------------------------------------------------------------------------------
     @property
     def displacement(self) -> np.ndarray:
         """x - X (m), vector."""
-        return self.x - self.X
+        u: np.ndarray = self.x - self.X
+        return u
 
     @property
     def rotation_vector(self) -> np.ndarray:
@@ -131,7 +133,8 @@ class Points:
     @property
     def volume(self) -> np.ndarray:
         """Current volume V0 J (m^3), scalar."""
-        return self.volume0 * rotations.determinant(self.F)
+        volume: np.ndarray = self.volume0 * rotations.determinant(self.F)
+        return volume
 
     @property
     def stretch(self) -> np.ndarray:
@@ -289,4 +292,5 @@ class Points:
 
     def mean_displacement(self, selection: Selection | None = None) -> np.ndarray:
         """Mean displacement (m) of a selection, shape (d,). Collective."""
-        return self.mean(self.displacement, selection)
+        mean: np.ndarray = self.mean(self.displacement, selection)
+        return mean

@@ -126,7 +126,8 @@ def _keep(x: np.ndarray, inside: Inside | None, bounds: Any) -> np.ndarray:
     if inside is None:
         if bounds is None:
             return np.ones(len(x), dtype=bool)
-        return np.all((x >= np.asarray(bounds[0])) & (x <= np.asarray(bounds[1])), axis=1)
+        within: np.ndarray = np.all((x >= np.asarray(bounds[0])) & (x <= np.asarray(bounds[1])), axis=1)
+        return within
     mask = np.asarray(inside(x))
     if mask.shape != (len(x),) or mask.dtype != bool:
         raise InputError(f"inside: returned {mask.dtype} {mask.shape}; a bool for each point is needed")

@@ -107,7 +107,8 @@ class BodyMesh:
     def midpoints(self, cells: np.ndarray) -> np.ndarray:
         """Mean of the nodes (n, d) of local cells."""
         nodes = compat.cell_geometry(self.mesh)[cells]
-        return self.mesh.geometry.x[nodes][:, :, : self.dim].mean(axis=1)
+        centre: np.ndarray = self.mesh.geometry.x[nodes][:, :, : self.dim].mean(axis=1)
+        return centre
 
     def group(self, name: str | int, dim: int) -> int:
         """Tag of a physical group of `dim` dimensions.

@@ -41,7 +41,8 @@ def padded(vectors: np.ndarray) -> np.ndarray:
 def box_corners(centre: np.ndarray, half_length: np.ndarray) -> np.ndarray:
     """Corners (n, 2^d, d) of boxes, the first axis running fastest."""
     sign = 2 * unit_corners(centre.shape[1]) - 1
-    return centre[:, None] + sign * half_length[:, None]
+    corners: np.ndarray = centre[:, None] + sign * half_length[:, None]
+    return corners
 
 
 def write_vtu(
@@ -127,4 +128,5 @@ class Collection:
                 file = self._piece(number, rank).relative_to(self.path.parent).as_posix()
                 ET.SubElement(sets, "DataSet", timestep=repr(time), part=str(rank), file=file)
         ET.indent(root)
-        return ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
+        text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+        return text + b"\n"

@@ -169,5 +169,8 @@ def _read(file: h5py.File, name: str, comm: MPI.Comm) -> np.ndarray:
     data, counts = file[name], file[f"counts/{name}"][:]
     if len(counts) == comm.size:
         start = int(counts[: comm.rank].sum())
-        return data[start : start + int(counts[comm.rank])]
-    return data[len(data) * comm.rank // comm.size : len(data) * (comm.rank + 1) // comm.size]
+        end = start + int(counts[comm.rank])
+    else:
+        start, end = len(data) * comm.rank // comm.size, len(data) * (comm.rank + 1) // comm.size
+    rows: np.ndarray = data[start:end]
+    return rows

@@ -262,7 +262,8 @@ def _boxes(x: np.ndarray, F: np.ndarray, half_length: np.ndarray, straight: bool
     if not straight:
         d = x.shape[1]
         edges = np.einsum("pij,pkj->pki", F[:, :d, :d], edges)
-    return x[:, None] + edges
+    corners: np.ndarray = x[:, None] + edges
+    return corners
 
 
 class _Body:
@@ -277,7 +278,8 @@ class _Body:
     def span(self) -> np.ndarray:
         """Size of the space that both states take."""
         both = np.concatenate([self.initial, self.corners]).reshape(-1, self.dim)
-        return np.ptp(both, axis=0)
+        size: np.ndarray = np.ptp(both, axis=0)
+        return size
 
     def outer_faces(self) -> tuple[np.ndarray, np.ndarray]:
         """Point and number of the faces that no other undeformed box has.

@@ -221,7 +221,7 @@ class Problem(Conditions):
         system.x = start
         before = self._increments(system).value[:, :d]
         system.x = end
-        moved = self._increments(system).value[:, :d] - before
+        moved: np.ndarray = self._increments(system).value[:, :d] - before
         system.x = x
         return moved
 
@@ -256,7 +256,8 @@ class Problem(Conditions):
             found.append(system.terms.forces(system.x, lambda piece: True))
         two, one, zero = found
         check_linear(self.comm, [term.name for term in self.terms], zero, one, two)
-        system.nodes.add_to_owners(growth := one - zero)
+        growth: np.ndarray = one - zero
+        system.nodes.add_to_owners(growth)
         return growth
 
     def _finish(self, system: NodalSystem, start: StepStart, outcome: Outcome, factor: float) -> None:
@@ -307,7 +308,8 @@ class Problem(Conditions):
 
     def energy(self) -> float:
         """Strain energy of the body (J)."""
-        return self.comm.allreduce(float(self.fields("energy").energy @ self.points.volume0))
+        energy: float = self.comm.allreduce(float(self.fields("energy").energy @ self.points.volume0))
+        return energy
 
     def energies(self) -> dict[str, float]:
         """Energy balance of the run so far, in J (J per unit thickness in plane strain).

@@ -157,7 +157,8 @@ class Path:
 
     @property
     def increment(self) -> np.ndarray:
-        return self.system.x - self.start
+        increment: np.ndarray = self.system.x - self.start
+        return increment
 
     def put_load(self) -> None:
         """Put the load of the present factor into the system."""
@@ -165,7 +166,8 @@ class Path:
 
     def excess(self) -> float:
         """(length / s)^2 - 1."""
-        return self.inner(self.increment, self.increment) / self.size - 1.0
+        excess: float = self.inner(self.increment, self.increment) / self.size - 1.0
+        return excess
 
     def predict(self, controls: Controls, outcome: Outcome) -> None:
         """Along the tangent, with what the state at the start relaxes; if that is much of the step, relax it

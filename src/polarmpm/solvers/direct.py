@@ -184,6 +184,10 @@ class DirectSolver:
         return False
 
     # solution -------------------------------------------------------------------------------------
+    def _solution(self) -> np.ndarray:
+        values: np.ndarray = self.solution.array.copy()
+        return values
+
     def solve(self, rhs: np.ndarray, accuracy: float = ACCURACY) -> np.ndarray:
         """Solve for the owned unknowns, (n,) -> (n,): with a factor of this tangent to `ACCURACY`, with an
         older one to `accuracy`. Collective.
@@ -194,13 +198,13 @@ class DirectSolver:
         self.rhs.array[:] = rhs
         if self._old:
             if self._solve_with_old(accuracy):
-                return self.solution.array.copy()
+                return self._solution()
             self._factor()
         while True:
             assert self._solver is not None
             self._solver.solve(self.rhs, self.solution)
             if self._solver.getConvergedReason() > 0:
-                return self.solution.array.copy()
+                return self._solution()
             self._release_solver()
             self._fall_back("the linear system could not be solved")
             self._factor()

@@ -310,7 +310,8 @@ class MultigridSolver:
             raise SingularTangent("the residual has entries that are not finite")
         while not self._to_direct:
             if self._iterate(rhs, accuracy):
-                return self.solution.array * self._scale.array
+                solution: np.ndarray = self.solution.array * self._scale.array
+                return solution
             self._fall_back()
         assert self._direct is not None
         return self._direct.solve(rhs, accuracy)

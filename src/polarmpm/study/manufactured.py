@@ -89,7 +89,8 @@ class Solution:
         u, theta, stress, couple_stress = self.fields(p.X)
 
         def size(a: np.ndarray) -> np.ndarray:
-            return np.sqrt(np.sum(a**2, axis=tuple(range(1, a.ndim))))
+            norms: np.ndarray = np.sqrt(np.sum(a**2, axis=tuple(range(1, a.ndim))))
+            return norms
 
         values = {
             "displacement": size(p.displacement - u),

@@ -54,7 +54,8 @@ class Boxes:
 
     def numbers(self, grid: Grid) -> np.ndarray:
         """Lattice numbers of the nodes (m, n)."""
-        return self.lowest[:, None] + self.offsets @ grid.strides
+        numbers: np.ndarray = self.lowest[:, None] + self.offsets @ grid.strides
+        return numbers
 
     def rows(self, nodes: ActiveNodes) -> np.ndarray:
         """Local rows of the nodes (m, n)."""
