@@ -1,9 +1,9 @@
 """Which method gives an error in the least time: material points, splines or finite elements?
 
-The curved cantilever (P 4.4, T 3.5.4) by all methods on ladders of cell sizes, each run in a process of its
+The curved cantilever (P 4.4, T 3.5.4) by all methods with several cell sizes, each run in a process of its
 own, with errors against the classical beam solution, as published, and against the converged micropolar
 solution; then the orders of convergence in the manufactured solution (P 4.1, T 3.5.1). Writes tables and
-figures. `--full` adds finer rungs, other numbers of points and other positions in the grid.
+figures. `--full` adds finer cells, other numbers of points and other positions in the grid.
 """
 
 import argparse
@@ -134,16 +134,16 @@ def size(along, across):
     return f"{along} x {across} x {across}"
 
 
-def cantilever_ladder(full):
-    """Rungs of the curved cantilever."""
+def cantilever_discretisations(full):
+    """Discretisations of the curved cantilever."""
     elements = {
         1: [(64, 1), (128, 2), (256, 4)] + [(384, 6)] * full,
         2: [(8, 1), (16, 1), (32, 1), (64, 1), (32, 2), (64, 2)] + [(64, 4)] * full,
     }
-    cells, rungs = [2.0, 1.0, 0.5], []
+    cells, discretisations = [2.0, 1.0, 0.5], []
 
     def add(method, label, h, build, **arguments):
-        rungs.append(study.Rung(method, label, h, build, arguments, STEPS, adaptive=True))
+        discretisations.append(study.Discretisation(method, label, h, build, arguments, STEPS, adaptive=True))
 
     for degree, sizes in elements.items():
         for along, across in sizes:
@@ -154,22 +154,22 @@ def cantilever_ladder(full):
             add(basis.upper(), f"{cell:g} m", cell, material_points, cell=cell, basis=basis)
     for cell, side in [(8.0, 1.0), (4.0, 1.0), (2.0, 0.5), (1.0, 0.5), (0.5, 0.25)]:
         add("B-splines", f"{cell:g} m", cell, splines, cell=cell, side=side)
-    return rungs
+    return discretisations
 
 
 def variants():
     """Standard material points again: other numbers of points, other positions of the arch in the grid."""
-    rungs = []
+    variants = []
     for cell in (2.0, 1.0, 0.5):
         for number in (3, 6):
             arguments = {"cell": cell, "basis": "mpm", "points_per_cell": number}
-            rungs.append((f"MPM, {number}³ points", cell, arguments))
+            variants.append((f"MPM, {number}³ points", cell, arguments))
         for centre, bottom in POSITIONS:
             arguments = {"cell": cell, "basis": "mpm", "centre": centre, "bottom": bottom}
-            rungs.append((f"MPM, arch at y = {centre:g}, z = {bottom:g} m", cell, arguments))
+            variants.append((f"MPM, arch at y = {centre:g}, z = {bottom:g} m", cell, arguments))
     return [
-        study.Rung(method, f"{cell:g} m", cell, material_points, arguments, STEPS, adaptive=True)
-        for method, cell, arguments in sorted(rungs, key=lambda r: r[0])
+        study.Discretisation(method, f"{cell:g} m", cell, material_points, arguments, STEPS, adaptive=True)
+        for method, cell, arguments in sorted(variants, key=lambda r: r[0])
     ]
 
 
@@ -202,23 +202,23 @@ def cube_of_elements(cells, degree):
     return study.Case(problem, lambda: list(exact.errors(problem).values()))
 
 
-def cube_ladder(full):
-    """Rungs of the manufactured solution.
+def cube_discretisations(full):
+    """Discretisations of the manufactured solution.
 
     On 2³ cells the wave vanishes at all nodes, and where Gauss points meet its crests the exact couple stress
     is zero, so that no error can be related to it.
     """
     points = {"basis": "mpm", "points_per_cell": 2}
     smooth = {"basis": "bspline", "points_per_cell": 3}
-    ladder = {
+    methods = {
         "FEM, degree 1": (cube_of_elements, {"degree": 1}, [4, 8] + [16] * full),
         "FEM, degree 2": (cube_of_elements, {"degree": 2}, [4, 8] + [12] * full),
         "MPM": (cube_of_points, points, [4, 8] + [16] * full),
         "B-splines": (cube_of_points, smooth, [4, 8] + [16] * full),
     }
     return [
-        study.Rung(method, f"{n}³", 1 / n, build, {"cells": n, **arguments}, steps=1)
-        for method, (build, arguments, sizes) in ladder.items()
+        study.Discretisation(method, f"{n}³", 1 / n, build, {"cells": n, **arguments}, steps=1)
+        for method, (build, arguments, sizes) in methods.items()
         for n in sizes
     ]
 
@@ -252,7 +252,7 @@ def write(folder, cantilever, others, cube):
 
 def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--full", action="store_true", help="finer rungs and variants; half an hour")
+    parser.add_argument("--full", action="store_true", help="finer cells and variants; half an hour")
     parser.add_argument("--redraw", action="store_true", help="tables and figures anew from the CSV files")
     parser.add_argument("--output", type=Path, default=Path("results/mpm_versus_fem"), metavar="DIR")
     parser.add_argument("--json", action="store_true", help="last line of output is one JSON object")
@@ -265,9 +265,9 @@ def main(argv=None):
     else:
         exact = {name: operator.itemgetter(k) for k, name in enumerate(FIELDS)}
         rows = {
-            "": study.run(cantilever_ladder(args.full), REFERENCES, record=show),
+            "": study.run(cantilever_discretisations(args.full), REFERENCES, record=show),
             "_variants": study.run(variants(), REFERENCES, record=show) if args.full else [],
-            "_orders": study.run(cube_ladder(args.full), exact, record=show),
+            "_orders": study.run(cube_discretisations(args.full), exact, record=show),
         }
     write(args.output, *rows.values())
     if args.json:

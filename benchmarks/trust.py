@@ -84,9 +84,9 @@ def end_layers(points, centre, along, number):
 
 
 # the map ------------------------------------------------------------------------------------------
-def reset_rungs(quick):
+def reset_discretisations(quick):
     """End displacement over the number of resets, let go and carried along."""
-    rungs = []
+    discretisations = []
     kinds = [("uniform", "mpm"), ("uniform", "gimpm"), ("fitted", "bspline")]
     for (seeding, basis), balanced in [(k, b) for k in kinds for b in (False, True)]:
         method = f"{WEIGHT[basis]}, {'carried' if balanced else 'let go'}"
@@ -94,17 +94,19 @@ def reset_rungs(quick):
             steps = max(15, resets)
             arguments = {"basis": basis, "steps": steps, "resets": resets, "balanced": balanced}
             build = uniform if seeding == "uniform" else fitted
-            rungs.append(study.Rung(method, f"{resets} resets", 1.0, build, arguments, steps, adaptive=True))
-    return rungs
+            discretisations.append(
+                study.Discretisation(method, f"{resets} resets", 1.0, build, arguments, steps, adaptive=True)
+            )
+    return discretisations
 
 
-def other_rungs(quick):
+def other_discretisations(quick):
     """Load steps without resets, cell sizes, points and positions."""
-    rungs = []
+    discretisations = []
 
     def add(method, label, h, build, **arguments):
         steps = arguments.get("steps", 15)
-        rungs.append(study.Rung(method, label, h, build, arguments, steps, adaptive=True))
+        discretisations.append(study.Discretisation(method, label, h, build, arguments, steps, adaptive=True))
 
     for basis in ("mpm", "gimpm"):
         name = WEIGHT[basis]
@@ -135,13 +137,15 @@ def other_rungs(quick):
         for steps in (15, 30, 60):
             method, arguments = f"FEM, degree {degree}", {"along": along, "across": 1, "degree": degree}
             label = f"{along} x 1 x 1, {steps} steps"
-            rungs.append(study.Rung(method, label, 1.0, finite_elements, arguments, steps, adaptive=True))
-    return rungs
+            discretisations.append(
+                study.Discretisation(method, label, 1.0, finite_elements, arguments, steps, adaptive=True)
+            )
+    return discretisations
 
 
-def recommended_rungs(quick):
+def recommended_discretisations(quick):
     """The recommended settings, and the same with a reset after every step at the ends of the ranges."""
-    rungs = []
+    discretisations = []
     for resets, method in ((0, "recommended"), (None, "reset every step")):
         for centre, bottom in POSITIONS:
             for steps in (15, 30, 60):
@@ -154,8 +158,10 @@ def recommended_rungs(quick):
                     arguments |= {"basis": "bspline", "resets": steps if resets is None else 0}
                     arguments |= {"balanced": True}
                     label = f"y = {centre:g}, z = {bottom:g} m, {steps} steps, {number}³ points"
-                    rungs.append(study.Rung(method, label, 1.0, fitted, arguments, steps, adaptive=True))
-    return rungs
+                    discretisations.append(
+                        study.Discretisation(method, label, 1.0, fitted, arguments, steps, adaptive=True)
+                    )
+    return discretisations
 
 
 # results ------------------------------------------------------------------------------------------
@@ -210,7 +216,11 @@ def draw(resets, recommended, file):
 
 
 def main():
-    groups = {"resets": reset_rungs, "settings": other_rungs, "recommended": recommended_rungs}
+    groups = {
+        "resets": reset_discretisations,
+        "settings": other_discretisations,
+        "recommended": recommended_discretisations,
+    }
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer settings")
     parser.add_argument(

@@ -65,11 +65,11 @@ def main(argv=None):
             "--coarsest": {"type": float, "default": 1 / 4, "help": "first cell size, halved down to --cell"}
         },
     )
-    ladder = [round(1 / args.coarsest)]
-    while ladder[-1] < round(1 / args.cell):
-        ladder.append(2 * ladder[-1])
+    sizes = [round(1 / args.coarsest)]
+    while sizes[-1] < round(1 / args.cell):
+        sizes.append(2 * sizes[-1])
     errors, histories = [], []
-    for cells in ladder:
+    for cells in sizes:
         problem, found = solve(cells, args)
         errors.append(found)
         histories.append([list(measures) for measures in problem.steps[-1].history])
@@ -81,17 +81,17 @@ def main(argv=None):
         folder / "manufactured.pvd", problem, fields=("displacement", "rotation", "stress"), initial=False
     ) as record:
         record(problem.steps[-1])
-    draw(ladder, errors, histories, folder / "convergence.png", problem.comm)
-    result = {"cells": ladder, "errors": errors, "orders": orders, "history": histories}
+    draw(sizes, errors, histories, folder / "convergence.png", problem.comm)
+    result = {"cells": sizes, "errors": errors, "orders": orders, "history": histories}
     return demo.report(args, "manufactured_solution", problem, result, coarsest=args.coarsest)
 
 
-def draw(ladder, errors, histories, path, comm):
+def draw(sizes, errors, histories, path, comm):
     """Errors over cell size, and the Newton residuals of every grid."""
     from polarmpm.plot import figures as plot
 
     figure, (left, right) = plot.subplots(1, 2, figsize=(10, 4.2))
-    h = 1 / np.array(ladder)
+    h = 1 / np.array(sizes)
     for name, marker in zip(errors[0], "os^d", strict=True):
         left.loglog(h, [e[name] for e in errors], marker + "-", label=name.replace("_", " "))
     for order, style in ((1, ":"), (2, "--")):
@@ -105,7 +105,7 @@ def draw(ladder, errors, histories, path, comm):
     left.set_xlabel("cell size (m)")
     left.set_ylabel("L1 error (m, rad; stresses relative)")
     left.legend(fontsize=8)
-    for cells, history in zip(ladder, histories, strict=True):
+    for cells, history in zip(sizes, histories, strict=True):
         right.semilogy([max(f, 1e-17) for f, _ in history], "o-", label=f"{cells}³ cells")
     right.set_xlabel("iteration")
     right.set_ylabel("normalised out-of-balance force")

@@ -194,7 +194,7 @@ def test_prescribed_increments_load_the_free_unknowns(dim):
     lifts = [collected(s, s.step.lifted)[~fixed] for s in (projected, direct)]
     close(*lifts)
     for system in both:
-        system.advance(fresh=True)
+        system.update(fresh=True)
         assert not system.pending()
     close(collected(projected, projected.x), collected(direct, direct.x), 1e-9)
 

@@ -33,7 +33,7 @@ def test_one_and_two_cells_are_bernstein_and_half_open():
         grid = pm.Grid.box((0, 0), (cells, cells), 1.0)
         at = np.stack([x, x + cells - 1], axis=1)
         w = SPLINES.weights(grid, at, np.zeros_like(at))
-        np.testing.assert_array_equal(w.first, np.broadcast_to([0, cells - 1], w.first.shape))
+        np.testing.assert_array_equal(w.lowest, np.broadcast_to([0, cells - 1], w.lowest.shape))
         np.testing.assert_allclose(w.table[:, 0, 0], lower, atol=1e-14)
         np.testing.assert_allclose(w.table[:, 1, 0], upper, atol=1e-14)
 
@@ -46,7 +46,7 @@ def test_functions_are_smooth_across_planes(cells):
     def dense(x: float) -> np.ndarray:
         w = SPLINES.weights(grid, np.array([[x, 0.5]]), np.zeros((1, 2)))
         out = np.zeros((2, cells + 2))
-        out[:, w.first[0, 0] : w.first[0, 0] + 3] = w.table[0, 0]
+        out[:, w.lowest[0, 0] : w.lowest[0, 0] + 3] = w.table[0, 0]
         return out
 
     for k in range(1, cells):

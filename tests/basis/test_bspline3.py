@@ -77,7 +77,7 @@ def dense(grid: pm.Grid, x: np.ndarray) -> np.ndarray:
     w = CUBIC.weights(grid, x)
     out = np.zeros((len(x), 2, grid.shape[0] + 3))
     for p in range(len(x)):
-        out[p, :, w.first[p, 0] : w.first[p, 0] + 4] = w.table[p, 0]
+        out[p, :, w.lowest[p, 0] : w.lowest[p, 0] + 4] = w.table[p, 0]
     return out
 
 

@@ -51,7 +51,7 @@ def mean_of_tent(x: float, L: float, l: float) -> tuple[float, float]:
 def one_axis(w: Weights, p: int, axis: int) -> dict[int, tuple[float, float]]:
     """Lattice index -> (weight, gradient) of a point in one direction."""
     return {
-        int(w.first[p, axis]) + k: (w.table[p, axis, 0, k], w.table[p, axis, 1, k])
+        int(w.lowest[p, axis]) + k: (w.table[p, axis, 0, k], w.table[p, axis, 1, k])
         for k in range(w.count[p, axis])
     }
 
@@ -66,7 +66,7 @@ def nodal(grid: pm.Grid, w: Weights, p: int, basis: str = "mpm") -> tuple[np.nda
     gradient = np.stack(
         [np.prod([w.table[p, i, int(i == j), index[:, i]] for i in axes], axis=0) for j in axes], axis=1
     )
-    return basis_of(basis).positions(grid, grid.node_number(w.first[p] + index)), value, gradient
+    return basis_of(basis).positions(grid, grid.node_number(w.lowest[p] + index)), value, gradient
 
 
 def random_points(grid: pm.Grid, largest: float, n: int = 200) -> tuple[np.ndarray, np.ndarray]:
@@ -159,7 +159,7 @@ def test_gradient_is_the_derivative_of_the_weight(basis):
     for axis in range(2):
         shift = np.eye(2)[axis] * h
         up, down = (weights(basis, grid, x + s * shift, half) for s in (1, -1))
-        assert np.all(up.first[smooth] == w.first[smooth])
+        assert np.all(up.lowest[smooth] == w.lowest[smooth])
         difference = (up.table[smooth, axis, 0] - down.table[smooth, axis, 0]) / (2 * h)
         np.testing.assert_allclose(difference, w.table[smooth, axis, 1], atol=1e-8)
 
@@ -172,7 +172,7 @@ def test_tiny_domains_are_standard_mpm(length):
     x = np.concatenate([x, special_places(grid)])
     tiny = weights("gimpm", grid, x, np.full_like(x, length))
     standard = weights("mpm", grid, x, np.full_like(x, 0.3))
-    np.testing.assert_array_equal(tiny.first, standard.first)
+    np.testing.assert_array_equal(tiny.lowest, standard.lowest)
     np.testing.assert_array_equal(tiny.count, standard.count)
     np.testing.assert_allclose(tiny.table, standard.table, atol=1e-8)
 
@@ -183,8 +183,8 @@ def test_standard_weights_stay_in_one_cell():
     x = np.concatenate([random_points(grid, 0.5)[0], special_places(grid)])
     w = weights("mpm", grid, x, np.ones_like(x))
     assert np.all(w.count == 2)
-    assert np.all(w.first >= 0)
-    assert np.all(w.first + 1 <= np.array(grid.shape))
+    assert np.all(w.lowest >= 0)
+    assert np.all(w.lowest + 1 <= np.array(grid.shape))
 
 
 def test_spline_weights_belong_to_the_cell():
@@ -193,7 +193,7 @@ def test_spline_weights_belong_to_the_cell():
     x = np.concatenate([random_points(grid, 0.5)[0], special_places(grid)])
     w = weights("bspline", grid, x, np.ones_like(x))
     assert np.all(w.count == 3)
-    np.testing.assert_array_equal(w.first, grid.cells_of(x))
+    np.testing.assert_array_equal(w.lowest, grid.cells_of(x))
     numbers, value = w.products(grid)
     position = basis_of("bspline").positions(grid, numbers.ravel()).reshape(*numbers.shape, 3)
     np.testing.assert_allclose(np.einsum("nk,nkd->nd", value, position), x, atol=1e-12)
@@ -205,7 +205,7 @@ def test_domain_that_ends_on_a_plane_stays_in_its_cell():
     for noise in (0.0, 1e-13, -1e-13):
         x = np.array([[0.325, 0.975]]) + noise
         w = weights("gimpm", grid, x, np.array([[0.025, 0.025]]))
-        np.testing.assert_array_equal(w.first, [[3, 9]])
+        np.testing.assert_array_equal(w.lowest, [[3, 9]])
         np.testing.assert_array_equal(w.count, [[2, 2]])
 
 
@@ -214,7 +214,7 @@ def test_domains_beyond_the_wall():
     grid = pm.Grid.box((0, 0), (2, 2), 1.0)
     x = np.array([[0.1, 1.9]])
     w = weights("gimpm", grid, x, np.array([[0.4, 0.4]]))
-    np.testing.assert_array_equal(w.first, [[-1, 1]])
+    np.testing.assert_array_equal(w.lowest, [[-1, 1]])
     np.testing.assert_array_equal(w.count, [[3, 3]])
     position, value, _ = nodal(grid, w, 0)
     np.testing.assert_allclose(value @ position, x[0], atol=1e-14)

@@ -1,6 +1,6 @@
-"""Points dealt out to ranks: fair and compact pieces; points that move take all of their state along.
+"""Points distributed to ranks: fair and compact pieces; points that move take all of their state along.
 
-This file is also the script that the ranks run: `mpirun -n 2 python test_balance.py CASE OUTPUT`.
+This file is also the script that the ranks run: `mpirun -n 2 python test_partition.py CASE OUTPUT`.
 """
 
 from __future__ import annotations
@@ -239,7 +239,7 @@ def shuffle(patch: Callable[[Any, str, Any], None]) -> list[int]:
         return Way(order, points.migrate(to))
 
     patch(pointproblem, "distribute", distribute)
-    patch(partition.Balance, "due", lambda self: True)
+    patch(partition.LoadShares, "due", lambda self: True)
     return gone
 
 
@@ -418,7 +418,7 @@ def test_points_that_a_run_loses_stop_it(monkeypatch):
         return points.migrate(np.full(len(points), COMM.rank))
 
     monkeypatch.setattr(pointproblem, "distribute", distribute)
-    monkeypatch.setattr(partition.Balance, "due", lambda self: True)
+    monkeypatch.setattr(partition.LoadShares, "due", lambda self: True)
     with pytest.raises(pm.NotConserved, match="moved between ranks"):
         march(problem, 1)
 
@@ -470,36 +470,37 @@ def test_bad_limits(bad):
 def test_limit(monkeypatch):
     """Due at first, then when work or ghosts have grown by the limit."""
     points, nodes = by_points(cone()).points, cantilever().system_at(0.0).nodes
-    balance = partition.Balance(COMM, 1.2)
+    load_shares = partition.LoadShares(COMM, 1.2)
     if COMM.size == 1:
-        balance.built(points, nodes)
-        assert not balance.due()
+        load_shares.built(points, nodes)
+        assert not load_shares.due()
         return
-    assert balance.due()
-    balance.dealt()
-    assert not balance.due()
-    balance.built(points, nodes)
-    assert not balance.due()
+    assert load_shares.due()
+    load_shares.distributed()
+    assert not load_shares.due()
+    load_shares.built(points, nodes)
+    assert not load_shares.due()
     before = COMM.allgather(len(points) + 8 * nodes.owned)
-    assert balance.shares.work == balance.shares.best_work == pytest.approx(max(before) / np.mean(before))
+    shares = load_shares.shares
+    assert shares.work == shares.best_work == pytest.approx(max(before) / np.mean(before))
     ghosts = COMM.allreduce(len(nodes) - nodes.owned) / nodes.total
-    assert balance.shares.ghosts == balance.shares.best_ghosts == pytest.approx(ghosts)
+    assert shares.ghosts == shares.best_ghosts == pytest.approx(ghosts)
     assert ghosts > 0
     for factor, due in ((1.19, False), (1.21, True), (1.0, False)):
-        balance.shares.best_ghosts = ghosts / factor
-        assert balance.due() == due
+        load_shares.shares.best_ghosts = ghosts / factor
+        assert load_shares.due() == due
     monkeypatch.setattr(partition, "_CELL", 0)
-    balance.dealt()
-    balance.built(points, nodes)
+    load_shares.distributed()
+    load_shares.built(points, nodes)
     points.hardening[:] = float(COMM.rank == 0)  # on one rank the work grows
-    balance.built(points, nodes)
+    load_shares.built(points, nodes)
     work = [
         n * (partition._YIELDED if rank == 0 else 1) for rank, n in enumerate(COMM.allgather(len(points)))
     ]
-    assert balance.shares.work == pytest.approx(max(work) / np.mean(work))
-    assert balance.due() == (balance.shares.work > 1.2 * balance.shares.best_work)
-    balance.limit = None
-    assert not balance.due()
+    assert load_shares.shares.work == pytest.approx(max(work) / np.mean(work))
+    assert load_shares.due() == (load_shares.shares.work > 1.2 * load_shares.shares.best_work)
+    load_shares.limit = None
+    assert not load_shares.due()
 
 
 # restart ----------------------------------------------------------------------------------------------
@@ -538,7 +539,7 @@ def read(case: str, folder: Path) -> tuple[pm.QuasiStatic, dict[str, np.ndarray]
 @pytest.mark.parametrize("case", STOPS)
 def test_restart(case, folder, monkeypatch):
     """As many ranks go on to the same digits (in parallel, solvers don't repeat a sum to the last one), from
-    the distribution that was written; dealt out afresh, in another order, to rounding."""
+    the distribution that was written; distributed afresh, in another order, to rounding."""
     expected = write(case, folder)
     same, found = read(case, folder)
     compare(found, expected, 1e-9 if COMM.size > 1 else 1e-13)

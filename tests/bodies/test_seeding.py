@@ -182,7 +182,7 @@ def test_ids_do_not_depend_on_the_ranks():
 
 
 def test_ranks_get_equal_shares():
-    """28 cells of four points are dealt out whole, in pieces along the longest axis."""
+    """28 cells of four points are distributed whole, in pieces along the longest axis."""
     points = pm.seed(block(2, 0.25), material=MICROPOLAR, bounds=((-1, -0.5), (2.5, 0.0)))
     counts = COMM.allgather(len(points))
     assert max(counts) - min(counts) <= (4 if 28 % COMM.size else 0)

@@ -186,7 +186,7 @@ class Driven:
 
     def inputs(self, z: np.ndarray) -> np.ndarray:
         p = self.points
-        state = self.form.pack(p.F, p.q, p.wryness, p.history(np.arange(self.n)))
+        state = self.form.pack(p.F, p.q, p.wryness, p.plastic_state(np.arange(self.n)))
         numbers = np.tile(parameter_values(self.material), (self.n, 1))
         return np.hstack([np.einsum("nij,nj->ni", self._frame(), z), state, numbers])
 
@@ -201,9 +201,9 @@ class Driven:
         i, j = np.triu_indices(nz)
         a[:, i, j] = a[:, j, i] = out[:, nz:]
         y = self.mapping.evaluate(inputs, tangent)
-        s[y.rows] = y.blocks[:, :nz]
+        s[y.rows] = y.returned[:, :nz]
         if tangent:
-            a[y.rows] = y.blocks[:, nz:].reshape(-1, nz, nz)
+            a[y.rows] = y.returned[:, nz:].reshape(-1, nz, nz)
         frame = self._frame()
         return np.einsum("nji,nj->ni", frame, s), transposed(frame) @ a @ frame, y
 
@@ -229,7 +229,7 @@ class Driven:
         loss = self.mapping.dissipation()
         p.F, _, p.wryness = self.motion(z)
         p.q = rotations.multiply(rotations.from_vector(self.parts(z)[1]), p.q)
-        self.mapping.update_history(p, y.rows, base[y.rows])
+        self.mapping.update_plastic_state(p, y.rows, base[y.rows])
         return y, loss
 
 

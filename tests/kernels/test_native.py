@@ -22,12 +22,12 @@ def test_a_stale_build_is_refused(monkeypatch):
 def test_a_build_of_another_structure_is_refused(monkeypatch):
     """A field more, without another interface number."""
 
-    class Law(ctypes.Structure):
-        _fields_ = (*native.Law._fields_, ("more", ctypes.c_void_p))
+    class PointKernels(ctypes.Structure):
+        _fields_ = (*native.PointKernels._fields_, ("more", ctypes.c_void_p))
 
     native.library.cache_clear()
-    monkeypatch.setattr(native, "STRUCTURES", (native.Batch, Law))
-    with pytest.raises(ImportError, match="has a Law of 56 bytes, the headers declare 64"):
+    monkeypatch.setattr(native, "STRUCTURES", (native.Batch, PointKernels))
+    with pytest.raises(ImportError, match="has a PointKernels of 56 bytes, the headers declare 64"):
         native.library()
 
 
@@ -43,7 +43,7 @@ def test_fields_are_those_of_the_header():
     assert list(fields)[:7] == ["dim", "rot", "slots", "nstate", "nparam", "npoints", "ngroups"]
     assert fields["count"].dtype == np.int32
     assert fields["weights"].pointer
-    assert native.Law.declared["kernel"].kind == "kernel_t"
+    assert native.PointKernels.declared["kernel"].kind == "kernel_t"
     assert native.Matrix.declared["fixed"].dtype == np.uint8
     assert sum(len(s.declared) for s in native.STRUCTURES) == 41
 

@@ -102,7 +102,7 @@ def test_restart_goes_on_to_the_same_digits(folder: Path, stop):
 
 
 def test_failed_step_leaves_everything():
-    """But for the ranks on which points are: the step began with a reset, which may deal them out afresh."""
+    """But for the ranks on which points are: the step began with a reset, which may distribute them anew."""
     problem = cantilever(balanced=True)
     run(problem, 2)
     before = {name: by_id(problem.points, a) for name, a in problem.points.arrays().items()}

@@ -392,10 +392,10 @@ class Local:
     def pending(self) -> bool:
         return False
 
-    def advance(self, fresh: bool, accuracy: float) -> None:
+    def update(self, fresh: bool, accuracy: float) -> None:
         """The state doesn't change."""
 
-    def retreat(self) -> bool:
+    def backtrack(self) -> bool:
         return False
 
 
@@ -410,12 +410,12 @@ class Shortened(Local):
         self.left -= 1
         if self.left <= 0 and self.halved < 2:
             raise LocalFailure("3 points: no return to the yield surface")
-        assert tangent or not self.halved  # what a retreat leaves pending is put in with it
+        assert tangent or not self.halved  # what a backtrack leaves pending is put in with it
 
     def measures(self) -> tuple[float, float]:
         return (0.0, 0.0) if self.halved == 2 else (1.0, 1.0)
 
-    def retreat(self) -> bool:
+    def backtrack(self) -> bool:
         self.halved += 1
         return True
 
@@ -433,16 +433,16 @@ def test_a_retreat_leaves_prescribed_values_to_be_put_in():
     problem.fix(pm.plane(x=4.0), ux=0.2)
     system = problem.system_at(1.0)
     system.set_prescribed(system.prescribed.increments(1.0, 0.0, 0.0))
-    assert not system.retreat()
+    assert not system.backtrack()
     system.evaluate(True)
-    system.advance(True)
+    system.update(True)
     whole = system.x.copy()
     assert not system.pending()
-    assert system.retreat()
+    assert system.backtrack()
     assert system.pending()
     np.testing.assert_allclose(system.x, 0.5 * whole, rtol=1e-14)
     system.evaluate(True)
-    system.advance(True)
+    system.update(True)
     fixed = system.prescribed.fixed
     np.testing.assert_allclose(system.x[fixed], whole[fixed], rtol=1e-14, atol=1e-16)
 

@@ -63,21 +63,26 @@ def no_case():
     return "nothing"
 
 
-def rung(build, **changes):
+def discretisation(build, **changes):
     settings = {"method": "MPM", "label": "1 m", "h": 1.0, "arguments": {"cell": 1.0}, "steps": 2}
-    return study.Rung(build=build, **(settings | changes))
+    return study.Discretisation(build=build, **(settings | changes))
 
 
 @pytest.fixture(scope="module")
 def rows():
-    ladder = [
-        *(rung(points, label=f"{h:g} m", h=h, arguments={"cell": h}) for h in (1.0, 0.5)),
-        *(rung(elements, method="FEM", label=f"{n}", h=1 / n, arguments={"cells": n}) for n in (1, 2)),
-        rung(points, method="too much", arguments={"cell": 1.0, "force": 1e9}),
-        rung(dies, method="dead"),
+    discretisations = [
+        *(discretisation(points, label=f"{h:g} m", h=h, arguments={"cell": h}) for h in (1.0, 0.5)),
+        *(
+            discretisation(elements, method="FEM", label=f"{n}", h=1 / n, arguments={"cells": n})
+            for n in (1, 2)
+        ),
+        discretisation(points, method="too much", arguments={"cell": 1.0, "force": 1e9}),
+        discretisation(dies, method="dead"),
     ]
     seen = []
-    found = study.run(ladder, {"zero": (0.0, 0.0), "down": lambda u: abs(u[1] + 0.1)}, record=seen.append)
+    found = study.run(
+        discretisations, {"zero": (0.0, 0.0), "down": lambda u: abs(u[1] + 0.1)}, record=seen.append
+    )
     assert seen == found
     return found
 
@@ -149,7 +154,7 @@ def test_figures_leave_failures_out(rows):
 
 
 def test_orders_and_times():
-    """Exact powers: order 2, and times between two rungs on the line through them."""
+    """Exact powers: order 2, and times between two discretisations on the line through them."""
     made = [study.Row("A", f"{h}", h, errors={"e": 3 * h**2}, cpu_s=h**-3) for h in (1.0, 0.5, 0.25)]
     made.append(study.Row("B", "1", 1.0, errors={"e": 0.1}, cpu_s=2.0))
     assert study.orders(made, "e") == {"A": pytest.approx([2.0, 2.0]), "B": []}
@@ -160,7 +165,7 @@ def test_orders_and_times():
 
 
 def test_input_errors(tmp_path):
-    good = rung(points)
+    good = discretisation(points)
     for changes, name in (
         ({"method": ""}, "method"),
         ({"h": 0.0}, "h"),
@@ -171,13 +176,13 @@ def test_input_errors(tmp_path):
         ({"arguments": {"cell": lambda: 1}}, "build"),
     ):
         with pytest.raises(pm.InputError, match=f"^{name} = "):
-            rung(**({"build": points} | changes))
-    with pytest.raises(pm.InputError, match="rungs"):
+            discretisation(**({"build": points} | changes))
+    with pytest.raises(pm.InputError, match="discretisations"):
         study.run([], {})
     with pytest.raises(pm.InputError, match="two are named 'MPM', '1 m'"):
         study.run([good, good], {})
     with pytest.raises(pm.InputError, match=r"no_case.*not a study\.Case"):
-        study.run([rung(no_case, arguments={})], {})
+        study.run([discretisation(no_case, arguments={})], {})
     row = study.Row("A", "1", 1.0, (1.0, 2.0))
     with pytest.raises(pm.InputError, match="'exact' has the shape"):
         study.compare(row, {"exact": (1.0, 2.0, 3.0)})
@@ -207,7 +212,7 @@ def test_a_script_is_enough(tmp_path):
         "    problem.fix(pm.plane(x=0.0), u=0)\n"
         "    return study.Case(problem, lambda: len(body))\n"
         "if __name__ == '__main__':\n"
-        "    print(study.run([study.Rung('A', '1', 1.0, build, steps=1)], {'e': 3})[0].errors)\n"
+        "    print(study.run([study.Discretisation('A', '1', 1.0, build, steps=1)], {'e': 3})[0].errors)\n"
     )
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
     assert done.stdout.strip() == "{'e': 1.0}", done.stderr[-2000:]

@@ -234,7 +234,7 @@ def test_a_block_comes_to_rest_on_a_floor(method):
         points = pm.seed(grid, material=NEO_HOOKEAN, points_per_cell=3, bounds=bounds, layout="gauss")
         options = {"basis": "mpm", "assembly": method} if method == "projection" else {"basis": method}
         problem = pm.QuasiStatic(grid, points, reset=None, **options)
-        foot = pm.Surface.line((0.0, 0.0), (width, 0.0), 16)
+        foot = pm.Surface.line((0.0, 0.0), (width, 0.0), 64)  # splines aren't linear between two of them
     for side in (0.0, width):
         problem.fix(pm.plane(x=side), ux=0)
     head = problem.fix(pm.plane(y=1.0), uy=lambda t: -0.1 * t)

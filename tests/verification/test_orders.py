@@ -95,7 +95,7 @@ def manufactured_errors(cells, degree, gamma):
 
 
 @pytest.mark.parametrize(
-    ("degree", "gamma", "ladder", "least"),
+    ("degree", "gamma", "sizes", "least"),
     [
         pytest.param(1, 50.0, (4, 8, 16), (1.9, 1.7, 1.0, 1.3), id="1-published"),
         pytest.param(2, 50.0, (4, 8), (2.9, 1.5, 1.9, 0.8), id="2-published"),
@@ -103,15 +103,15 @@ def manufactured_errors(cells, degree, gamma):
         pytest.param(2, 1e9, (4, 8), (2.9, 2.9, 1.9, 1.9), id="2-long"),
     ],
 )
-def test_elements(degree, gamma, ladder, least, capsys):
+def test_elements(degree, gamma, sizes, least, capsys):
     """T 3.5.1: displacement and rotation converge with order degree + 1, stresses with order degree.
 
     The published length sqrt(gamma / kappa) is 0.1 mm, cells are a thousand times as large: there rotations
     follow the gradient of displacement, whose order is the degree. With a length of 0.5 m they have their
-    own. Ladders are multiples of 4, with which no point lies where a stress is zero.
+    own. Numbers of cells are multiples of 4, with which no point lies where a stress is zero.
     """
-    errors = [manufactured_errors(cells, degree, gamma) for cells in ladder]
-    steps = list(itertools.pairwise(zip(ladder, errors, strict=True)))
+    errors = [manufactured_errors(cells, degree, gamma) for cells in sizes]
+    steps = list(itertools.pairwise(zip(sizes, errors, strict=True)))
     for name, expected in zip(("displacement", "rotation", "stress", "couple_stress"), least, strict=True):
         orders = [np.log(a[name] / b[name]) / np.log(n / m) for (m, a), (n, b) in steps]
         with capsys.disabled():

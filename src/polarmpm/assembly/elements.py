@@ -128,7 +128,8 @@ class ElementSystem(NodalSystem):
             yield self.nodes.numbers[rows], matrix
 
     def positions(self) -> np.ndarray:
-        return super().positions() + self.forms.elements.displacement
+        x: np.ndarray = super().positions() + self.forms.elements.displacement
+        return x
 
     def diagonal(self) -> np.ndarray:
         return self.matrix.diagonal

@@ -73,7 +73,7 @@ class FormMatrix:
 
     def _diagonal(self) -> np.ndarray:
         diagonal = self.matrix.getDiagonal()
-        values = diagonal.array.reshape(-1, self.block).copy()
+        values: np.ndarray = diagonal.array.reshape(-1, self.block).copy()
         diagonal.destroy()
         return values
 

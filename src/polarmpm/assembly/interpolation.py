@@ -30,8 +30,8 @@ from ..kinematics.stretch import domain_half_length
 from ..materials.base import parameter_values
 from ..terms.base import Boxes, Piece, Term
 from ..terms.settings import GridSetting
-from ..tools.parallel import together
-from .nodesets import Groups, claims_of, group_points, node_sets_of, reached_cells
+from ..tools.parallel import errors_on_all_ranks
+from .nodesets import Groups, group_points, node_sets_of, ownership_priorities, reached_cells
 
 
 @dataclass
@@ -69,7 +69,7 @@ class Interpolation:
         self.reference = r = reference or Reference.of(points)
         cells = basis.supporting_cells(grid, r.x) if basis.sliver else None
         half = domain_half_length(r.F, points.half_length0) if basis.uses_domains else None
-        with together(grid.comm):
+        with errors_on_all_ranks(grid.comm):
             w = basis.weights(grid, r.x, half, cells)
         order, groups = group_points(points.material, w)
         reached = partial(reached_cells, grid, groups, basis)
@@ -77,12 +77,12 @@ class Interpolation:
         self.pieces = [piece for term in terms for piece in term.pieces(setting)]
         boxes = [_boxes_of(piece) for piece in self.pieces]
         more = [b.numbers(grid).ravel() for b in boxes]
-        touched, node_sets, first = node_sets_of(grid, groups, more)
-        claims = claims_of(grid, groups, touched) if grid.comm.size > 1 else None
-        self.nodes = ActiveNodes.build(grid, touched, partial(basis.positions, grid), claims)
+        touched, node_sets, node_offsets = node_sets_of(grid, groups, more)
+        priorities = ownership_priorities(grid, groups, touched) if grid.comm.size > 1 else None
+        self.nodes = ActiveNodes.build(grid, touched, partial(basis.positions, grid), priorities)
         node_sets = self.nodes.local(touched).astype(np.int32)[node_sets]
         self.batches = [
-            self._batch(form, m, w, order, groups, (node_sets, first)) for m, form in enumerate(forms)
+            self._batch(form, m, w, order, groups, (node_sets, node_offsets)) for m, form in enumerate(forms)
         ]
         sides = [int(groups.count.max(initial=2)), *(max(b.count) for b in boxes)]
         self.reach = int(grid.comm.allreduce(max(sides) - 1, op=MPI.MAX))
@@ -99,8 +99,9 @@ class Interpolation:
     ) -> PointBatch:
         # groups are sorted by material first
         begin, end = np.searchsorted(groups.material, [material, material + 1])
-        first, nodes, node_first = groups.first[begin : end + 1], node_sets[0], node_sets[1][begin : end + 1]
-        rows = order[first[0] : first[-1]]
+        offsets = groups.offsets[begin : end + 1]
+        nodes, node_offsets = node_sets[0], node_sets[1][begin : end + 1]
+        rows = order[offsets[0] : offsets[-1]]
         parameters = parameter_values(form.material)
         batch = native.Batch()
         native.fill(
@@ -116,9 +117,9 @@ class Interpolation:
             count=np.ascontiguousarray(groups.count[begin:end], dtype=np.int32),
             param=parameters,
             volume=np.ascontiguousarray(self.points.volume0[rows]),
-            first=(first - first[0]).astype(np.int64),
-            node_first=node_first - node_first[0],
-            nodes=np.ascontiguousarray(nodes[node_first[0] : node_first[-1]]),
+            offsets=(offsets - offsets[0]).astype(np.int64),
+            node_offsets=node_offsets - node_offsets[0],
+            nodes=np.ascontiguousarray(nodes[node_offsets[0] : node_offsets[-1]]),
         )
         return PointBatch(form, rows, batch)
 
@@ -127,7 +128,7 @@ class Interpolation:
         """Write the reference state into the kernels' input, see `pointforms`."""
         r, p = self.reference, self.points
         for b in self.batches:
-            state = b.form.pack(r.F[b.rows], r.q[b.rows], r.wryness[b.rows], p.history(b.rows))
+            state = b.form.pack(r.F[b.rows], r.q[b.rows], r.wryness[b.rows], p.plastic_state(b.rows))
             native.fill(b.batch, state=np.ascontiguousarray(state))
 
     def rebase_rotations(self) -> None:

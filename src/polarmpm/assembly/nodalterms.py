@@ -101,7 +101,7 @@ class NodalTerms:
             dim=len(boxes.count),
             ngroups=m,
             count=np.tile(np.array(boxes.count, dtype=np.int32), (m, 1)),
-            node_first=np.arange(m + 1, dtype=np.int64) * n,
+            node_offsets=np.arange(m + 1, dtype=np.int64) * n,
             nodes=rows.astype(np.int32).ravel(),
         )
         return batch

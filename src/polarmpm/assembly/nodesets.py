@@ -13,31 +13,32 @@ from ..geometry.grid import Grid
 
 @dataclass
 class Groups:
-    """Point groups that share a node set: material, first lattice node, nodes in each direction."""
+    """Point groups that share a node set: material, lowest lattice node, nodes in each direction,
+    and where each group's points begin (groups + 1)."""
 
     material: np.ndarray
     node: np.ndarray
     count: np.ndarray
-    first: np.ndarray
+    offsets: np.ndarray
 
 
 def group_points(material: np.ndarray, w: Weights) -> tuple[np.ndarray, Groups]:
-    """Sort points by material, first node and node count."""
-    n, dim = w.first.shape
+    """Sort points by material, lowest node and node count."""
+    n, dim = w.lowest.shape
     # neighbours next to each other: their groups share rows of the matrix, which then stay in the cache
-    keys = [w.count[:, i] for i in range(dim)] + [w.first[:, i] for i in range(dim - 1, -1, -1)] + [material]
+    keys = [w.count[:, i] for i in range(dim)] + [w.lowest[:, i] for i in range(dim - 1, -1, -1)] + [material]
     order = np.lexsort(keys)
-    columns = np.column_stack([material, w.first, w.count])[order]
+    columns = np.column_stack([material, w.lowest, w.count])[order]
     new = np.ones(n, dtype=bool)
     new[1:] = np.any(columns[1:] != columns[:-1], axis=1)
     heads = columns[new]
-    first = np.append(np.flatnonzero(new), n)
-    return order, Groups(heads[:, 0], heads[:, 1 : 1 + dim], heads[:, 1 + dim :], first)
+    offsets = np.append(np.flatnonzero(new), n)
+    return order, Groups(heads[:, 0], heads[:, 1 : 1 + dim], heads[:, 1 + dim :], offsets)
 
 
 def boxes_of(grid: Grid, sizes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """For each different size (n, d) of boxes of nodes: which rows have it, and its nodes' distances from the
-    first one, as lattice numbers."""
+    lowest one, as lattice numbers."""
     different, kind = np.unique(sizes, axis=0, return_inverse=True)
     out = []
     for k, size in enumerate(different):
@@ -48,17 +49,20 @@ def boxes_of(grid: Grid, sizes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray
 
 def reached_cells(grid: Grid, groups: Groups, basis: Basis) -> np.ndarray:
     """Lattice numbers, ascending, of the cells on which the groups' functions are weights."""
-    first = grid.node_number(groups.node.reshape(-1, grid.dim))
+    lowest = grid.node_number(groups.node.reshape(-1, grid.dim))
     boxes = boxes_of(grid, basis.cells_of_groups(groups.count))
-    return np.unique(np.concatenate([first[:0], *((first[g][:, None] + box).ravel() for g, box in boxes)]))
+    cells = [(lowest[g][:, None] + box).ravel() for g, box in boxes]
+    reached: np.ndarray = np.unique(np.concatenate([lowest[:0], *cells]))
+    return reached
 
 
-def claims_of(grid: Grid, groups: Groups, touched: np.ndarray) -> np.ndarray:
-    """How many of this rank's points have each touched node as their first one: a piece of the body that is
-    cut between cells then owns the lower corners of its cells, and no rank more nodes than its share."""
-    first = grid.node_number(groups.node.reshape(-1, grid.dim))
-    at = np.searchsorted(touched, first)
-    return np.bincount(at, np.diff(groups.first), minlength=len(touched)).astype(np.int64)
+def ownership_priorities(grid: Grid, groups: Groups, touched: np.ndarray) -> np.ndarray:
+    """This rank's priority to own each touched node: how many of its points have it as their lowest one. A
+    piece of the body that is cut between cells then owns the lower corners of its cells, and no rank more
+    nodes than its share."""
+    lowest = grid.node_number(groups.node.reshape(-1, grid.dim))
+    at = np.searchsorted(touched, lowest)
+    return np.bincount(at, np.diff(groups.offsets), minlength=len(touched)).astype(np.int64)
 
 
 def node_sets_of(
@@ -67,9 +71,9 @@ def node_sets_of(
     """All lattice numbers touched, those in `more` too, ascending; the places among them of the groups'
     nodes, one group after the other; and where each group's begin (groups + 1)."""
     base = grid.node_number(groups.node.reshape(-1, grid.dim))
-    first = np.concatenate([[0], np.cumsum(np.prod(groups.count, axis=1))]).astype(np.int64)
-    numbers = np.empty(first[-1], dtype=np.int64)
+    offsets = np.concatenate([[0], np.cumsum(np.prod(groups.count, axis=1))]).astype(np.int64)
+    numbers = np.empty(offsets[-1], dtype=np.int64)
     for g, box in boxes_of(grid, groups.count):
-        numbers[first[g][:, None] + np.arange(len(box))] = base[g][:, None] + box
+        numbers[offsets[g][:, None] + np.arange(len(box))] = base[g][:, None] + box
     touched, inverse = np.unique(np.concatenate([numbers, *more]), return_inverse=True)
-    return touched, inverse[: len(numbers)], first
+    return touched, inverse[: len(numbers)], offsets

@@ -70,7 +70,8 @@ class LoadedPoints(NodalSystem):
         return elastic and self.couple_kernel is None and self.terms.symmetric
 
     def weak_nodes(self) -> np.ndarray:
-        return self.node_volumes()[: self.nodes.owned] < _WEAK * np.prod(self.length)
+        weak: np.ndarray = self.node_volumes()[: self.nodes.owned] < _WEAK * np.prod(self.length)
+        return weak
 
     def node_volumes(self) -> np.ndarray:
         return self.interpolation.spread(self.interpolation.points.volume0[:, None])[:, 0]
@@ -97,21 +98,23 @@ class LoadedPoints(NodalSystem):
         turned = np.einsum("nij,nj->ni", rotations.right_tangent(w), couples)
         return self.with_terms(self.interpolation.spread(np.concatenate([forces, turned], axis=1)))
 
-    def _law(self, k: int, tangent: bool) -> native.Law:
+    def _point_kernels(self, k: int, tangent: bool) -> native.PointKernels:
         """Compiled kernels of batch k."""
-        law = native.Law()
+        kernels = native.PointKernels()
         before = self.before if tangent and self.interpolation.forms[k].predicts else None
-        native.fill(law, kernel=self.kernels[k][tangent].address, before=before)
+        native.fill(kernels, kernel=self.kernels[k][tangent].address, before=before)
         if self.couple_kernel is not None:
             rows, couples = self._couples[k]
-            native.fill(law, couple=self.couple_kernel.address, couple_of=rows, couples=couples)
+            native.fill(kernels, couple=self.couple_kernel.address, couple_of=rows, couples=couples)
         mapping = self.mappings[k]
         if mapping is not None:
-            self._put_yielding(mapping, k, tangent, law)
-        return law
+            self._put_yielding(mapping, k, tangent, kernels)
+        return kernels
 
-    def _put_yielding(self, mapping: ReturnMapping, k: int, tangent: bool, law: native.Law) -> None:
-        """Return the stresses of the points that yield; their blocks stand for the kernels. Collective.
+    def _put_yielding(
+        self, mapping: ReturnMapping, k: int, tangent: bool, kernels: native.PointKernels
+    ) -> None:
+        """Return the stresses of the points that yield; their results stand for the kernels. Collective.
 
         Raises:
             LocalFailure: at some points there is no solution.
@@ -119,9 +122,9 @@ class LoadedPoints(NodalSystem):
         batch = self.interpolation.batches[k]
         with self.timer("return mapping"):
             y = mapping.evaluate(self.interpolation.kernel_inputs(batch, self.x), tangent)
-        block_of = np.full(len(batch.rows), -1, dtype=np.int32)
-        block_of[y.rows] = np.arange(len(y.rows))
-        native.fill(law, block_of=block_of, blocks=y.blocks)
+        returned_of = np.full(len(batch.rows), -1, dtype=np.int32)
+        returned_of[y.rows] = np.arange(len(y.rows))
+        native.fill(kernels, returned_of=returned_of, returned=y.returned)
 
     def _dead_forces(self) -> np.ndarray:
         """External forces (nodes, block) that the kernels' residual doesn't hold already, as it does dead
@@ -202,7 +205,7 @@ class PointSystem(LoadedPoints):
     ) -> None:
         failed = native.library().polarmpm_assemble(
             ctypes.byref(batch.batch),
-            ctypes.byref(self._law(k, matrix is not None)),
+            ctypes.byref(self._point_kernels(k, matrix is not None)),
             ctypes.byref(matrix) if matrix is not None else None,
             self.x,
             internal,
@@ -212,7 +215,8 @@ class PointSystem(LoadedPoints):
             raise MemoryError("no memory for the sums over material points")
 
     def diagonal(self) -> np.ndarray:
-        return self.pattern.values[self.pattern.diagonal].reshape(-1, self.layout.block)
+        diagonal: np.ndarray = self.pattern.values[self.pattern.diagonal].reshape(-1, self.layout.block)
+        return diagonal
 
     def solve(self, right: np.ndarray, fresh: bool, accuracy: float) -> np.ndarray:
         if fresh:

@@ -27,7 +27,7 @@ from ..kernels.kernel import Kernel
 from ..solvers.linear import NearNullSpace
 from ..terms.base import Boxes
 from ..tools import compat
-from ..tools.parallel import Route, look_up
+from ..tools.parallel import Route, values_by_number
 from ..tools.timing import Timer
 from .formmatrix import FormMatrix
 from .interpolation import Interpolation
@@ -81,7 +81,7 @@ class CellProjection:
         )  # a cell's number: its lowest node
         address = np.column_stack([np.full(own, comm.rank), np.arange(own)])
         index = grid.cells_of(x)
-        at = look_up(comm, cells, address.astype(float), grid.cell_number(index)).astype(np.int64)
+        at = values_by_number(comm, cells, address.astype(float), grid.cell_number(index)).astype(np.int64)
         self._route = Route(comm, at[:, 0])
         self._cells = self._route.forward(at[:, 1])
         name = compat.cell_name(self.mesh)
@@ -114,7 +114,7 @@ class NodeExchange:
         self.nodes, self.mesh_nodes = nodes, cells.nodes
         address = np.column_stack([np.full(nodes.owned, comm.rank), np.arange(nodes.owned)]).astype(float)
         wanted = cells.lattice[: cells.nodes.owned]
-        at = look_up(comm, nodes.lattice[: nodes.owned], address, wanted).astype(np.int64)
+        at = values_by_number(comm, nodes.lattice[: nodes.owned], address, wanted).astype(np.int64)
         self._route = Route(comm, at[:, 0])
         self._rows = self._route.forward(at[:, 1])
 
@@ -185,7 +185,7 @@ class ProjectedSystem(LoadedPoints):
         own = self.cells.nodes.owned
         numbers = self.cells.nodes.numbers[:own, None].astype(float)
         lattice = self.cells.lattice[:own]
-        return look_up(self.comm, lattice, numbers, self.nodes.lattice)[:, 0].astype(np.int64)
+        return values_by_number(self.comm, lattice, numbers, self.nodes.lattice)[:, 0].astype(np.int64)
 
     def _near_null_space_on_mesh(self) -> NearNullSpace:
         """In the mesh's order."""
@@ -228,7 +228,7 @@ class ProjectedSystem(LoadedPoints):
         for k, batch in enumerate(self.interpolation.batches):
             failed = native.library().polarmpm_moments(
                 ctypes.byref(batch.batch),
-                ctypes.byref(self._law(k, tangent)),
+                ctypes.byref(self._point_kernels(k, tangent)),
                 self.x,
                 int(self.symmetric),
                 stress[starts[k] :],

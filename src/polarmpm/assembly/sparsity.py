@@ -248,7 +248,8 @@ def _diagonal(
     own = np.flatnonzero(pairs[:, 0] == pairs[:, 1])
     k = own - first[:-1]
     component = np.tile(np.arange(block), nodes.owned)
-    return indptr[:-1] + np.repeat(k * block, block) + component
+    at: np.ndarray = indptr[:-1] + np.repeat(k * block, block) + component
+    return at
 
 
 def _place_ghosts(
@@ -267,7 +268,8 @@ def _place_ghosts(
     start = np.repeat(begin * block * block, count) + k * block
     length = np.repeat(count * block, count)
     i, j = np.divmod(np.arange(block * block), block)
-    return start[:, None] + length[:, None] * i + j
+    positions: np.ndarray = start[:, None] + length[:, None] * i + j
+    return positions
 
 
 def _received_positions(
@@ -278,7 +280,7 @@ def _received_positions(
     row = pairs[:, 0] - nodes.start
     k = np.searchsorted(keys, pairs[:, 0] * total + pairs[:, 1]) - first[row]
     i, j = np.divmod(np.arange(block * block), block)
-    at = pattern.indptr[(row[:, None] * block + i)] + k[:, None] * block + j
+    at: np.ndarray = pattern.indptr[(row[:, None] * block + i)] + k[:, None] * block + j
     if pattern.symmetric:
         at = np.where((pairs[:, 0] == pairs[:, 1])[:, None] & (j < i), -1, at - i)
     return at

@@ -44,7 +44,7 @@ class StepState:
     Attributes:
         lift: what prescribed unknowns still have to move, zero at the others.
         pending: some rank's lift isn't zero.
-        first: residual of the first evaluation; None before it.
+        initial: residual of the first evaluation; None before it.
         lifted: of the last evaluation, see `Assembled`.
         correction: the last one; None before the first.
         rounding: squares of the forces that rounding makes, see `NodalSystem._rounding_squares`; None before
@@ -53,7 +53,7 @@ class StepState:
 
     lift: np.ndarray
     pending: bool = False
-    first: np.ndarray | None = None
+    initial: np.ndarray | None = None
     lifted: np.ndarray | None = None
     correction: np.ndarray | None = None
     rounding: np.ndarray | None = None
@@ -152,7 +152,8 @@ class NodalSystem(ABC):
 
     def positions(self) -> np.ndarray:
         """Current positions (nodes, d) (m)."""
-        return self.nodes.position + self.x[:, : self.layout.dim]
+        x: np.ndarray = self.nodes.position + self.x[:, : self.layout.dim]
+        return x
 
     def is_large(self) -> bool:
         """Whether `solver="auto"` takes multigrid. Collective."""
@@ -183,7 +184,8 @@ class NodalSystem(ABC):
         self.nodes.add_to_owners(forces)
         before = self.external
         self.external = self.with_terms(before)
-        return forces + (before - self.external)
+        residual: np.ndarray = forces + (before - self.external)
+        return residual
 
     def with_terms(self, loads: np.ndarray) -> np.ndarray:
         """Loads (nodes, block) and those of the terms. Collective."""
@@ -191,7 +193,8 @@ class NodalSystem(ABC):
             return loads
         of_terms = self.terms.forces(self.x, lambda piece: piece.external)
         self.nodes.add_to_owners(of_terms)
-        return loads - of_terms
+        with_them: np.ndarray = loads - of_terms
+        return with_them
 
     def lifted_by_terms(self, lift: np.ndarray) -> np.ndarray:
         """Tangents of the terms times a lift (nodes, block), on this rank."""
@@ -199,7 +202,7 @@ class NodalSystem(ABC):
 
     def carry_imbalance(self) -> None:
         """Take the present state as an equilibrium: carry along what is out of balance in it, but for terms
-        with a history of their own. Collective."""
+        with a state of their own. Collective."""
         forces = self.assemble(False).forces
         apart = self.terms.forces(self.x, lambda piece: not piece.carried)
         if any(not piece.carried for piece in self.terms.pieces):
@@ -240,16 +243,16 @@ class NodalSystem(ABC):
         with self.timer("assembly"):
             sums = self.assemble(tangent, s.lift if tangent and s.pending else None)
             self.residual, s.lifted = sums.forces - self.carried, sums.lifted
-            if s.first is None:
-                s.first = self.residual
+            if s.initial is None:
+                s.initial = self.residual
             if tangent and s.rounding is None:  # at the start: iterates that run away must not set it
                 s.rounding = self._rounding_squares()
 
-    def measures(self) -> tuple[float, float]:
+    def convergence_measures(self) -> tuple[float, float]:
         with np.errstate(over="ignore", invalid="ignore"):  # what diverges is told by the numbers
-            return self._measures()
+            return self._convergence_measures()
 
-    def _measures(self) -> tuple[float, float]:
+    def _convergence_measures(self) -> tuple[float, float]:
         own = slice(0, self.nodes.owned)
         free = ~self.prescribed.fixed[own]
         r, external, last = self.residual[own], self.external[own], self.step.correction
@@ -299,7 +302,7 @@ class NodalSystem(ABC):
             turned = min(1.0, self.comm.allreduce(most, op=MPI.MAX))
         return math.sqrt(self.step.rounding[0] + turned**2 * self.step.rounding[1])
 
-    def advance(self, fresh: bool, accuracy: float = ACCURACY) -> None:
+    def update(self, fresh: bool, accuracy: float = ACCURACY) -> None:
         fixed, s = self.prescribed.fixed, self.step
         out_of_balance = self.residual if s.lifted is None else self.residual + s.lifted
         step = self.solve_free(-out_of_balance, fresh, accuracy)
@@ -329,7 +332,7 @@ class NodalSystem(ABC):
         """Put in nodal increments (nodes, block) that no correction has led to."""
         self.before = self.x = x
 
-    def retreat(self) -> bool:
+    def backtrack(self) -> bool:
         s = self.step
         if s.correction is None:
             return False

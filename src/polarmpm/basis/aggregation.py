@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry.grid import Grid
-from ..tools.parallel import Route, look_up
+from ..tools.parallel import Route, values_by_number
 
 
 def supporting_cells(grid: Grid, x: np.ndarray, thickness: float) -> np.ndarray:
@@ -39,7 +39,8 @@ def supporting_cells(grid: Grid, x: np.ndarray, thickness: float) -> np.ndarray:
     def at_target() -> np.ndarray:
         """Steps of the cells that the cells step to, and whether there are points in them."""
         known = np.hstack([step, np.ones((len(step), 1), dtype=np.int64)])
-        return look_up(comm, cells, known.astype(float), cells + step @ grid.strides).astype(np.int64)
+        wanted = cells + step @ grid.strides
+        return values_by_number(comm, cells, known.astype(float), wanted).astype(np.int64)
 
     # where everything is thin, as with one point a cell near a plane, nobody has anything to lean on
     target = at_target()
@@ -47,4 +48,4 @@ def supporting_cells(grid: Grid, x: np.ndarray, thickness: float) -> np.ndarray:
     step *= leans[:, None]
     # the cell behind the face may be a sliver in another direction
     step += at_target()[:, :-1] * leans[:, None]
-    return index + look_up(comm, cells, step.astype(float), own).astype(np.int64)[at]
+    return index + values_by_number(comm, cells, step.astype(float), own).astype(np.int64)[at]

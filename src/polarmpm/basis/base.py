@@ -18,19 +18,19 @@ class Weights:
     """Weights of points in each direction; the weighting function is their product, T (2.28)-(2.30).
 
     Attributes:
-        first: lattice index of the first node (n, d).
+        lowest: lattice index of the lowest node (n, d).
         count: number of nodes in each direction (n, d).
         table: values and gradients (1/m), (n, d, 2, slots); unused slots are zero.
     """
 
-    first: np.ndarray
+    lowest: np.ndarray
     count: np.ndarray
     table: np.ndarray
 
     def products(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
         """Lattice numbers of each point's nodes and their weights, (n, slots^d); unused slots weigh zero."""
         index = _box(self.table.shape[-1], grid.dim)
-        numbers = grid.node_number(self.first)[:, None] + index @ grid.strides
+        numbers = grid.node_number(self.lowest)[:, None] + index @ grid.strides
         value = np.prod([self.table[:, i, 0, index[:, i]] for i in range(grid.dim)], axis=0)
         return numbers, value
 
@@ -96,8 +96,8 @@ class Basis(ABC):
         Raises:
             InputError: domains reach too far beyond the grid.
         """
-        first = grid.cells_of(x) if cells is None else cells
-        return Weights(first, np.full(x.shape, self.functions, dtype=np.int32), self.lines(grid, x, first))
+        lowest = grid.cells_of(x) if cells is None else cells
+        return Weights(lowest, np.full(x.shape, self.functions, dtype=np.int32), self.lines(grid, x, lowest))
 
     def at(self, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """Values and gradients (1/m) at x (n, d) (m) of the functions of cells of lattice index (n, d),
@@ -117,7 +117,7 @@ class Basis(ABC):
         return supporting_cells(grid, x, self.sliver) if self.sliver else grid.cells_of(x)
 
     def cells_of_groups(self, count: np.ndarray) -> np.ndarray:
-        """Cells (m, d) in each direction, from the one of the first node on, on which groups of points with
+        """Cells (m, d) in each direction, from the one of the lowest node on, on which groups of points with
         `count` (m, d) nodes in each direction have their weights."""
         return count - self.degree
 
@@ -130,9 +130,9 @@ class Basis(ABC):
             )
 
 
-def check_margin(grid: Grid, first: np.ndarray, last: np.ndarray) -> None:
-    """Raise InputError unless the lattice has all nodes from index `first` (n, d) to `last` (n, d)."""
-    if np.any(first < -MARGIN) or np.any(last > np.array(grid.shape) + MARGIN):
+def check_margin(grid: Grid, lowest: np.ndarray, last: np.ndarray) -> None:
+    """Raise InputError unless the lattice has all nodes from index `lowest` (n, d) to `last` (n, d)."""
+    if np.any(lowest < -MARGIN) or np.any(last > np.array(grid.shape) + MARGIN):
         raise InputError(f"point domains reach more than {MARGIN} cells beyond the grid")
 
 

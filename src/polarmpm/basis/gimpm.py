@@ -42,27 +42,29 @@ class Gimpm(Tents):
         inner = np.array(grid.shape)
         # a domain that ends on a plane doesn't touch the next cell; one of no length takes the cell above,
         # except on the upper boundary of the grid
-        first = np.floor(low).astype(np.int64)
-        first = np.where((high <= low) & (first >= inner), inner - 1, first)
-        last = np.maximum(np.ceil(high).astype(np.int64), first + 1)
-        check_margin(grid, first, last)
-        count = (last - first + 1).astype(np.int32)
-        return Weights(first, count, _means(grid, low, high, first, count))
+        lowest = np.floor(low).astype(np.int64)
+        lowest = np.where((high <= low) & (lowest >= inner), inner - 1, lowest)
+        last = np.maximum(np.ceil(high).astype(np.int64), lowest + 1)
+        check_margin(grid, lowest, last)
+        count = (last - lowest + 1).astype(np.int32)
+        return Weights(lowest, count, _means(grid, low, high, lowest, count))
 
 
-def _means(grid: Grid, low: np.ndarray, high: np.ndarray, first: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """Means over intervals (n, d) of lattice coordinates of the tents of nodes `first` .. `first + count - 1`
-    and of their gradients (1/m): (n, d, 2, slots)."""
+def _means(
+    grid: Grid, low: np.ndarray, high: np.ndarray, lowest: np.ndarray, count: np.ndarray
+) -> np.ndarray:
+    """Means over intervals (n, d) of lattice coordinates of the tents of `count` nodes from
+    `lowest` on, and of their gradients (1/m): (n, d, 2, slots)."""
     slots = int(count.max(initial=2))
     table = np.zeros((*low.shape, 2, slots))
     length = high - low
-    for k in range(slots - 1):  # the part of the domain in cell first + k
-        left = np.maximum(low, first + k)
-        right = np.minimum(high, first + k + 1)
+    for k in range(slots - 1):  # the part of the domain in cell lowest + k
+        left = np.maximum(low, lowest + k)
+        right = np.minimum(high, lowest + k + 1)
         part = np.where(length > 0, (right - left) / np.where(length > 0, length, 1.0), float(k == 0))
         part = np.where(k < count - 1, np.maximum(part, 0.0), 0.0)
-        centre = 0.5 * (left + right) - (first + k)
-        slope = part / grid.sizes(first + k)
+        centre = 0.5 * (left + right) - (lowest + k)
+        slope = part / grid.sizes(lowest + k)
         table[:, :, 0, k] += part * (1.0 - centre)
         table[:, :, 0, k + 1] += part * centre
         table[:, :, 1, k] -= slope

@@ -18,7 +18,7 @@ from ..kinematics import rotations
 from ..kinematics.layout import Layout
 from ..materials.base import Material, check_material
 from ..tools import compat
-from ..tools.parallel import collectively, together
+from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks
 from .facets import Facets, FacetSurface
 from .points import Points
 
@@ -95,7 +95,7 @@ class Elements:
         if len(missing):
             numbers = ", ".join(map(str, np.sort(self.body.original_cells[missing])[:10]))
             error = InputError(f"material: no region has the cells {numbers}; every cell needs a material")
-        collectively(self.comm, error)
+        raise_on_all_ranks(self.comm, error)
         materials = tuple(material.values())
         if len({Layout.of(m, self.dim) for m in materials}) > 1:
             raise InputError("material: micropolar and classical materials can't be mixed in one body")
@@ -119,7 +119,7 @@ class Elements:
             error = InputError(
                 f"quadrature_degree = {self.quadrature_degree}: the rule has weights that are not positive"
             )
-        collectively(self.comm, error)
+        raise_on_all_ranks(self.comm, error)
         half = np.tile(0.5 * volume[:, None] ** (1 / self.dim), (1, self.dim))
         x = values[:, :, : self.dim].reshape(-1, self.dim)
         points = Points(x, volume, half, materials[0], self.comm)
@@ -165,7 +165,7 @@ class Elements:
             def marker(x: np.ndarray) -> np.ndarray:
                 return _mask(predicate(x[: self.dim].T), x.shape[1])
 
-            with together(self.comm):
+            with errors_on_all_ranks(self.comm):
                 found = dmesh.locate_entities_boundary(self.mesh, dim, marker)
         return self._group(name, np.sort(np.asarray(found, dtype=np.int32)))
 
@@ -255,15 +255,16 @@ class Elements:
         weights = self.points.volume0.reshape(shape)
         weights = weights / weights.sum(axis=1, keepdims=True)
         values = np.asarray(values)
-        return np.einsum("cq,cq...->c...", weights, values.reshape(*shape, *values.shape[1:]))
+        means: np.ndarray = np.einsum("cq,cq...->c...", weights, values.reshape(*shape, *values.shape[1:]))
+        return means
 
     def mean_displacement(self, facets: Facets | None = None) -> np.ndarray:
         """Mean displacement (m) over facets, shape (d,). Collective."""
         return self.mean(self.displacement, facets)
 
 
-def _mask(mask: Any, n: int) -> np.ndarray:
-    mask = np.asarray(mask)
+def _mask(values: Any, n: int) -> np.ndarray:
+    mask: np.ndarray = np.asarray(values)
     if mask.shape != (n,) or mask.dtype != bool:
         raise InputError(f"predicate: returned {mask.dtype} {mask.shape}; a bool for each position is needed")
     return mask

@@ -29,8 +29,8 @@ _YIELDED = 6  # work at a point that has yielded, which may do so again, over th
 def bisect(comm: MPI.Comm, index: np.ndarray, weight: np.ndarray, ranks: int | None = None) -> np.ndarray:
     """Ranks (m,) for cells of lattice index (m, d) and work (m,), whole numbers. Collective.
 
-    A cell may be given by several ranks; its work is summed, and they get the same answer. It is dealt out to
-    as many `ranks` as there are, or to another number.
+    A cell may be given by several ranks; its work is summed, and they get the same answer. Cells go to as
+    many `ranks` as there are, or to another number.
     """
     part: np.ndarray = np.zeros(len(index), dtype=np.int64)
     start, count = np.array([0]), np.array([ranks or comm.size])  # of each part
@@ -41,7 +41,8 @@ def bisect(comm: MPI.Comm, index: np.ndarray, weight: np.ndarray, ranks: int | N
         part = 2 * part + (key >= cut[part])
         start = np.stack([start, start + half], axis=1).ravel()
         count = np.stack([half, count - half], axis=1).ravel()
-    return start[part]
+    rank: np.ndarray = start[part]
+    return rank
 
 
 def _order(comm: MPI.Comm, index: np.ndarray, part: np.ndarray, parts: int) -> tuple[np.ndarray, np.ndarray]:
@@ -101,7 +102,7 @@ def destinations(grid: Grid, x: np.ndarray, effort: np.ndarray) -> np.ndarray:
 
 
 def distribute(grid: Grid, points: Points, x: np.ndarray | None = None) -> Route | None:
-    """Deal the points out to the ranks by where they are, or were, at x (np, d) (m). Collective.
+    """Distribute the points to the ranks by where they are, or were, at x (np, d) (m). Collective.
 
     Returns:
         The way of the points, for what else is kept for each of them; None where nothing has moved.
@@ -116,12 +117,12 @@ def distribute(grid: Grid, points: Points, x: np.ndarray | None = None) -> Route
 
 @dataclass
 class Shares:
-    """How well the points are dealt out, at the last reset; zero: not known yet.
+    """How well the points are distributed, at the last reset; zero: not known yet.
 
     Attributes:
         work: most of a rank, over the mean.
         ghosts: ghost nodes over active nodes; they grow when the ranks' pieces of a body that flows mingle.
-        best_work, best_ghosts: at the first reset after the points were dealt out.
+        best_work, best_ghosts: at the first reset after the points were distributed.
     """
 
     work: float = 0.0
@@ -130,8 +131,8 @@ class Shares:
     best_ghosts: float = 0.0
 
 
-class Balance:
-    """Tells at a reset whether points are to be dealt out afresh.
+class LoadShares:
+    """Tells at a reset whether points are to be distributed afresh.
 
     Args:
         limit: factor by which a share may grow beyond what it was after the last time; None: never.
@@ -148,14 +149,15 @@ class Balance:
         self.shares = Shares(work=1.0)  # better ones are possible, so far as is known
 
     def due(self) -> bool:
-        """Whether to deal the points out."""
+        """Whether to distribute the points."""
         if self.comm.size == 1 or self.limit is None:
             return False
         s = self.shares
-        return s.work > self.limit * s.best_work or s.ghosts > self.limit * s.best_ghosts
+        worse: bool = s.work > self.limit * s.best_work or s.ghosts > self.limit * s.best_ghosts
+        return worse
 
-    def dealt(self) -> None:
-        """Take note that the points have been dealt out."""
+    def distributed(self) -> None:
+        """Take note that the points have been distributed."""
         self.shares = Shares()
 
     def built(self, points: Points, nodes: ActiveNodes) -> None:

@@ -105,8 +105,8 @@ class Points:
         self.q = rotations.identity(n)
         self.wryness = np.zeros((n, 3, 3))
         self.volume0, self.half_length0 = volume.copy(), half_length.copy()
-        self._has_history = False
-        self._add_history()
+        self._has_plastic_state = False
+        self._add_plastic_state()
 
     def __len__(self) -> int:
         """Number of points of this rank."""
@@ -115,13 +115,15 @@ class Points:
     @property
     def total(self) -> int:
         """Number of points of all ranks. Collective."""
-        return self.comm.allreduce(len(self))
+        total: int = self.comm.allreduce(len(self))
+        return total
 
     # state --------------------------------------------------------------------------------------
     @property
     def displacement(self) -> np.ndarray:
         """x - X (m), vector."""
-        return self.x - self.X
+        u: np.ndarray = self.x - self.X
+        return u
 
     @property
     def rotation_vector(self) -> np.ndarray:
@@ -131,7 +133,8 @@ class Points:
     @property
     def volume(self) -> np.ndarray:
         """Current volume V0 J (m^3), scalar."""
-        return self.volume0 * rotations.determinant(self.F)
+        volume: np.ndarray = self.volume0 * rotations.determinant(self.F)
+        return volume
 
     @property
     def stretch(self) -> np.ndarray:
@@ -153,7 +156,7 @@ class Points:
         """Names of the state's arrays, with their shapes after the point axis and types."""
         return {**FIELDS, **PLASTIC_FIELDS} if self.plastic else FIELDS
 
-    def history(self, rows: np.ndarray) -> tuple[np.ndarray, ...]:
+    def plastic_state(self, rows: np.ndarray) -> tuple[np.ndarray, ...]:
         """Fp, Gp and chi of some points; nothing in an elastic body."""
         if not self.plastic:
             return ()
@@ -162,12 +165,12 @@ class Points:
     def put_materials(self, materials: tuple[Material, ...], rows: np.ndarray) -> None:
         """Give the local points the materials of these rows (np,)."""
         self.materials, self.material = materials, rows.astype(np.int32)
-        self._add_history()
+        self._add_plastic_state()
 
-    def _add_history(self) -> None:
+    def _add_plastic_state(self) -> None:
         """Arrays of plastic materials, where they are needed and missing."""
-        if self.plastic and not self._has_history:
-            n, self._has_history = len(self), True
+        if self.plastic and not self._has_plastic_state:
+            n, self._has_plastic_state = len(self), True
             self.plastic_F = np.tile(np.eye(3), (n, 1, 1))
             self.plastic_wryness = np.zeros((n, 3, 3))
             self.hardening, self.dissipation = np.zeros(n), np.zeros(n)
@@ -199,8 +202,8 @@ class Points:
         first = self.comm.allreduce(int(self.id.max(initial=-1)), op=MPI.MAX) + 1
         number, mine = len(self.materials), self.materials
         self.materials = other.materials = mine + other.materials  # both sets know all fields
-        self._add_history()
-        other._add_history()
+        self._add_plastic_state()
+        other._add_plastic_state()
         theirs = dict(other.arrays())
         other.materials = other.materials[number:]
         theirs["id"] = theirs["id"] + first
@@ -223,7 +226,7 @@ class Points:
             raise InputError("material: micropolar and classical materials can't be mixed in one body")
         if material not in self.materials:
             self.materials = (*self.materials, material)
-        self._add_history()
+        self._add_plastic_state()
         self.material = self.material.copy()
         self.material[self.rows(selection)] = self.materials.index(material)
 
@@ -289,4 +292,5 @@ class Points:
 
     def mean_displacement(self, selection: Selection | None = None) -> np.ndarray:
         """Mean displacement (m) of a selection, shape (d,). Collective."""
-        return self.mean(self.displacement, selection)
+        mean: np.ndarray = self.mean(self.displacement, selection)
+        return mean

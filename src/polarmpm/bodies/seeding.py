@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import InputError, PointsOutsideGrid
 from ..geometry.grid import Grid
 from ..materials.base import Material
-from ..tools.parallel import collectively
+from ..tools.parallel import raise_on_all_ranks
 from .partition import distribute
 from .points import Points
 
@@ -70,7 +70,7 @@ def seed(
             halves.append(0.5 * sizes / per_cell)
     except InputError as e:
         error = e
-    collectively(grid.comm, error)
+    raise_on_all_ranks(grid.comm, error)
     none = np.zeros((0, grid.dim))
     x, half = np.concatenate([none, *found]), np.concatenate([none, *halves])
     volume = np.concatenate([none[:, 0], *volumes])
@@ -127,7 +127,8 @@ def _keep(x: np.ndarray, inside: Inside | None, bounds: Any) -> np.ndarray:
     if inside is None:
         if bounds is None:
             return np.ones(len(x), dtype=bool)
-        return np.all((x >= np.asarray(bounds[0])) & (x <= np.asarray(bounds[1])), axis=1)
+        within: np.ndarray = np.all((x >= np.asarray(bounds[0])) & (x <= np.asarray(bounds[1])), axis=1)
+        return within
     mask = np.asarray(inside(x))
     if mask.shape != (len(x),) or mask.dtype != bool:
         raise InputError(f"inside: returned {mask.dtype} {mask.shape}; a bool for each point is needed")

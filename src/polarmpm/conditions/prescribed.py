@@ -57,7 +57,7 @@ class Prescribed:
         """Prescribed increments since the last reset (rotations: since their last base), (nodes, block)."""
         d, now = self.layout.dim, self.totals(factor)
         before = self.totals(reset)
-        out = now - before
+        out: np.ndarray = now - before
         if self.layout.rotations:
             base = before if rotation_base == reset else self.totals(rotation_base)
             out[:, d:] = now[:, d:] - base[:, d:]

@@ -10,7 +10,7 @@ from ..kernels import codegen, jit
 from ..kernels.codegen import Scalariser
 from ..kernels.csource import write_c
 from ..kernels.kernel import Kernel, PointSpace, generator_version
-from ..kinematics import measures as kin
+from ..kinematics import tensors as kin
 from ..tools import compat
 
 

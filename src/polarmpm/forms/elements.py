@@ -1,6 +1,6 @@
 """The weak form on a mesh, in UFL; dolfinx assembles it.
 
-Unknowns are the nodal increments (Du, Dw) since the last converged state, and the history of that state,
+Unknowns are the nodal increments (Du, Dw) since the last converged state, and that state,
 F~, Q~ and Gamma~, lives in quadrature spaces. On a mesh that moves with its nodes d(.)/dx~ F~ = d(.)/dX holds
 exactly, so that the updated Lagrangian integrals of T (3.145)-(3.146) are taken over the undeformed mesh and
 its geometry never has to be changed.
@@ -17,7 +17,7 @@ import ufl
 
 from ..bodies.elements import Elements
 from ..bodies.facets import Facets
-from ..kinematics import measures as kin
+from ..kinematics import tensors as kin
 from ..kinematics.layout import Layout
 from ..materials.base import Material, parameter_values
 from ..tools import compat
@@ -39,7 +39,7 @@ class ElementForms:
     Attributes:
         x: nodal increments.
         before, correction: what they were before the last correction, and x less that.
-        state: history in a quadrature space, in the order of `pointforms.strains`.
+        state: of the points, in a quadrature space, in the order of `forms.strains.strains`.
         total: displacement of the last converged state in the space of the unknowns, for surfaces.
         symmetric: the tangent is symmetric.
     """
@@ -61,7 +61,7 @@ class ElementForms:
         self.test = ufl.TestFunction(elements.space)
         self.trial = ufl.TrialFunction(elements.space)
 
-    # history --------------------------------------------------------------------------------------
+    # state --------------------------------------------------------------------------------------
     def pack(self) -> None:
         """Write the points' current state into the quadrature function."""
         p = self.elements.points
@@ -76,13 +76,13 @@ class ElementForms:
         return False
 
     def flow(self, base: np.ndarray) -> None:
-        """Put plastic flow into the points' history; there is none here."""
+        """Put plastic flow into the points' plastic state; there is none here."""
 
     def update(self, tangent: bool) -> None:
-        """Make ready for the assembly at the present unknowns; forms that hold the law need nothing."""
+        """Make ready for the assembly at the present unknowns; compiled forms of an energy need nothing."""
 
     # forms ----------------------------------------------------------------------------------------
-    def _measures(self) -> list[Any]:
+    def _volume_measures(self) -> list[Any]:
         """Volume measure of each material."""
         e = self.elements
         degree = {"quadrature_degree": e.quadrature_degree, "quadrature_rule": "default"}
@@ -91,9 +91,9 @@ class ElementForms:
         dx = ufl.Measure("dx", domain=e.mesh, subdomain_data=e.region_tags(), metadata=degree)
         return [dx(row + 1) for row in range(len(e.points.materials))]
 
-    def _laws(self) -> Iterator[tuple[Material, Any, Any]]:
+    def _parts(self) -> Iterator[tuple[Material, Any, Any]]:
         """Each material with its parameters and its part of the volume."""
-        return zip(self.elements.points.materials, self._numbers, self._measures(), strict=True)
+        return zip(self.elements.points.materials, self._numbers, self._volume_measures(), strict=True)
 
     def _strains(self, material: Material, x: Any) -> tuple[Any, ...]:
         return strains(material, self.layout, point_unknowns(self.layout, x), self.state, rotated=False)
@@ -103,14 +103,14 @@ class ElementForms:
         """Virtual work of the stresses, T (3.145)-(3.146)."""
         return sum(
             virtual_work(m, self._strains(m, self.x), self.x, self.test, numbers) * dx
-            for m, numbers, dx in self._laws()
+            for m, numbers, dx in self._parts()
         )
 
     @cached_property
     def tangent_form(self) -> ufl.Form:
         """The iterations' tangent, see `pointforms.tangent_work`; symmetric, being a Hessian."""
         form = 0
-        for m, numbers, dx in self._laws():
+        for m, numbers, dx in self._parts():
             at = [self._strains(m, x) for x in (self.x, self.before)]
             unknowns = self.x, self.before, self.correction
             form += tangent_work(m, at, unknowns, (self.test, self.trial), numbers) * dx

@@ -1,6 +1,6 @@
 """Elastoplastic points in UFL: trial state, stresses, and the local problem of each region.
 
-The state of a `PlasticForm` holds, after what `pointforms.strains` needs, the plastic history at the last
+The state of a `PlasticForm` holds, after what `pointforms.strains` needs, the plastic state at the last
 converged step: P = Fp^-1, Gp and chi (plane strain: the entries that aren't zero). Local unknowns are
 X = (Ue, Ge, chi, Dgamma), T (4.61), for classical materials (Fe, chi, Dgamma), with one multiplier Dgamma for
 each active yield surface. In the rotated frame all of it is turned by Q~, which changes neither tau nor nu.
@@ -30,7 +30,7 @@ from ..materials.plastic import Plastic, check_regions
 from ..materials.regions import LocalState, Region, Scales
 from .points import PointForm
 from .returns import LocalProblem, Return, compile_functions
-from .strains import measures, motion
+from .strains import motion, strain_measures
 
 _PLANE = ((0, 0), (0, 1), (1, 0), (1, 1), (2, 2))  # entries of deformations in plane strain
 _PLANE_WRYNESS = ((0, 2), (1, 2), (2, 0), (2, 1))  # plastic flow brings in the third column
@@ -44,13 +44,13 @@ def entries(layout: Layout) -> tuple[tuple[tuple[int, int], ...], tuple[tuple[in
     return _PLANE, (_PLANE_WRYNESS if layout.rotations else ())
 
 
-def history_size(layout: Layout) -> int:
+def plastic_size(layout: Layout) -> int:
     """Scalars of P, Gp and chi."""
     return sum(map(len, entries(layout))) + 1
 
 
-def pack_history(layout: Layout, P: np.ndarray, Gp: np.ndarray, chi: np.ndarray) -> np.ndarray:
-    """History (n, history_size) of tensors (n, 3, 3) and chi (n,)."""
+def pack_plastic_state(layout: Layout, P: np.ndarray, Gp: np.ndarray, chi: np.ndarray) -> np.ndarray:
+    """Plastic state (n, plastic_size) of tensors (n, 3, 3) and chi (n,)."""
     deformation, wryness = entries(layout)
     columns = [P[:, i, j] for i, j in deformation] + [Gp[:, i, j] for i, j in wryness] + [chi]
     return np.column_stack(columns)
@@ -90,38 +90,38 @@ class PlasticForm(PointForm):
     # sizes ----------------------------------------------------------------------------------------
     @property
     def elastic_size(self) -> int:
-        """Scalars of the state before the history."""
+        """Scalars of the state before the plastic ones."""
         return state_size(self.layout, rotated=self.material.isotropic)
 
     @property
     def state_size(self) -> int:
-        return self.elastic_size + history_size(self.layout)
+        return self.elastic_size + plastic_size(self.layout)
 
     @property
     def hardening_column(self) -> int:
         """Where chi is in X; the multipliers follow."""
-        return history_size(self.layout) - 1
+        return plastic_size(self.layout) - 1
 
     @property
     def local_size(self) -> int:
         """Length of the longest X, that of the region with the most multipliers."""
-        return history_size(self.layout) + max(region.multipliers for region in self.regions)
+        return plastic_size(self.layout) + max(region.multipliers for region in self.regions)
 
     def pack(
-        self, F: np.ndarray, q: np.ndarray, wryness: np.ndarray, history: Sequence[np.ndarray]
+        self, F: np.ndarray, q: np.ndarray, wryness: np.ndarray, plastic: Sequence[np.ndarray]
     ) -> np.ndarray:
-        plastic_F, plastic_wryness, chi = history
+        plastic_F, plastic_wryness, chi = plastic
         P = np.linalg.inv(plastic_F)
         if self.material.isotropic and self.material.micropolar:
             turn = rotations.to_tensor(q)
             back = np.swapaxes(turn, 1, 2)
             P, plastic_wryness = turn @ P @ back, turn @ plastic_wryness @ back
-        elastic = super().pack(F, q, wryness, history)
-        return np.hstack([elastic, pack_history(self.layout, P, plastic_wryness, chi)])
+        elastic = super().pack(F, q, wryness, plastic)
+        return np.hstack([elastic, pack_plastic_state(self.layout, P, plastic_wryness, chi)])
 
     # trial state ----------------------------------------------------------------------------------
     @cached_property
-    def _history(self) -> tuple[Any, Any, Any]:
+    def _plastic_state(self) -> tuple[Any, Any, Any]:
         """P, Gp and chi."""
         deformation, wryness = entries(self.layout)
         first = self.elastic_size
@@ -139,19 +139,19 @@ class PlasticForm(PointForm):
     def _trial(self) -> tuple[Any, Any]:
         """Ue (Fe of a classical material) and Ge if nothing flowed, T (4.42)-(4.44)."""
         f, q, wryness = self._motion
-        P, Gp, _ = self._history
+        P, Gp, _ = self._plastic_state
         fe = ufl.dot(f, P)
         return (fe, None) if q is None else (ufl.dot(ufl.transpose(q), fe), wryness - Gp)
 
     def strains(self) -> tuple[Any, ...]:
         """Measures of the elastic energy in the trial state."""
-        return measures(self.material, *self._trial)
+        return strain_measures(self.material, *self._trial)
 
     @cached_property
     def energy(self) -> Any:
         """Strain energy of the trial state; evaluates all functions, so that a mistake in one shows."""
         tau, nu = self.kirchhoff(*self._trial)
-        chi, owner = self._history[2], type(self.material).__name__
+        chi, owner = self._plastic_state[2], type(self.material).__name__
         for surface in self.surfaces:
             surface.value(owner, tau, nu, chi, self._numbers)
             surface.flow_potential(owner, tau, nu, chi, self._numbers)
@@ -195,7 +195,7 @@ class PlasticForm(PointForm):
         """The state at local unknowns X, a coefficient."""
         deformation, wryness = entries(self.layout)
         f, q, _ = self._motion
-        P, _, before = self._history
+        P, _, before = self._plastic_state
         last = self.hardening_column
         return LocalState(
             dim=self.layout.dim,
@@ -233,7 +233,7 @@ class PlasticForm(PointForm):
 
     def local_problem(self, region: Region) -> LocalProblem:
         """A region's equations, the stresses at their solution, and what its flow dissipates."""
-        size = history_size(self.layout) + region.multipliers
+        size = plastic_size(self.layout) + region.multipliers
         X = self.space.coefficient(size)
         state = self.local_state(X, region.multipliers)
         active = {surface.name for surface in region.surfaces}
@@ -275,7 +275,7 @@ class PlasticForm(PointForm):
 
     def _trial_rows(self) -> list[Any]:
         ue, ge = self._trial
-        chi, p, owner = self._history[2], self._numbers, type(self.material).__name__
+        chi, p, owner = self._plastic_state[2], self._numbers, type(self.material).__name__
         tau, nu = self.kirchhoff(ue, ge)
         deformation, wryness = entries(self.layout)
         rows = [ue[i, j] for i, j in deformation] + [ge[i, j] for i, j in wryness]

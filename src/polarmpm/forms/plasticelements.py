@@ -64,12 +64,12 @@ class PlasticElementForms(ElementForms):
     def tangent(self) -> Any:
         return self._blocks.tangent
 
-    # history --------------------------------------------------------------------------------------
+    # state --------------------------------------------------------------------------------------
     def pack(self) -> None:
         p = self.elements.points
         self._states, self._frames = [], []
         for form, rows in zip(self._point_forms, self._rows_of, strict=True):
-            state = form.pack(p.F[rows], p.q[rows], p.wryness[rows], p.history(rows))
+            state = form.pack(p.F[rows], p.q[rows], p.wryness[rows], p.plastic_state(rows))
             numbers = np.tile(parameter_values(form.material), (len(rows), 1))
             self._states.append(np.hstack([state, numbers]))
             turned = self.layout.rotations and form.material.isotropic
@@ -83,12 +83,12 @@ class PlasticElementForms(ElementForms):
         return True
 
     def flow(self, base: np.ndarray) -> None:
-        """Put the plastic flow of a converged step into the points' history; their deformation has been
+        """Put the plastic flow of a converged step into the points' plastic state; their deformation has been
         updated, `base` (n, 4) is their microrotation before."""
         for rows, mapping in zip(self._rows_of, self._mappings, strict=True):
             if mapping is not None and mapping.yielding is not None:
                 yielding = rows[mapping.yielding.rows]
-                mapping.update_history(self.elements.points, yielding, base[yielding])
+                mapping.update_plastic_state(self.elements.points, yielding, base[yielding])
 
     # evaluation -----------------------------------------------------------------------------------
     def update(self, tangent: bool) -> None:
@@ -128,9 +128,9 @@ class PlasticElementForms(ElementForms):
         mapping = self._mappings[k]
         if mapping is not None:
             y = mapping.evaluate(inputs, tangent)
-            s[y.rows] = y.blocks[:, :nz]
+            s[y.rows] = y.returned[:, :nz]
             if tangent:
-                a[y.rows] = y.blocks[:, nz:].reshape(-1, nz, nz)
+                a[y.rows] = y.returned[:, nz:].reshape(-1, nz, nz)
         return s, a
 
 

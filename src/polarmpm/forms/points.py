@@ -26,7 +26,7 @@ from ..kernels import codegen, jit
 from ..kernels.codegen import Scalariser
 from ..kernels.csource import write_c
 from ..kernels.kernel import Kernel, PointSpace, compile_expressions, generator_version
-from ..kinematics import measures as kin
+from ..kinematics import tensors as kin
 from ..kinematics.layout import Layout
 from ..materials.base import Material, evaluate_energy, named_parameters, parameter_values
 from ..tools import compat
@@ -72,9 +72,9 @@ class PointForm:
         return strains(self.material, self.layout, self.z, self.state, rotated=self.material.isotropic)
 
     def pack(
-        self, F: np.ndarray, q: np.ndarray, wryness: np.ndarray, history: Sequence[np.ndarray]
+        self, F: np.ndarray, q: np.ndarray, wryness: np.ndarray, plastic: Sequence[np.ndarray]
     ) -> np.ndarray:
-        """States (n, state_size) of reference values at points; `history` is what `Points.history` gives."""
+        """States (n, state_size) of reference values at points; `plastic`: their `Points.plastic_state`."""
         if not self.material.isotropic or not self.material.micropolar:
             return self.layout.state().pack(F, wryness, q)
         return self.packing(MPI.COMM_SELF)(F, q, wryness)

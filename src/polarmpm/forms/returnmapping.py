@@ -1,4 +1,4 @@
-"""Return mapping: which points yield, their stresses and consistent tangents, and their plastic history.
+"""Return mapping: which points yield, their stresses and consistent tangents, and their plastic state.
 
 Elastic points cost one evaluation of the yield function. Those that yield are gathered and solved in batches
 by compiled code; kernels are compiled when the first point needs them. Where one region of the yield surface
@@ -43,7 +43,7 @@ class Yielding:
         rows: which of the points (n,).
         inputs, X: kernel inputs and local unknowns, row by row; multipliers that a region lacks are zero.
         region: on which of the material's regions (n,); before they are solved, which is attempted first.
-        blocks: s and, if asked, the consistent tangent per reference volume, (n, nz (1 + nz)).
+        returned: s and, if asked, the consistent tangent per reference volume, (n, nz (1 + nz)).
         iterations: local iterations (n,).
     """
 
@@ -51,7 +51,7 @@ class Yielding:
     inputs: np.ndarray
     X: np.ndarray
     region: np.ndarray
-    blocks: np.ndarray
+    returned: np.ndarray
     iterations: np.ndarray
 
     def without(self, left_out: np.ndarray) -> Yielding:
@@ -166,7 +166,7 @@ class ReturnMapping:
     def _solve(self, y: Yielding, which: np.ndarray, region: int, tangent: bool) -> np.ndarray:
         """Solve for some of the yielding points on a region; which of them succeeded."""
         inputs = y.inputs[which]
-        X, blocks, failed, iterations = self._run(region, inputs, y.X[which], tangent)
+        X, returned, failed, iterations = self._run(region, inputs, y.X[which], tangent)
         good = ~failed
         kernels = self._kernels(region)
         flow = kernels.flow(inputs[good], X[good, : kernels.size])
@@ -174,18 +174,18 @@ class ReturnMapping:
         good[good] = (flow[:, 1] >= _BACKWARDS) & ~np.any(outside, axis=1)
         solved = which[good]
         y.X[which] = X
-        y.blocks[solved], y.region[solved] = blocks[good], region
+        y.returned[solved], y.region[solved] = returned[good], region
         y.iterations[which] += iterations
         return good
 
     def _run(
         self, region: int, inputs: np.ndarray, X: np.ndarray, tangent: bool
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """X, blocks, whether it failed, and iterations of points from initial values of X."""
+        """X, returned, whether it failed, and iterations of points from initial values of X."""
         kernels, form, n = self._kernels(region), self.form, len(inputs)
         nz, size = form.layout.unknowns, kernels.size
         own, inputs = np.array(X[:, :size], order="C"), np.ascontiguousarray(inputs)
-        blocks = np.zeros((n, nz * (1 + nz) if tangent else nz))
+        returned = np.zeros((n, nz * (1 + nz) if tangent else nz))
         status, iterations = np.zeros(n, dtype=np.int8), np.zeros(n, dtype=np.int32)
         controls = native.Return()
         native.fill(
@@ -207,7 +207,7 @@ class ReturnMapping:
             inputs,
             int(tangent),
             own,
-            blocks,
+            returned,
             status,
             iterations,
         )
@@ -215,11 +215,11 @@ class ReturnMapping:
             raise MemoryError("no memory for the return mapping")
         if size < X.shape[1]:
             own = np.pad(own, ((0, 0), (0, X.shape[1] - size)))
-        return own, blocks, status != 0, iterations
+        return own, returned, status != 0, iterations
 
-    # history --------------------------------------------------------------------------------------
-    def update_history(self, points: Points, rows: np.ndarray, base: np.ndarray) -> None:
-        """Put the flow of a converged step into the history of the points that yield.
+    # plastic state --------------------------------------------------------------------------------------
+    def update_plastic_state(self, points: Points, rows: np.ndarray, base: np.ndarray) -> None:
+        """Put the flow of a converged step into the plastic state of the points that yield.
 
         Args:
             points: with their deformation updated already.

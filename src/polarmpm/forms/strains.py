@@ -7,7 +7,7 @@ from typing import Any
 
 import ufl
 
-from ..kinematics import measures as kin
+from ..kinematics import tensors as kin
 from ..kinematics.layout import Layout
 from ..kinematics.motion import Increment, Moved, move
 from ..materials.base import Material, evaluate_energy, named_parameters
@@ -28,15 +28,15 @@ def motion(layout: Layout, z: Any, state: Any, *, rotated: bool) -> Moved:
     return move(by, before.frame(state), base, before.wryness(state))
 
 
-def measures(material: Material, stretch: Any, wryness: Any) -> tuple[Any, ...]:
+def strain_measures(material: Material, stretch: Any, wryness: Any) -> tuple[Any, ...]:
     """(E, Gamma) of U = Q^T F and Gamma; of a classical material, without a wryness, its measures of F."""
     return material.measures(stretch) if wryness is None else (stretch - ufl.Identity(3), wryness)
 
 
 def strains(material: Material, layout: Layout, z: Any, state: Any, *, rotated: bool) -> tuple[Any, ...]:
-    """Strain measures of a material at a point, see `motion` and `measures`."""
+    """Strain measures of a material at a point, see `motion` and `strain_measures`."""
     now = motion(layout, z, state, rotated=rotated)
-    return measures(material, now.stretch, now.wryness)
+    return strain_measures(material, now.stretch, now.wryness)
 
 
 def stresses(material: Material, strains: Sequence[Any], numbers: Any) -> list[Any]:

@@ -14,7 +14,7 @@ import ufl
 
 from ..errors import InputError
 from ..kernels.kernel import Kernel, PointSpace, compile_expressions, matrix
-from ..kinematics import measures as kin
+from ..kinematics import tensors as kin
 from ..materials.base import Material, evaluate_energy, named_parameters, parameter_values
 from ..tools import compat
 
@@ -35,11 +35,11 @@ class PointState:
     """
 
     def __init__(self, material: Material, coefficients: Sequence[Any]):
-        f, q, wryness, *history, parameters = coefficients
+        f, q, wryness, *plastic, parameters = coefficients
         self.material, self.p = material, named_parameters(material, parameters)
         self.F, self.Gamma = matrix(f, 3, 3), matrix(wryness, 3, 3)
         self.Q = kin.quaternion_tensor([q[i] for i in range(4)]) if material.micropolar else None
-        self.Fe, self.Ge, self.chi = _elastic_parts(self.F, self.Gamma, history)
+        self.Fe, self.Ge, self.chi = _elastic_parts(self.F, self.Gamma, plastic)
 
     @cached_property
     def _derived(self) -> tuple[Any, Any, Any]:
@@ -77,12 +77,12 @@ class PointState:
         return (forward if self.Q is None else ufl.dot(self.Q, forward)) / ufl.det(self.F)
 
 
-def _elastic_parts(F: Any, Gamma: Any, history: Sequence[Any]) -> tuple[Any, Any, Any]:
-    """Fe = F Fp^-1, Ge = Gamma - Gp and chi of the history's coefficients (T 4.1)."""
-    if not history:
+def _elastic_parts(F: Any, Gamma: Any, plastic: Sequence[Any]) -> tuple[Any, Any, Any]:
+    """Fe = F Fp^-1, Ge = Gamma - Gp and chi of the coefficients of the plastic state (T 4.1)."""
+    if not plastic:
         return F, Gamma, None
-    plastic, plastic_wryness, chi = history
-    return ufl.dot(F, ufl.inv(matrix(plastic, 3, 3))), Gamma - matrix(plastic_wryness, 3, 3), chi[0]
+    plastic_F, plastic_wryness, chi = plastic
+    return ufl.dot(F, ufl.inv(matrix(plastic_F, 3, 3))), Gamma - matrix(plastic_wryness, 3, 3), chi[0]
 
 
 # fields -----------------------------------------------------------------------------------------------
@@ -121,7 +121,7 @@ MECHANICAL = tuple(TABLE[name] for name in ("energy", "stress", "couple_stress")
 
 
 class FieldForm:
-    """Fields of (F, Q, Gamma), and of a plastic material's history (Fp, Gp, chi), for output.
+    """Fields of (F, Q, Gamma), and of a plastic material's state (Fp, Gp, chi), for output.
 
     Args:
         fields: by default energy, stress and couple stress.
@@ -159,8 +159,8 @@ class FieldForm:
         return out
 
     def compile(self, comm: MPI.Comm) -> Kernel:
-        """Kernel (F, q, Gamma, history, parameters) -> the fields, row by row: (W, sigma, mu), 19 numbers, by
-        default. Collective."""
+        """Kernel (F, q, Gamma, plastic state, parameters) -> the fields, row by row; by default 19 numbers,
+        (W, sigma, mu). Collective."""
         return compile_expressions(self.expressions, self.terminals, self.size, self.space.domain, comm)
 
     def split(self, rows: np.ndarray) -> dict[str, np.ndarray]:

@@ -17,7 +17,7 @@ from ..kernels import codegen, jit
 from ..kernels.codegen import Scalariser
 from ..kernels.csource import write_c
 from ..kernels.kernel import Kernel, PointSpace, generator_version, matrix
-from ..kinematics import measures as kin
+from ..kinematics import tensors as kin
 from ..kinematics.layout import SURFACE, Layout
 from ..tools import compat
 
@@ -113,7 +113,7 @@ class DeadTraction(SurfaceForm):
 
 
 class FollowerTraction(SurfaceForm):
-    """A force (N/m^2) and a couple (N/m) per current area that follow the surface, see `measures.convected`.
+    """A force (N/m^2) and a couple (N/m) per current area that follow the surface, see `tensors.convected`.
 
     Data: F~ row by row, N, the force, and with `couples` the couple.
     """

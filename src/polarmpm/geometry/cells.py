@@ -18,7 +18,7 @@ def occupied_cells(grid: Grid, x: np.ndarray) -> np.ndarray:
 
     Each is on one rank, the lowest of those that have points in it.
     """
-    mine = np.unique(grid.cell_number(grid.cells_of(x)))
+    mine: np.ndarray = np.unique(grid.cell_number(grid.cells_of(x)))
     return mine if grid.comm.size == 1 else mine[lowest_ranks(grid.comm, mine) == grid.comm.rank]
 
 
@@ -29,7 +29,8 @@ def unit_corners(dim: int) -> np.ndarray:
 
 def corner_numbers(grid: Grid, cells: np.ndarray) -> np.ndarray:
     """Lattice numbers of the cells' corners (m, 2^d), the first axis running fastest (dolfinx' order)."""
-    return cells[:, None] + unit_corners(grid.dim) @ grid.strides
+    corners: np.ndarray = cells[:, None] + unit_corners(grid.dim) @ grid.strides
+    return corners
 
 
 @dataclass

@@ -148,16 +148,19 @@ class Grid:
 
     def position(self, xi: np.ndarray) -> np.ndarray:
         """Coordinates (m), (n, d), of lattice coordinates (n, d); the inverse of `local`."""
-        return np.array(self.origin) + xi * np.array(self.cell)
+        x: np.ndarray = np.array(self.origin) + xi * np.array(self.cell)
+        return x
 
     def local(self, x: np.ndarray) -> np.ndarray:
         """Lattice coordinates (n, d) of positions x (n, d) (m): cells from the lower corner."""
-        return (x - np.array(self.origin)) / np.array(self.cell)
+        xi: np.ndarray = (x - np.array(self.origin)) / np.array(self.cell)
+        return xi
 
     def within(self, x: np.ndarray, index: np.ndarray) -> np.ndarray:
         """Coordinates (n, d) of positions x (n, d) (m) in the cells of lattice index (n, d): 0 at the lower
         face, 1 at the upper one, continued beyond them."""
-        return self.local(x) - index
+        r: np.ndarray = self.local(x) - index
+        return r
 
     # lattice ------------------------------------------------------------------------------------
     @property
@@ -172,7 +175,8 @@ class Grid:
 
     def node_number(self, index: np.ndarray) -> np.ndarray:
         """Lattice number of nodes (n, d), counted from the origin; MARGIN nodes beyond each wall exist."""
-        return (np.asarray(index, dtype=np.int64) + MARGIN) @ self.strides
+        number: np.ndarray = (np.asarray(index, dtype=np.int64) + MARGIN) @ self.strides
+        return number
 
     def node_index(self, number: np.ndarray) -> np.ndarray:
         """Inverse of `node_number`: (n,) -> (n, d)."""
@@ -190,7 +194,8 @@ class Grid:
         """Which points (n, d) lie in the box, its boundary included."""
         xi = self.local(x)
         slack = 1e-9
-        return np.all((xi >= -slack) & (xi <= np.array(self.shape) + slack), axis=1)
+        mask: np.ndarray = np.all((xi >= -slack) & (xi <= np.array(self.shape) + slack), axis=1)
+        return mask
 
     def cell_number(self, index: np.ndarray) -> np.ndarray:
         """Lattice number of cells (n, d): the number of their lowest node."""
@@ -199,7 +204,8 @@ class Grid:
     def cells_of(self, x: np.ndarray) -> np.ndarray:
         """Lattice index (n, d) of the cell that contains each point; the upper cell on an inner face."""
         snapped = snap(self.local(x))
-        return np.clip(np.floor(snapped).astype(np.int64), 0, np.array(self.shape) - 1)
+        cells: np.ndarray = np.clip(np.floor(snapped).astype(np.int64), 0, np.array(self.shape) - 1)
+        return cells
 
 
 def snap(xi: np.ndarray, tolerance: float = 1e-8) -> np.ndarray:

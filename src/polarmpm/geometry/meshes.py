@@ -13,7 +13,7 @@ import ufl
 
 from ..errors import InputError
 from ..tools import compat
-from ..tools.parallel import collectively
+from ..tools.parallel import raise_on_all_ranks
 from .cells import unit_corners
 from .gmsh import read_gmsh_groups
 
@@ -102,12 +102,13 @@ class BodyMesh:
                 f"mesh: the Jacobian of {len(numbers)} cell(s) is not positive everywhere: numbers "
                 f"{', '.join(map(str, numbers[:10]))}, one at {tuple(float(round(c, 9)) for c in middle)}"
             )
-        collectively(self.mesh.comm, error)
+        raise_on_all_ranks(self.mesh.comm, error)
 
     def midpoints(self, cells: np.ndarray) -> np.ndarray:
         """Mean of the nodes (n, d) of local cells."""
         nodes = compat.cell_geometry(self.mesh)[cells]
-        return self.mesh.geometry.x[nodes][:, :, : self.dim].mean(axis=1)
+        centre: np.ndarray = self.mesh.geometry.x[nodes][:, :, : self.dim].mean(axis=1)
+        return centre
 
     def group(self, name: str | int, dim: int) -> int:
         """Tag of a physical group of `dim` dimensions.

@@ -41,16 +41,16 @@ class ActiveNodes:
         grid: Grid,
         touched: np.ndarray,
         positions: Callable[[np.ndarray], np.ndarray] | None = None,
-        claims: np.ndarray | None = None,
+        priorities: np.ndarray | None = None,
     ) -> ActiveNodes:
         """From the sorted lattice numbers that this rank's points reach. Of the ranks that share a node the
-        one with the largest of the claims (n,), whole numbers, owns it; the lowest one where they are equal.
-        Collective."""
+        one with the largest of the priorities (n,), whole numbers, owns it; the lowest one where they are
+        equal. Collective."""
         comm = grid.comm
         if comm.size == 1:
             n = len(touched)
             return cls(grid, touched, np.arange(n), np.zeros(n, dtype=np.int64), n, 0, n, positions)
-        owner = lowest_ranks(comm, touched, claims)
+        owner = lowest_ranks(comm, touched, priorities)
         mine = owner == comm.rank
         lattice = np.concatenate([touched[mine], touched[~mine]])
         owner = np.concatenate([owner[mine], owner[~mine]])

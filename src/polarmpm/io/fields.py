@@ -12,7 +12,7 @@ from ..bodies.points import Points
 from ..errors import InputError
 from ..forms.stresses import TABLE as OF_MATERIALS
 from ..forms.stresses import MaterialField
-from ..tools.parallel import together
+from ..tools.parallel import errors_on_all_ranks
 from .paraview import padded
 
 
@@ -90,7 +90,7 @@ def field_arrays(problem: Any, fields: Sequence[AnyField]) -> dict[str, np.ndarr
     """
     computed = [field for field in fields if isinstance(field, MaterialField)]
     found: dict[str, np.ndarray] = dict(problem.fields(*computed)) if computed else {}
-    with together(problem.comm):
+    with errors_on_all_ranks(problem.comm):
         for field in fields:
             if isinstance(field, Field):
                 found[field.name] = _values(field, problem.points)

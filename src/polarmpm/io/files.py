@@ -9,7 +9,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from ..errors import InputError
-from ..tools.parallel import collectively
+from ..tools.parallel import raise_on_all_ranks
 
 
 def check_output(comm: MPI.Comm, path: str | os.PathLike[str], suffix: str = "") -> Path:
@@ -32,14 +32,14 @@ def check_output(comm: MPI.Comm, path: str | os.PathLike[str], suffix: str = "")
                 raise IsADirectoryError(None, "Is a directory")
         except OSError as e:
             error = _refused(file, e)
-    collectively(comm, error)
+    raise_on_all_ranks(comm, error)
     # ranks may run on different machines, so that each has to try
     try:
         with tempfile.TemporaryFile(dir=file.parent):
             pass
     except OSError as e:
         error = _refused(file, e)
-    collectively(comm, error)
+    raise_on_all_ranks(comm, error)
     return file
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from ..bodies.points import PLASTIC_FIELDS, Points
 from ..errors import InputError
 from ..problems.elements import QuasiStaticFEM
-from ..tools.parallel import collectively, look_up
+from ..tools.parallel import raise_on_all_ranks, values_by_number
 
 _OF_POINTS = ("X", "x", "F", "q", "wryness", "material")
 _OF_CELLS = ("X", "displacement", "q")
@@ -68,7 +68,7 @@ def put(problem: QuasiStaticFEM, rows: dict[str, np.ndarray], path: Any) -> None
         error = InputError(f"restart file {path}: another mesh; its cells aren't where they were")
     elif np.any(of_points["material"] != p.material):
         error = InputError(f"restart file {path}: other regions; its cells have other materials")
-    collectively(problem.comm, error)
+    raise_on_all_ranks(problem.comm, error)
     for name in set(of_points) - {"X", "material"}:
         setattr(p, name, of_points[name])
     problem.keep(kept)
@@ -94,7 +94,7 @@ def _find(
     number = rows[f"{group}/id"]
     flat = [a.reshape(len(number), int(np.prod(a.shape[1:], dtype=int))) for a in saved]
     table = np.concatenate([np.ones((len(number), 1)), *flat], axis=1)
-    found = look_up(problem.comm, number, table, wanted)
+    found = values_by_number(problem.comm, number, table, wanted)
     ends = np.cumsum([1, *(a.shape[1] for a in flat)])
     values = [
         np.ascontiguousarray(found[:, start:end]).reshape(len(wanted), *a.shape[1:])

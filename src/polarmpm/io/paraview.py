@@ -10,7 +10,7 @@ from mpi4py import MPI
 import numpy as np
 
 from ..geometry.cells import unit_corners
-from ..tools.parallel import collectively
+from ..tools.parallel import raise_on_all_ranks
 from .files import check_output, replace_file
 
 # dolfinx' nodes in VTK's order, by meshio's name of the cell: corners (in dolfinx with the first axis
@@ -41,7 +41,8 @@ def padded(vectors: np.ndarray) -> np.ndarray:
 def box_corners(centre: np.ndarray, half_length: np.ndarray) -> np.ndarray:
     """Corners (n, 2^d, d) of boxes, the first axis running fastest."""
     sign = 2 * unit_corners(centre.shape[1]) - 1
-    return centre[:, None] + sign * half_length[:, None]
+    corners: np.ndarray = centre[:, None] + sign * half_length[:, None]
+    return corners
 
 
 def write_vtu(
@@ -106,7 +107,7 @@ class Collection:
                 write_vtu(self._piece(number, self.comm.rank), x, cells, point_data, cell_data, kind)
             except OSError as e:
                 error = e
-        collectively(self.comm, error)
+        raise_on_all_ranks(self.comm, error)
         has = self.comm.allgather(bool(len(cells)))
         self._entries[number] = time, [rank for rank, there in enumerate(has) if there]
         if self.comm.rank == 0:
@@ -114,7 +115,7 @@ class Collection:
                 replace_file(self.path, self._xml())
             except OSError as e:
                 error = e
-        collectively(self.comm, error)
+        raise_on_all_ranks(self.comm, error)
 
     def _piece(self, number: int, rank: int) -> Path:
         return self.folder / f"{self.path.stem}_{number:04d}_p{rank}.vtu"
@@ -127,4 +128,5 @@ class Collection:
                 file = self._piece(number, rank).relative_to(self.path.parent).as_posix()
                 ET.SubElement(sets, "DataSet", timestep=repr(time), part=str(rank), file=file)
         ET.indent(root)
-        return ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
+        text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+        return text + b"\n"

@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..geometry.cells import corner_numbers, occupied_cells
 from ..problems.elements import QuasiStaticFEM
 from ..solvers.stepping import Step
-from ..tools.parallel import look_up
+from ..tools.parallel import values_by_number
 from .fields import AnyField, choose, field_arrays
 from .mesh import NODAL, mesh_piece
 from .paraview import Collection, box_corners, padded
@@ -138,7 +138,9 @@ class Recorder:
             nodes, weight = problem.basis.weights(grid, corners, np.zeros_like(corners)).products(grid)
             wanted, at = np.unique(nodes, return_inverse=True)
             own = system.nodes.owned
-            nodal = look_up(grid.comm, system.nodes.lattice[:own], np.asarray(system.x[:own]), wanted)
+            nodal = values_by_number(
+                grid.comm, system.nodes.lattice[:own], np.asarray(system.x[:own]), wanted
+            )
             increments = np.einsum("nk,nkc->nc", weight, nodal[at.reshape(nodes.shape)])
         data = {"displacement_increment": padded(increments[:, :dim])}
         if problem.layout.rotations:

@@ -1,8 +1,9 @@
 """Restart files: all that a run needs to continue to the same digits.
 
 Material points are put back as they are; another number of ranks than wrote the file reads equal shares of it
-and deals them out afresh. Elements are made by the script, and their state is put in by the original numbers
-of cells and quadrature points.
+and distributes them afresh. Elements are made by the script, and their state is put in by the original
+numbers of cells and quadrature points.
+
 A file is HDF5; ranks write their rows one after the other. It is written under a temporary name and put in
 place at the end, so the file on disc is always complete.
 """
@@ -25,7 +26,7 @@ from ..problems.base import Problem
 from ..problems.elements import QuasiStaticFEM
 from ..problems.points import QuasiStatic
 from ..problems.state import Progress
-from ..tools.parallel import collectively
+from ..tools.parallel import raise_on_all_ranks
 from . import meshstate
 
 _FORMAT = 4
@@ -49,7 +50,7 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
                 _write_rows(temporary, problem, arrays, first=rank == 0)
             except OSError as e:
                 error = InputError(f"restart file {path} can't be written: {e}")
-        collectively(comm, error)
+        raise_on_all_ranks(comm, error)
     if comm.rank == 0:
         os.replace(temporary, path)
     comm.Barrier()
@@ -74,7 +75,7 @@ def _write_rows(path: Path, problem: Problem, arrays: dict[str, np.ndarray], fir
             for name, value in asdict(problem.progress).items():
                 file.attrs[f"progress/{name}"] = value
             if isinstance(problem, QuasiStatic):
-                file.attrs["shares"] = problem.balance.state()
+                file.attrs["shares"] = problem.load_shares.state()
         for name, rows in arrays.items():
             if first:
                 file.create_dataset(name, data=rows, maxshape=(None, *rows.shape[1:]), chunks=True)
@@ -118,7 +119,7 @@ def load(problem: Problem, path: str | os.PathLike[str]) -> None:
         error = InputError(f"restart file {path} can't be read: {e}")
     except InputError as e:
         error = e
-    collectively(problem.comm, error)
+    raise_on_all_ranks(problem.comm, error)
     terms = {name[6:].replace(".", "/"): a for name, a in rows.items() if name.startswith("terms/")}
     problem.restore_terms(terms)
     if isinstance(problem, QuasiStaticFEM):
@@ -129,7 +130,7 @@ def load(problem: Problem, path: str | os.PathLike[str]) -> None:
 
 
 def _shares(file: h5py.File, comm: MPI.Comm) -> np.ndarray | None:
-    """How well the points are dealt out; None where other ranks wrote the file."""
+    """How well the points are distributed; None where other ranks wrote the file."""
     same = "counts/points/id" in file and len(file["counts/points/id"]) == comm.size
     return file.attrs["shares"] if same and "shares" in file.attrs else None
 
@@ -168,5 +169,8 @@ def _read(file: h5py.File, name: str, comm: MPI.Comm) -> np.ndarray:
     data, counts = file[name], file[f"counts/{name}"][:]
     if len(counts) == comm.size:
         start = int(counts[: comm.rank].sum())
-        return data[start : start + int(counts[comm.rank])]
-    return data[len(data) * comm.rank // comm.size : len(data) * (comm.rank + 1) // comm.size]
+        end = start + int(counts[comm.rank])
+    else:
+        start, end = len(data) * comm.rank // comm.size, len(data) * (comm.rank + 1) // comm.size
+    rows: np.ndarray = data[start:end]
+    return rows

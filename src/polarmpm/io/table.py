@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..solvers.stepping import Step
-from ..tools.parallel import collectively
+from ..tools.parallel import raise_on_all_ranks
 from .files import check_output
 
 _STEP_COLUMNS = ("step", "factor", "iterations", "force", "energy")
@@ -64,7 +64,7 @@ class Table:
                 self._file = self.path.open("w", newline="", encoding="utf-8")
             except OSError as e:
                 error = InputError(f"path = {str(self.path)!r} can't be written: {e.strerror}")
-        collectively(self.comm, error)
+        raise_on_all_ranks(self.comm, error)
         self._open, self._header = True, []
         return self
 
@@ -103,7 +103,7 @@ class Table:
                 self._file.flush()
             except OSError as e:
                 error = e
-        collectively(self.comm, error)
+        raise_on_all_ranks(self.comm, error)
 
     __call__ = record
 

@@ -5,7 +5,7 @@
 INLINE void pull_back(const Batch *b, const double *frame, double *r, int step)
 {
     const int dim = b->dim;
-    for (int i = 0; i < block_of(b); ++i) {
+    for (int i = 0; i < block_size(b); ++i) {
         double *row = r + gradient_slot(dim, b->rot, i) * step, old[3] = {0};
         for (int j = 0; j < dim; ++j) old[j] = row[j * step];
         for (int k = 0; k < dim; ++k) {
@@ -19,8 +19,8 @@ INLINE void pull_back(const Batch *b, const double *frame, double *r, int step)
 /* What the virtual work of the points multiplies, times their volumes, for z of gradients with respect to x~:
  * residual [point][nz] and (unless NULL) tangent, [point][nz][nz], or its upper triangle where it is symmetric.
  * Returns nonzero when memory ran out. */
-FAST int polarmpm_moments(const Batch *b, const Law *law, const double *x, int32_t symmetric, double *residual,
-                          double *tangent)
+FAST int polarmpm_moments(const Batch *b, const PointKernels *kernels, const double *x, int32_t symmetric,
+                          double *residual, double *tangent)
 {
     if (b->npoints == 0) return 0;
     const int nz = unknowns_of(b->dim, b->rot), size = symmetric ? nz * (nz + 1) / 2 : nz * nz;
@@ -29,11 +29,11 @@ FAST int polarmpm_moments(const Batch *b, const Law *law, const double *x, int32
     int64_t group = 0, group_of[LANES];
     for (int64_t start = 0; start < b->npoints && !failed; start += LANES) {
         int coupled;
-        const int lanes = evaluate(b->dim, b->rot, b, law, x, start, &group, group_of, &w, &coupled);
+        const int lanes = evaluate(b->dim, b->rot, b, kernels, x, start, &group, group_of, &w, &coupled);
         for (int l = 0; l < lanes; ++l) {
             const int64_t p = start + l;
             const double *frame = b->state + p * b->nstate;
-            point_terms(b->dim, b->rot, b, law, &w, p, l, coupled, residual + p * nz, tangent ? w.A : NULL);
+            point_terms(b->dim, b->rot, b, kernels, &w, p, l, coupled, residual + p * nz, tangent ? w.A : NULL);
             pull_back(b, frame, residual + p * nz, 1);
             if (!tangent) continue;
             for (int i = 0; i < nz; ++i) pull_back(b, frame, w.A + i * nz, 1);

@@ -27,8 +27,8 @@ void polarmpm_spread(const Batch *b, const double *f, int32_t nc, double *out)
     double *s = malloc(sizeof(double) * SHAPES * stride);
     for (int64_t g = 0; g < b->ngroups; ++g) {
         const int n = nodes_of(b, g);
-        const int32_t *nodes = b->nodes + b->node_first[g];
-        for (int64_t p = b->first[g]; p < b->first[g + 1]; ++p) {
+        const int32_t *nodes = b->nodes + b->node_offsets[g];
+        for (int64_t p = b->offsets[g]; p < b->offsets[g + 1]; ++p) {
             shape(b->dim, b, p, b->count + g * b->dim, NULL, stride, s);
             for (int a = 0; a < n; ++a)
                 for (int c = 0; c < nc; ++c) out[(int64_t)nodes[a] * nc + c] += s[a] * f[p * nc + c];
@@ -42,7 +42,7 @@ void polarmpm_couple_nodes(const Batch *b, int32_t reach, uint8_t *mark)
 {
     const int side = 2 * reach + 1, codes = b->dim == 3 ? side * side * side : side * side;
     for (int64_t g = 0; g < b->ngroups; ++g) {
-        const int32_t *c = b->count + g * b->dim, *nodes = b->nodes + b->node_first[g];
+        const int32_t *c = b->count + g * b->dim, *nodes = b->nodes + b->node_offsets[g];
         const int n = nodes_of(b, g), n2 = b->dim == 3 ? c[2] : 1;
         for (int a = 0; a < n; ++a)
             for (int q = 0; q < n; ++q) {
@@ -112,8 +112,8 @@ INLINE void interpolate(const int dim, const int rot, int nv, int sv, const vec 
 }
 
 /* Evaluate LANES points from `start` on: shapes of each, then the kernels. Returns how many are real. */
-INLINE int evaluate(const int dim, const int rot, const Batch *b, const Law *law, const double *x, int64_t start,
-                    int64_t *group, int64_t *group_of, Work *w, int *coupled)
+INLINE int evaluate(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const double *x,
+                    int64_t start, int64_t *group, int64_t *group_of, Work *w, int *coupled)
 {
     const int nb = dim + rot, nz = unknowns_of(dim, rot), ns = b->nstate, np = b->nparam, sv = w->sv;
     const int turn = value_slot(dim, rot, dim);  /* rotations in z; couples do work in space only */
@@ -122,49 +122,49 @@ INLINE int evaluate(const int dim, const int rot, const Batch *b, const Law *law
     *coupled = 0;
     for (int l = 0; l < lanes; ++l) {
         const int64_t p = start + l;
-        open |= !law->block_of || law->block_of[p] < 0;
-        while (p >= b->first[*group + 1]) ++*group;
+        open |= !kernels->returned_of || kernels->returned_of[p] < 0;
+        while (p >= b->offsets[*group + 1]) ++*group;
         group_of[l] = *group;
         const int n = nodes_of(b, *group), nv = (n + WIDTH - 1) / WIDTH;
-        const int32_t *nodes = b->nodes + b->node_first[*group];
+        const int32_t *nodes = b->nodes + b->node_offsets[*group];
         if (w->gathered != *group) {
             gather_group(nb, n, sv, nodes, x, w->x);
-            if (law->before) gather_group(nb, n, sv, nodes, law->before, w->before);
+            if (kernels->before) gather_group(nb, n, sv, nodes, kernels->before, w->before);
             w->gathered = *group;
         }
         vec *s = w->shapes + (int64_t)l * SHAPES * sv;
         shape(dim, b, p, b->count + *group * dim, b->state + p * ns, sv * WIDTH, (double *)s);
         interpolate(dim, rot, nv, sv, s, w->x, w->in + l, LANES);
-        if (law->before) interpolate(dim, rot, nv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l, LANES);
+        if (kernels->before) interpolate(dim, rot, nv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l, LANES);
         for (int k = 0; k < ns; ++k) w->in[(nz + k) * LANES + l] = b->state[p * ns + k];
-        if (law->couple) {
-            const int32_t row = law->couple_of[p];
+        if (kernels->couple) {
+            const int32_t row = kernels->couple_of[p];
             *coupled |= row >= 0;
             for (int k = 0; k < SPIN; ++k) {
                 w->cin[k * LANES + l] = w->in[(turn + k) * LANES + l];
-                w->cin[(SPIN + k) * LANES + l] = row >= 0 ? law->couples[SPIN * row + k] : 0.0;
+                w->cin[(SPIN + k) * LANES + l] = row >= 0 ? kernels->couples[SPIN * row + k] : 0.0;
             }
         }
     }
     for (int l = lanes; l < LANES; ++l) {  /* lanes without a point repeat the last one */
         for (int k = 0; k < nz + ns; ++k) w->in[k * LANES + l] = w->in[k * LANES + lanes - 1];
-        for (int k = nz + ns + np; law->before && k < 2 * nz + ns + np; ++k)
+        for (int k = nz + ns + np; kernels->before && k < 2 * nz + ns + np; ++k)
             w->in[k * LANES + l] = w->in[k * LANES + lanes - 1];
         for (int k = 0; k < 2 * SPIN; ++k) w->cin[k * LANES + l] = w->cin[k * LANES + lanes - 1];
     }
-    if (open) law->kernel(w->in, w->out);
-    if (*coupled) law->couple(w->cin, w->cout);
+    if (open) kernels->kernel(w->in, w->out);
+    if (*coupled) kernels->couple(w->cin, w->cout);
     return lanes;
 }
 
 /* What a point's virtual work multiplies, times its volume: r [nz] and, if wanted, A [nz][nz]; gradients in
  * the point's frame. */
-INLINE void point_terms(const int dim, const int rot, const Batch *b, const Law *law, const Work *w, int64_t p, int l,
-                        int coupled, double *r, double *A)
+INLINE void point_terms(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const Work *w,
+                        int64_t p, int l, int coupled, double *r, double *A)
 {
     const int nz = unknowns_of(dim, rot), turn = value_slot(dim, rot, dim);
-    const int64_t row = law->block_of ? law->block_of[p] : -1;
-    const double *block = row < 0 ? NULL : law->blocks + row * (nz + (A ? nz * nz : 0)), volume = b->volume[p];
+    const int64_t row = kernels->returned_of ? kernels->returned_of[p] : -1;
+    const double *block = row < 0 ? NULL : kernels->returned + row * (nz + (A ? nz * nz : 0)), volume = b->volume[p];
     for (int k = 0; k < nz; ++k) r[k] = volume * (block ? block[k] : w->out[k * LANES + l]);
     if (coupled)
         for (int k = 0; k < SPIN; ++k) r[turn + k] += w->cout[k * LANES + l];
@@ -184,11 +184,12 @@ INLINE void point_terms(const int dim, const int rot, const Batch *b, const Law 
 /* Memory for the evaluation of points and, with `scatter`, for sums of a group. Returns nonzero without memory. */
 static int create_work(const Batch *b, int tangent, int scatter, Work *w)
 {
-    const int nb = block_of(b), nz = unknowns_of(b->dim, b->rot), largest = largest_group(b);
+    const int nb = block_size(b), nz = unknowns_of(b->dim, b->rot), largest = largest_group(b);
     const int most = scatter ? largest : 0, outputs = nz + (tangent ? nz * (nz + 1) / 2 : 0);
     const size_t sv = (largest + WIDTH - 1) / WIDTH, stride = sv * WIDTH, inputs = 2 * nz + b->nstate + b->nparam;
     *w = (Work){.in = vectors(inputs * LANES), .out = vectors((size_t)outputs * LANES),
-                .cin = vectors(2 * SPIN * LANES), .cout = vectors(SPIN * (1 + SPIN) * LANES), .A = vectors((size_t)LANES * nz * nz),
+                .cin = vectors(2 * SPIN * LANES), .cout = vectors(SPIN * (1 + SPIN) * LANES),
+                .A = vectors((size_t)LANES * nz * nz),
                 .shapes = vectors(LANES * SHAPES * stride), .x = vectors(nb * stride), .before = vectors(nb * stride),
                 .f = vectors(nb * stride), .K = vectors(tangent && scatter ? most * nb * nb * stride : 1),
                 .at = malloc(sizeof(Place) * (most + 1)), .sv = (int)sv, .gathered = -1};
@@ -211,8 +212,8 @@ INLINE void gather(const int dim, const int rot, const Batch *b, const double *x
     const int nb = dim + rot, nz = unknowns_of(dim, rot), sv = w->sv;
     for (int64_t g = 0; g < b->ngroups; ++g) {
         const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH;
-        gather_group(nb, n, sv, b->nodes + b->node_first[g], x, w->x);
-        for (int64_t p = b->first[g]; p < b->first[g + 1]; ++p) {
+        gather_group(nb, n, sv, b->nodes + b->node_offsets[g], x, w->x);
+        for (int64_t p = b->offsets[g]; p < b->offsets[g + 1]; ++p) {
             const double *frame = framed ? b->state + p * b->nstate : NULL;
             shape(dim, b, p, b->count + g * dim, frame, sv * WIDTH, (double *)w->shapes);
             interpolate(dim, rot, nv, sv, w->shapes, w->x, z + p * nz, 1);
@@ -233,37 +234,37 @@ FAST int polarmpm_gather(const Batch *b, const double *x, int32_t framed, double
 }
 
 /* Points l .. end of these lanes, all of group g: their work into the group's sums. */
-INLINE void add_points(const int dim, const int rot, const Batch *b, const Law *law, const Matrix *M, const Work *w,
-                       int64_t start, int64_t g, int l, int end, int coupled)
+INLINE void add_points(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const Matrix *M,
+                       const Work *w, int64_t start, int64_t g, int l, int end, int coupled)
 {
     const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot), sv = w->sv;
     for (int q = l; q < end; ++q) {
         double r[UNKNOWNS_MAX];
-        point_terms(dim, rot, b, law, w, start + q, q, coupled, r, M ? w->A + q * nz * nz : NULL);
+        point_terms(dim, rot, b, kernels, w, start + q, q, coupled, r, M ? w->A + q * nz * nz : NULL);
         add_residual(dim, rot, nv, sv, w->shapes + q * SHAPES * sv, r, w->f);
     }
     for (int P; M && l < end; l += P) {
         P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
-        add_tangents(dim, rot, nv, M->half, P, start + l == b->first[g], n, w->A + l * nz * nz,
+        add_tangents(dim, rot, nv, M->half, P, start + l == b->offsets[g], n, w->A + l * nz * nz,
                      w->shapes + l * SHAPES * sv, sv, w->K);
     }
 }
 
-INLINE void assemble(const int dim, const int rot, const Batch *b, const Law *law, const Matrix *M, const double *x,
-                     double *force, double *rhs, Work *w)
+INLINE void assemble(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const Matrix *M,
+                     const double *x, double *force, double *rhs, Work *w)
 {
     const int nb = dim + rot;
     int64_t group = 0, group_of[LANES];
     for (int64_t start = 0; start < b->npoints; start += LANES) {
         int coupled;
-        const int lanes = evaluate(dim, rot, b, law, x, start, &group, group_of, w, &coupled);
+        const int lanes = evaluate(dim, rot, b, kernels, x, start, &group, group_of, w, &coupled);
         for (int l = 0, end; l < lanes; l = end) {
             const int64_t g = group_of[l];
             for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
-            if (start + l == b->first[g]) memset(w->f, 0, sizeof(vec) * nb * w->sv);
-            add_points(dim, rot, b, law, M, w, start, g, l, end, coupled);
-            if (start + end < b->first[g + 1]) continue;
-            const int32_t *nodes = b->nodes + b->node_first[g];
+            if (start + l == b->offsets[g]) memset(w->f, 0, sizeof(vec) * nb * w->sv);
+            add_points(dim, rot, b, kernels, M, w, start, g, l, end, coupled);
+            if (start + end < b->offsets[g + 1]) continue;
+            const int32_t *nodes = b->nodes + b->node_offsets[g];
             const int n = nodes_of(b, g);
             for (int a = 0; a < n; ++a)
                 for (int i = 0; i < nb; ++i)
@@ -276,13 +277,13 @@ INLINE void assemble(const int dim, const int rot, const Batch *b, const Law *la
 /* Residual (internal minus couples' work) added to `force`, tangent to M (NULL: residual only).
  * `rhs` takes what prescribed increments add to the residual of free unknowns.
  * Returns nonzero when memory ran out. */
-FAST int polarmpm_assemble(const Batch *b, const Law *law, const Matrix *M, const double *x, double *force,
+FAST int polarmpm_assemble(const Batch *b, const PointKernels *kernels, const Matrix *M, const double *x, double *force,
                            double *rhs)
 {
     if (b->npoints == 0) return 0;
     Work w;
     const int failed = create_work(b, M != NULL, 1, &w);
-    if (!failed) SPECIALISED(assemble, b, law, M, x, force, rhs, &w);
+    if (!failed) SPECIALISED(assemble, b, kernels, M, x, force, rhs, &w);
     free_work(&w);
     return failed;
 }
@@ -307,5 +308,5 @@ void polarmpm_mirror(const Matrix *M, int32_t nb, int64_t pairs, const int32_t *
 #define SIZE_OF(structure) const int64_t polarmpm_size_##structure = sizeof(structure)
 SIZE_OF(Batch);
 SIZE_OF(Matrix);
-SIZE_OF(Law);
+SIZE_OF(PointKernels);
 SIZE_OF(Return);

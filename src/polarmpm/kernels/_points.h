@@ -11,7 +11,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 8,             /* raised with every change of a structure or signature; native.py reads it here */
+    INTERFACE = 9,             /* raised with every change of a structure or signature; native.py reads it here */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */
@@ -36,8 +36,8 @@ typedef struct {
     const double *state;       /* [point][nstate]; starts with the dim x dim frame */
     const double *param;       /* [nparam], the same for all points of a batch */
     const double *volume;      /* [point] reference volume */
-    const int64_t *first;      /* [group + 1] first point */
-    const int64_t *node_first; /* [group + 1] first entry of nodes */
+    const int64_t *offsets;    /* [group + 1] first point */
+    const int64_t *node_offsets;  /* [group + 1] first entry of nodes */
     const int32_t *nodes;      /* local node numbers */
 } Batch;
 
@@ -59,11 +59,11 @@ typedef struct {
     const int32_t *couple_of;  /* [point] row of `couples`, -1: none */
     const double *couples;     /* [row][SPIN] */
     const double *before;      /* nodal values before the last correction, for the tangent's kernel; NULL: not needed */
-    const int32_t *block_of;   /* [point] row of `blocks`, -1: evaluate the kernel; NULL: kernel for all points */
-    const double *blocks;      /* [row][nz (+ nz nz with tangent)] per volume, from the return mapping */
-} Law;
+    const int32_t *returned_of;  /* [point] row of `returned`, -1: evaluate the kernel; NULL: kernel for all points */
+    const double *returned;    /* [row][nz (+ nz nz with tangent)] per volume, from the return mapping */
+} PointKernels;
 
-INLINE int block_of(const Batch *b) { return b->dim + b->rot; }
+INLINE int block_size(const Batch *b) { return b->dim + b->rot; }
 
 static int nodes_of(const Batch *b, int64_t group)
 {

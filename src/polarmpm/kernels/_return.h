@@ -126,7 +126,7 @@ static void iterate(const Return *R, Local *p, const double *out, double *in, in
 }
 
 /* s and the consistent tangent of a lane; local and moduli were evaluated at its X. */
-static int condense(const Return *R, const double *local, const double *moduli, int l, double *block)
+static int condense(const Return *R, const double *local, const double *moduli, int l, double *returned)
 {
     const int nz = R->nz, n = R->nx;
     double r[LOCAL_MAX], C[LOCAL_MAX * LOCAL_MAX], T[LOCAL_MAX * UNKNOWNS_MAX];
@@ -137,8 +137,8 @@ static int condense(const Return *R, const double *local, const double *moduli, 
         for (int j = 0; j < nz; ++j) T[i * nz + j] = R->row_scale[i] * rz[(i * nz + j) * LANES];
     if (factor(n, C, pivot)) return 1;
     back_substitute(n, C, pivot, nz, T);
-    for (int i = 0; i < nz; ++i) block[i] = moduli[i * LANES + l];
-    double *A = block + nz;
+    for (int i = 0; i < nz; ++i) returned[i] = moduli[i * LANES + l];
+    double *A = returned + nz;
     for (int i = 0; i < nz; ++i)
         for (int j = 0; j < nz; ++j) {
             double sum = sz[(i * nz + j) * LANES];
@@ -148,10 +148,10 @@ static int condense(const Return *R, const double *local, const double *moduli, 
     return 0;
 }
 
-/* Solve for X [point][nx] from its initial values, and write blocks [point][nz (+ nz nz with tangent)].
+/* Solve for X [point][nx] from its initial values, and write what is returned, [point][nz (+ nz nz with tangent)].
  * status: 0 solved, 1 not; iterations: evaluations of the local residual. Returns nonzero without memory. */
-int polarmpm_return(const Return *R, int64_t npoints, const double *inputs, int32_t tangent, double *X, double *blocks,
-                    int8_t *status, int32_t *iterations)
+int polarmpm_return(const Return *R, int64_t npoints, const double *inputs, int32_t tangent, double *X,
+                    double *returned, int8_t *status, int32_t *iterations)
 {
     const int nin = R->nin, n = R->nx, nz = R->nz, size = nz + (tangent ? nz * nz : 0);
     if (n > LOCAL_MAX || nz > UNKNOWNS_MAX) return 2;
@@ -180,35 +180,35 @@ int polarmpm_return(const Return *R, int64_t npoints, const double *inputs, int3
         else R->stress(in, work);
         for (int l = 0; l < lanes; ++l) {
             const int64_t p = start + l;
-            double *block = blocks + p * size;
+            double *own = returned + p * size;
             for (int k = 0; k < n; ++k) X[p * n + k] = lane[l].X[k];
             iterations[p] = lane[l].iterations;
             status[p] = (int8_t)lane[l].failed;
             if (lane[l].failed) continue;
-            if (tangent) status[p] = (int8_t)condense(R, out, work, l, block);
+            if (tangent) status[p] = (int8_t)condense(R, out, work, l, own);
             else
-                for (int i = 0; i < nz; ++i) block[i] = work[i * LANES + l];
+                for (int i = 0; i < nz; ++i) own[i] = work[i * LANES + l];
         }
     }
     free(in), free(out), free(work);
     return failed;
 }
 
-/* A kernel for rows of inputs, given in blocks of columns [row][width], -> [row][nout]. Returns nonzero without
+/* A kernel for rows of inputs, given in arrays of columns [row][width], -> [row][nout]. Returns nonzero without
  * memory. */
-int polarmpm_evaluate(kernel_t kernel, int64_t rows, int32_t blocks, const int32_t *width, const double *const *block,
+int polarmpm_evaluate(kernel_t kernel, int64_t rows, int32_t arrays, const int32_t *width, const double *const *array,
                       int32_t nout, double *outputs)
 {
     int nin = 0;
-    for (int b = 0; b < blocks; ++b) nin += width[b];
+    for (int b = 0; b < arrays; ++b) nin += width[b];
     double *in = vectors((size_t)nin * LANES), *out = vectors((size_t)nout * LANES);
     const int failed = !(in && out);
     for (int64_t start = 0; start < rows && !failed; start += LANES) {
         const int lanes = (int)(rows - start < LANES ? rows - start : LANES);
         double *to = in;
-        for (int b = 0; b < blocks; to += width[b++] * LANES)
+        for (int b = 0; b < arrays; to += width[b++] * LANES)
             for (int l = 0; l < LANES; ++l) {
-                const double *row = block[b] + (start + (l < lanes ? l : lanes - 1)) * width[b];
+                const double *row = array[b] + (start + (l < lanes ? l : lanes - 1)) * width[b];
                 for (int k = 0; k < width[b]; ++k) to[k * LANES + l] = row[k];
             }
         kernel(in, out);

@@ -118,7 +118,7 @@ INLINE void mirror(const int nb, int n, int64_t cols, double *K)
 INLINE void flush_matrix(const Batch *b, const Matrix *M, int64_t g, const int nb, int n, int nv, double *K, Place *at,
                          double *rhs)
 {
-    const int32_t *c = b->count + g * b->dim, *nodes = b->nodes + b->node_first[g];
+    const int32_t *c = b->count + g * b->dim, *nodes = b->nodes + b->node_offsets[g];
     const int64_t cols = (int64_t)nv * WIDTH;
     int constrained = 0;
     if (M->half) mirror(nb, n, cols, K);

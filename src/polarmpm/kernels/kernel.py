@@ -40,10 +40,10 @@ class Kernel:
         widths = np.array([c.shape[1] for c in flat], dtype=np.int32)
         if widths.sum() != self.inputs:
             raise ValueError(f"kernel has {self.inputs} inputs, {widths.sum()} are given")
-        blocks = np.array([c.ctypes.data for c in flat], dtype=np.uintp)
+        addresses = np.array([c.ctypes.data for c in flat], dtype=np.uintp)
         out = np.empty((rows, self.outputs))
         evaluate = native.library().polarmpm_evaluate
-        if evaluate(self.address, rows, len(flat), widths, blocks, self.outputs, out):
+        if evaluate(self.address, rows, len(flat), widths, addresses, self.outputs, out):
             raise MemoryError("no memory to evaluate a kernel")
         return out
 

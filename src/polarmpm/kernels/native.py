@@ -26,7 +26,7 @@ class Matrix(Structure):
 
 
 @declared_in("_points.h")
-class Law(Structure):
+class PointKernels(Structure):
     """Compiled kernels of a batch."""
 
 
@@ -35,7 +35,7 @@ class Return(Structure):
     """Kernels and controls of a return mapping."""
 
 
-STRUCTURES = (Batch, Matrix, Law, Return)
+STRUCTURES = (Batch, Matrix, PointKernels, Return)
 
 
 def fill(structure: Structure, **values: Any) -> None:

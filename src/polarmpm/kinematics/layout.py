@@ -16,7 +16,7 @@ import numpy as np
 import ufl
 
 from ..kernels.kernel import matrix
-from . import measures as kin
+from . import tensors as kin
 
 
 class Kind(Protocol):

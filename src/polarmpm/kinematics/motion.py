@@ -16,7 +16,7 @@ import ufl
 
 from ..kernels.kernel import Kernel, PointSpace, compile_expressions
 from ..tools import compat
-from . import measures as kin
+from . import tensors as kin
 from .layout import Layout
 
 

@@ -19,7 +19,8 @@ def identity(n: int) -> Array:
 
 def normalise(q: Array) -> Array:
     """Unit quaternions; a rotation history would otherwise drift off the sphere."""
-    return q / np.linalg.norm(q, axis=1, keepdims=True)
+    unit: Array = q / np.linalg.norm(q, axis=1, keepdims=True)
+    return unit
 
 
 def multiply(a: Array, b: Array) -> Array:
@@ -31,7 +32,8 @@ def multiply(a: Array, b: Array) -> Array:
 
 def conjugate(q: Array) -> Array:
     """The inverse rotation of unit quaternions."""
-    return q * np.array([1.0, -1.0, -1.0, -1.0])
+    inverse: Array = q * np.array([1.0, -1.0, -1.0, -1.0])
+    return inverse
 
 
 def from_vector(w: Array) -> Array:
@@ -56,13 +58,14 @@ def to_vector(q: Array) -> Array:
     small = sine < 1e-12
     # near half = 0 the axis times the angle is 2 qv; near half = pi the axis is undefined
     factor = np.where(small, 2.0, 2.0 * half / np.where(small, 1.0, sine))
-    return factor * q[:, 1:]
+    vector: Array = factor * q[:, 1:]
+    return vector
 
 
 def to_tensor(q: Array) -> Array:
     """Rotation tensor of a quaternion, T (3.168)."""
     s, v = q[:, 0], q[:, 1:]
-    t = 2.0 * v[:, :, None] * v[:, None, :] + 2.0 * s[:, None, None] * hat(v)
+    t: Array = 2.0 * v[:, :, None] * v[:, None, :] + 2.0 * s[:, None, None] * hat(v)
     t[:, range(3), range(3)] += (2.0 * s**2 - 1.0)[:, None]
     return t
 
@@ -84,7 +87,8 @@ def right_tangent(w: Array) -> Array:
         t < 0.05, 1.0 / 6.0 - t**2 / 120.0 + t**4 / 5040.0 - t**6 / 362880.0, (t - np.sin(t)) / large**3
     )
     h = hat(w)
-    return np.eye(3) - b[:, None, None] * h + c[:, None, None] * (h @ h)
+    tangent: Array = np.eye(3) - b[:, None, None] * h + c[:, None, None] * (h @ h)
+    return tangent
 
 
 def relative_vector(w_to: Array, w_from: Array) -> Array:
@@ -101,6 +105,8 @@ def in_space(w: Array) -> Array:
 def determinant(a: Array) -> Array:
     """Determinants (n,) of tensors (n, 2, 2) or (n, 3, 3); LAPACK takes ten times as long for small ones."""
     if a.shape[1] == 2:
-        return a[:, 0, 0] * a[:, 1, 1] - a[:, 0, 1] * a[:, 1, 0]
+        plane: Array = a[:, 0, 0] * a[:, 1, 1] - a[:, 0, 1] * a[:, 1, 0]
+        return plane
     (x, y, z), (u, v, w) = (a[:, i].T for i in (1, 2))
-    return a[:, 0, 0] * (y * w - z * v) - a[:, 0, 1] * (x * w - z * u) + a[:, 0, 2] * (x * v - y * u)
+    triple: Array = a[:, 0, 0] * (y * w - z * v) - a[:, 0, 1] * (x * w - z * u) + a[:, 0, 2] * (x * v - y * u)
+    return triple

@@ -8,7 +8,8 @@ import numpy as np
 def right_stretch(F: np.ndarray) -> np.ndarray:
     """U = sqrt(F^T F) of deformation gradients (n, 3, 3)."""
     value, vector = np.linalg.eigh(np.swapaxes(F, 1, 2) @ F)
-    return (vector * np.sqrt(np.maximum(value, 0.0))[:, None, :]) @ np.swapaxes(vector, 1, 2)
+    root: np.ndarray = (vector * np.sqrt(np.maximum(value, 0.0))[:, None, :]) @ np.swapaxes(vector, 1, 2)
+    return root
 
 
 def domain_half_length(F: np.ndarray, half_length0: np.ndarray) -> np.ndarray:
@@ -25,7 +26,8 @@ def domain_half_length(F: np.ndarray, half_length0: np.ndarray) -> np.ndarray:
     axes = np.arange(half_length0.shape[1])
     square = np.einsum("nij,nij->ni", C[:, axes], C[:, axes])
     u = (i1 * i3)[:, None] + (i1**2 - i2)[:, None] * C[:, axes, axes] - square
-    return u / (i1 * i2 - i3)[:, None] * half_length0
+    half_length: np.ndarray = u / (i1 * i2 - i3)[:, None] * half_length0
+    return half_length
 
 
 def _eigenvalues(C: np.ndarray) -> np.ndarray:
@@ -41,4 +43,5 @@ def _eigenvalues(C: np.ndarray) -> np.ndarray:
     )
     angle = np.arccos(np.clip(determinant / 2, -1.0, 1.0)) / 3
     third = 2 * np.pi / 3
-    return np.maximum(mean + 2 * size * np.cos([angle, angle + third, angle - third]), 0.0)
+    roots: np.ndarray = np.maximum(mean + 2 * size * np.cos([angle, angle + third, angle - third]), 0.0)
+    return roots

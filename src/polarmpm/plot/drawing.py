@@ -144,7 +144,8 @@ def _brightness(polygons: np.ndarray) -> np.ndarray:
     normal = np.cross(polygons, np.roll(polygons, -1, axis=1)).sum(axis=1)
     size = np.linalg.norm(normal, axis=1)
     cosine = np.abs(normal @ _LIGHT) / np.where(size > 0, size, 1.0)
-    return 0.65 + 0.35 * np.minimum(cosine / np.linalg.norm(_LIGHT), 1.0)
+    light: np.ndarray = 0.65 + 0.35 * np.minimum(cosine / np.linalg.norm(_LIGHT), 1.0)
+    return light
 
 
 def finish_solid(ax: Any, drawn: Sequence[np.ndarray], view: tuple[float, float]) -> None:

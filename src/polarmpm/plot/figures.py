@@ -19,7 +19,7 @@ from ..bodies.points import Points
 from ..errors import InputError
 from ..io.files import check_output
 from ..io.paraview import box_corners
-from ..tools.parallel import collectively
+from ..tools.parallel import raise_on_all_ranks
 from . import drawing
 from .meshfaces import Faces, gather_faces
 
@@ -100,7 +100,7 @@ def plot_points(
     error = None
     if values is not None and np.shape(values) != (len(points),):
         error = InputError(f"values: have the shape {np.shape(values)}, {len(points)} numbers are needed")
-    collectively(points.comm, error)
+    raise_on_all_ranks(points.comm, error)
     now = _boxes(points.x, points.F, points.half_length if domains else points.half_length0, domains)
     X, half, corners = (gather(points.comm, length[0] * a) for a in (points.X, points.half_length0, now))
     colour = None if values is None else gather(points.comm, np.asarray(values, float))
@@ -188,7 +188,7 @@ def _mesh_values(elements: Elements, values: np.ndarray | None, at: str) -> np.n
     error = None
     if colour is not None and colour.shape != (counts[at],):
         error = InputError(f"values: have the shape {colour.shape}, {counts[at]} numbers are needed at {at}")
-    collectively(elements.comm, error)
+    raise_on_all_ranks(elements.comm, error)
     return elements.cell_mean(colour) if colour is not None and at == "points" else colour
 
 
@@ -252,7 +252,7 @@ def save(
             whole.savefig(file, dpi=dpi, bbox_inches="tight", pad_inches=0.15, bbox_extra_artists=extra)
         except (OSError, ValueError) as e:
             error = InputError(f"path = {str(file)!r} can't be written: {e}")
-    collectively(comm, error)
+    raise_on_all_ranks(comm, error)
 
 
 # geometry -----------------------------------------------------------------------------------------
@@ -262,7 +262,8 @@ def _boxes(x: np.ndarray, F: np.ndarray, half_length: np.ndarray, straight: bool
     if not straight:
         d = x.shape[1]
         edges = np.einsum("pij,pkj->pki", F[:, :d, :d], edges)
-    return x[:, None] + edges
+    corners: np.ndarray = x[:, None] + edges
+    return corners
 
 
 class _Body:
@@ -277,7 +278,8 @@ class _Body:
     def span(self) -> np.ndarray:
         """Size of the space that both states take."""
         both = np.concatenate([self.initial, self.corners]).reshape(-1, self.dim)
-        return np.ptp(both, axis=0)
+        size: np.ndarray = np.ptp(both, axis=0)
+        return size
 
     def outer_faces(self) -> tuple[np.ndarray, np.ndarray]:
         """Point and number of the faces that no other undeformed box has.

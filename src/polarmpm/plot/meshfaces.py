@@ -41,7 +41,8 @@ class Faces:
     def span(self) -> np.ndarray:
         """Size of the space that both states take."""
         both = np.concatenate([self.before, self.now]).reshape(-1, self.now.shape[2])
-        return np.ptp(both, axis=0)
+        size: np.ndarray = np.ptp(both, axis=0)
+        return size
 
     def scale(self, factor: float) -> None:
         """Change the unit of length."""
@@ -118,4 +119,5 @@ def _outward(faces: np.ndarray, inside: np.ndarray) -> np.ndarray:
         return np.zeros((len(faces), 3))
     normal = np.cross(faces, np.roll(faces, -1, axis=1)).sum(axis=1)
     away = np.einsum("ni,ni->n", normal, faces.mean(axis=1) - inside)
-    return normal * np.sign(away)[:, None]
+    outward: np.ndarray = normal * np.sign(away)[:, None]
+    return outward

@@ -25,7 +25,7 @@ from ..solvers.arclength import ArcSchedule, Path
 from ..solvers.newton import Controls, Outcome
 from ..solvers.stepping import Schedule, Step, march
 from ..terms.surfaces import SurfaceSupport
-from ..tools.parallel import together
+from ..tools.parallel import errors_on_all_ranks
 from ..tools.timing import Timer
 from .conditions import Conditions
 from .observer import Observer
@@ -122,7 +122,7 @@ class Problem(Conditions):
 
     def _prescribed_at(self, system: NodalSystem, factor: float) -> np.ndarray:
         p = self.progress
-        with together(self.comm):
+        with errors_on_all_ranks(self.comm):
             return system.prescribed.increments(factor, p.reset_factor, p.rotation_factor)
 
     def attempt(self, factor: float) -> Outcome:
@@ -178,7 +178,7 @@ class Problem(Conditions):
         """
         schedule = ArcSchedule(first, until, largest, smallest, to, steps, progress)
         system = self._prepare()
-        with together(self.comm):
+        with errors_on_all_ranks(self.comm):
             places = self._load_places()
         apart = [term.name for term in self.terms if not term.proportional]
         if apart:
@@ -224,7 +224,7 @@ class Problem(Conditions):
         system.x = start
         before = self._increments(system).value[:, :d]
         system.x = end
-        moved = self._increments(system).value[:, :d] - before
+        moved: np.ndarray = self._increments(system).value[:, :d] - before
         system.x = x
         return moved
 
@@ -259,7 +259,8 @@ class Problem(Conditions):
             found.append(system.terms.forces(system.x, lambda piece: True))
         two, one, zero = found
         check_linear(self.comm, [term.name for term in self.terms], zero, one, two)
-        system.nodes.add_to_owners(growth := one - zero)
+        growth: np.ndarray = one - zero
+        system.nodes.add_to_owners(growth)
         return growth
 
     def _finish(self, system: NodalSystem, start: StepStart, outcome: Outcome, factor: float) -> None:
@@ -298,7 +299,7 @@ class Problem(Conditions):
             observer.after_reset(self)
 
     def _prescribed(self, nodes: Nodes) -> Prescribed:
-        with self.timer("conditions"), together(self.comm):
+        with self.timer("conditions"), errors_on_all_ranks(self.comm):
             return Prescribed(nodes, self.supports, self.layout)
 
     # results --------------------------------------------------------------------------------------
@@ -319,7 +320,8 @@ class Problem(Conditions):
 
     def energy(self) -> float:
         """Strain energy of the body (J)."""
-        return self.comm.allreduce(float(self.fields("energy").energy @ self.points.volume0))
+        energy: float = self.comm.allreduce(float(self.fields("energy").energy @ self.points.volume0))
+        return energy
 
     def energies(self) -> dict[str, float]:
         """Energy balance of the run so far, in J (J per unit thickness in plane strain).

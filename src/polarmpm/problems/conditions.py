@@ -20,7 +20,7 @@ from ..kinematics.layout import Layout
 from ..terms.base import Term
 from ..terms.surfaces import SurfaceSupport
 from ..terms.surfaceterms import SurfaceCondition
-from ..tools.parallel import together
+from ..tools.parallel import errors_on_all_ranks
 from . import surfaces
 from .state import Progress
 
@@ -172,7 +172,7 @@ class Conditions(ABC):
         self._stale = True
 
     def _set_terms(self, factor: float, carrying: bool = False) -> None:
-        with together(self.comm):
+        with errors_on_all_ranks(self.comm):
             for term in self.terms:
                 term.set_factor(factor, carrying)
 
@@ -212,7 +212,7 @@ class Conditions(ABC):
         """All loads, and the positions (n, d) of this rank where they act.
 
         Raises:
-            InputError: the arc-length method can't deal with a load; the message names it.
+            InputError: the arc-length method can't take a load; the message names it.
         """
         spatial = [load.name for load in self.loads if load.couple and self.layout.rotations == 3]
         if spatial:

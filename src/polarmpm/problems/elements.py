@@ -28,7 +28,7 @@ from ..solvers.newton import Controls
 from ..terms.base import Piece
 from ..terms.settings import MeshSetting
 from ..tools import compat
-from ..tools.parallel import together
+from ..tools.parallel import errors_on_all_ranks
 from .base import Problem
 from .state import Progress
 from .surfaces import add_load
@@ -226,7 +226,7 @@ class QuasiStaticFEM(Problem):
         if factor is None and self._last_loads is not None:
             return system.put_external(self._last_loads)
         factor = last if factor is None else factor
-        with together(self.comm):
+        with errors_on_all_ranks(self.comm):
             if self._body is not None:
                 forces, couples = point_loads(self.loads, self.points, self.layout, factor)
                 density = np.concatenate([forces, couples], axis=1) / self.points.volume0[:, None]

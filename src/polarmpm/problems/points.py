@@ -14,7 +14,7 @@ from ..assembly.interpolation import Interpolation
 from ..assembly.points import LoadedPoints, PointSystem
 from ..basis.base import Basis
 from ..basis.registry import basis_of, names
-from ..bodies.partition import Balance, distribute
+from ..bodies.partition import LoadShares, distribute
 from ..bodies.points import Points, Selection
 from ..bodies.reference import Increments, Reference
 from ..bodies.seeding import check_inside
@@ -36,7 +36,7 @@ from ..solvers.choice import check_solver
 from ..solvers.newton import Controls
 from ..solvers.resetting import ResetPolicy, WhenDistorted, make_policy
 from ..terms.ghost import Ghost, GhostPenalty, make_penalty
-from ..tools.parallel import look_up, together
+from ..tools.parallel import errors_on_all_ranks, values_by_number
 from .base import Problem
 from .conservation import Conservation, Totals
 from .state import Progress
@@ -95,7 +95,7 @@ class QuasiStatic(Problem):
             "gimpm" or "mpm" and assembly "direct".
         rebalance: on several ranks, when points move to other ranks at a reset: when the most work of a rank,
             over the mean, or the share of nodes at the borders between ranks has grown by this factor since
-            they were dealt out last; None for never.
+            they were distributed last; None for never.
         controls: tolerances of Newton's method.
         solver: of linear systems: "direct" (MUMPS), "multigrid" (a Krylov method with algebraic multigrid:
             less time and memory in large problems in space), or "auto", which chooses by the number of
@@ -136,7 +136,7 @@ class QuasiStatic(Problem):
                 points.materials, f"the functions of basis={self.basis.name!r}", "basis='bspline'"
             )
         self.rotation_limit = 1.0
-        self.balance = Balance(grid.comm, rebalance)
+        self.load_shares = LoadShares(grid.comm, rebalance)
         self._conservation = Conservation(grid.comm)
         self.rows: dict[str, np.ndarray] = {}
         self.balanced_reset = balanced_reset
@@ -147,8 +147,8 @@ class QuasiStatic(Problem):
         self._system: LoadedPoints | None = None
         # forces and couples at the points of the last attempt and of the last converged step
         self._attempted: tuple[np.ndarray, np.ndarray] | None = None
-        self._balanced: tuple[np.ndarray, np.ndarray] | None = None
-        if self.balance.due():
+        self._converged_loads: tuple[np.ndarray, np.ndarray] | None = None
+        if self.load_shares.due():
             self._migrate()
 
     # conditions -----------------------------------------------------------------------------------
@@ -186,13 +186,13 @@ class QuasiStatic(Problem):
         self._add_loads(f"load {len(self.loads) + 1}", where, force, couple, False, share)
 
     def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
-        with together(self.comm):
+        with errors_on_all_ranks(self.comm):
             return point_loads(self.loads, self.points, self.layout, factor)
 
     def _put_loads(self, system: LoadedPoints, factor: float | None) -> None:
         last = self.progress.factor
         if factor is None:
-            system.set_loads(*(self._balanced or self._loads_at(last)))
+            system.set_loads(*(self._converged_loads or self._loads_at(last)))
         else:
             self._attempted = self._loads_at(factor)
             system.set_loads(*self._attempted)
@@ -217,7 +217,7 @@ class QuasiStatic(Problem):
         self._conservation.check(system.interpolation, system.x)
         if self.points.plastic:
             self._flow(system)
-        self._balanced = self._attempted
+        self._converged_loads = self._attempted
         p = self.progress
         p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
         p.reset_due = self.policy.due(p.since_reset, increments.gradient, self.comm)
@@ -230,12 +230,12 @@ class QuasiStatic(Problem):
                 p.rotation_factor = factor
 
     def _flow(self, system: LoadedPoints) -> None:
-        """Put the plastic flow of a converged step into the points' history."""
+        """Put the plastic flow of a converged step into the points' plastic state."""
         i = system.interpolation
         for batch, mapping in zip(i.batches, system.mappings, strict=True):
             if mapping is not None and mapping.yielding is not None:
                 rows = batch.rows[mapping.yielding.rows]
-                mapping.update_history(self.points, rows, i.reference.q[rows])
+                mapping.update_plastic_state(self.points, rows, i.reference.q[rows])
         i.pack()
 
     def _prepare(self) -> LoadedPoints:
@@ -265,7 +265,7 @@ class QuasiStatic(Problem):
         grid = movinggrid.grid_at(self._moving, self.initial_grid, p.factor)
         check_inside(grid, self.points)
         self._put_grid(grid)
-        if self.balance.due():
+        if self.load_shares.due():
             with self.timer("migration"):
                 self._migrate()
         with self.timer("reset"):
@@ -275,7 +275,7 @@ class QuasiStatic(Problem):
         p.reset_factor = p.rotation_factor = p.factor
         if self.balanced_reset and p.step:
             # not the loads of now: what was added since the last step is to be felt
-            system.set_loads(*(self._balanced or self._loads_at(p.factor)))
+            system.set_loads(*(self._converged_loads or self._loads_at(p.factor)))
             self._set_terms(p.factor, carrying=True)
             system.carry_imbalance()
         return system
@@ -285,7 +285,7 @@ class QuasiStatic(Problem):
         their reference, which is then returned for the new distribution."""
         before, kept = Totals.numbers(self.points, self.grid), self.kept()
         route = distribute(self.grid, self.points, None if reference is None else reference.x)
-        self.balance.dealt()
+        self.load_shares.distributed()
         if route is None:
             return reference
         self._conservation.moved(before, self.points, self.grid)
@@ -306,7 +306,7 @@ class QuasiStatic(Problem):
             term.begin()
         made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, self.terms)
         self._conservation.reset(made)
-        self.balance.built(self.points, made.nodes)
+        self.load_shares.built(self.points, made.nodes)
         return made
 
     def _build(self, interpolation: Interpolation) -> LoadedPoints:
@@ -342,8 +342,8 @@ class QuasiStatic(Problem):
         out = {f"rows.{name}": a for name, a in self.rows.items()} | self.term_rows()
         if self._last_x is not None:
             out["last_x"] = self._last_x
-        if self._balanced is not None:
-            out |= {"forces": self._balanced[0], "couples": self._balanced[1]}
+        if self._converged_loads is not None:
+            out |= {"forces": self._converged_loads[0], "couples": self._converged_loads[1]}
         return out
 
     def _keep(self, rows: dict[str, np.ndarray]) -> None:
@@ -351,7 +351,7 @@ class QuasiStatic(Problem):
         self.rows = {name[5:]: a for name, a in rows.items() if name.startswith("rows.")}
         self.restore_term_rows(rows)
         self._last_x = rows.get("last_x")
-        self._balanced = (rows["forces"], rows["couples"]) if "forces" in rows else None
+        self._converged_loads = (rows["forces"], rows["couples"]) if "forces" in rows else None
 
     def restore(
         self,
@@ -365,7 +365,8 @@ class QuasiStatic(Problem):
         Args:
             increments: as from `increments`.
             kept: as from `kept`.
-            shares: how well the points are dealt out, from `Balance.state`; None: they are dealt out now.
+            shares: how well the points are distributed, from `LoadShares.state`; None: they are distributed
+                now.
         """
         self.progress, self._equilibrium, self._conservation = progress, None, Conservation(self.comm)
         self.term_works = {"ghost": progress.ghost_work, "terms": progress.term_work}
@@ -379,14 +380,14 @@ class QuasiStatic(Problem):
         if shares is None:
             reference = self._migrate(reference)
         else:
-            self.balance.restore(shares)
+            self.load_shares.restore(shares)
         if reference is None or lattice is None or values is None:
             progress.reset_due = True
             return
         self._compile()
         interpolation = self._interpolate(reference)
         self._system, self._stale = self._build(interpolation), False
-        here = look_up(self.comm, lattice, values, interpolation.nodes.lattice)
+        here = values_by_number(self.comm, lattice, values, interpolation.nodes.lattice)
         self._system.x[:], self._system.carried[:] = np.hsplit(here, 2)
 
     @property

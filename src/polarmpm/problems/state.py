@@ -103,8 +103,8 @@ class StateFields:
             form, kernel = self._kernels[m, fields]
             rows = np.flatnonzero(points.material == m)
             numbers = np.tile(parameter_values(material), (len(rows), 1))
-            history = points.history(rows) if material.plastic else ()
-            values = kernel(points.F[rows], points.q[rows], points.wryness[rows], *history, numbers)
+            plastic = points.plastic_state(rows) if material.plastic else ()
+            values = kernel(points.F[rows], points.q[rows], points.wryness[rows], *plastic, numbers)
             for name, part in form.split(values).items():
                 whole = out.setdefault(name, np.zeros((len(points), *part.shape[1:])))
                 whole[rows] = part

@@ -19,12 +19,12 @@ class StepStart:
     Attributes:
         x: increments since the reset.
         before: forces of the loads of the last converged state.
-        first: forces of the new loads, at the same state.
+        new: forces of the new loads, at the same state.
     """
 
     x: np.ndarray
     before: np.ndarray
-    first: np.ndarray
+    new: np.ndarray
 
 
 def step_work(system: NodalSystem, start: StepStart, last: np.ndarray) -> tuple[float, float]:
@@ -40,8 +40,8 @@ def step_work(system: NodalSystem, start: StepStart, last: np.ndarray) -> tuple[
     held = system.prescribed.fixed[own]
     moved = system.x[own] - start.x[own]
     # the first evaluation had the new loads already
-    assert system.step.first is not None
-    reactions = (system.step.first + start.first - start.before)[own] + system.residual[own]
+    assert system.step.initial is not None
+    reactions = (system.step.initial + start.new - start.before)[own] + system.residual[own]
     sums = np.array(
         [
             0.5 * np.sum((start.before[own] + last[own]) * moved),

@@ -157,7 +157,8 @@ class Path:
 
     @property
     def increment(self) -> np.ndarray:
-        return self.system.x - self.start
+        increment: np.ndarray = self.system.x - self.start
+        return increment
 
     def put_load(self) -> None:
         """Put the load of the present factor into the system."""
@@ -165,7 +166,8 @@ class Path:
 
     def excess(self) -> float:
         """(length / s)^2 - 1."""
-        return self.inner(self.increment, self.increment) / self.size - 1.0
+        excess: float = self.inner(self.increment, self.increment) / self.size - 1.0
+        return excess
 
     def predict(self, controls: Controls, outcome: Outcome) -> None:
         """Along the tangent, with what the state at the start relaxes; if that is much of the step, relax it
@@ -205,9 +207,9 @@ class Path:
         self.factor += growth
         self.put_load()
 
-    def retreat(self) -> bool:
+    def backtrack(self) -> bool:
         """Take back half of the last correction; False if there is none in this step."""
-        if not self.system.retreat():
+        if not self.system.backtrack():
             return False
         self.growth *= 0.5
         self.factor -= self.growth
@@ -250,8 +252,8 @@ def _stop_at(
 def _iterate(path: Path, controls: Controls, outcome: Outcome) -> None:
     system, tangent = path.system, True
     while True:
-        newton.evaluate(system, tangent, path.retreat)
-        force, energy = system.measures()
+        newton.evaluate(system, tangent, path.backtrack)
+        force, energy = system.convergence_measures()
         outcome.history.append((force, energy))
         if not math.isfinite(force) or force > controls.divergence:
             outcome.reason = f"diverged (force measure {force:.3g})"

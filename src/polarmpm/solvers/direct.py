@@ -12,11 +12,11 @@ import numpy as np
 
 from .linear import ACCURACY, SingularTangent
 
-# Relative lift of the factored matrix' diagonal. A node set seen by a single point has fewer constraints than
-# unknowns, and its tangent is exactly singular; slivers of points' domains in a cell come close to that.
+# Relative shift of the factored matrix' diagonal. A node set seen by a single point has fewer constraints
+# than unknowns, and its tangent is exactly singular; slivers of points' domains in a cell come close to that.
 _DIAGONAL = 1e-12
-# The lift stays out of the tangent itself: FGMRES with the lifted factor solves with the tangent, in one
-# iteration unless a mode is as weak as the lift.
+# The shift stays out of the tangent itself: FGMRES with the shifted factor solves with the tangent, in one
+# iteration unless a mode is as weak as the shift.
 _KRYLOV_LIMIT = 60  # iterations after which the factor is given up
 _METHODS = ["definite", "symmetric", "general"]  # the last one for unsymmetric tangents only
 # Operations for a factor per entry of it, which is to say per part of a solution: from here on a factor of an
@@ -31,8 +31,7 @@ class DirectSolver:
 
     * symmetric and small: CHOLMOD, while the tangent is definite.
     * symmetric: Cholesky-like on the upper triangle (no pivoting, fastest); when that fails, as it may far
-    from
-      equilibrium, LDL^T with pivoting.
+      from equilibrium, LDL^T with pivoting.
     * unsymmetric (dead couples in three dimensions): the symmetric part is factored, at half the memory, and
       preconditions the tangent itself; where couples are too large for that, LU.
 
@@ -55,7 +54,7 @@ class DirectSolver:
         self._blocked = matrix.getType() in ("seqbaij", "mpibaij")
         # what is factored: the matrix itself for a while, or a copy, made when the matrix has its entries
         self._alone, self._stored = symmetric and not self._blocked, stored
-        self._lifted: Any = matrix if self._alone else None
+        self._shifted: Any = matrix if self._alone else None
         self.solution, self.rhs = self.matrix.createVecs()
         self._solver: PETSc.KSP | None = None
         self._memory = memory
@@ -71,10 +70,10 @@ class DirectSolver:
     def _create(self) -> PETSc.KSP:
         symmetric = self._method != "general"
         if symmetric:
-            self._lifted.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-            self._lifted.setOption(PETSc.Mat.Option.SPD, self._method in ("small", "definite"))
+            self._shifted.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            self._shifted.setOption(PETSc.Mat.Option.SPD, self._method in ("small", "definite"))
         ksp = PETSc.KSP().create(self.comm)
-        ksp.setOperators(self.matrix, self._lifted)
+        ksp.setOperators(self.matrix, self._shifted)
         ksp.setType(PETSc.KSP.Type.FGMRES)
         ksp.setGMRESRestart(_KRYLOV_LIMIT)
         ksp.setTolerances(rtol=ACCURACY, atol=0.0, divtol=1e30, max_it=_KRYLOV_LIMIT)
@@ -93,9 +92,9 @@ class DirectSolver:
         return ksp
 
     @contextmanager
-    def _lift(self) -> Iterator[None]:
-        """Give the matrix to factor, the tangent's symmetric part (or the tangent), a lifted diagonal; the
-        tangent itself has it for a while only."""
+    def _shift(self) -> Iterator[None]:
+        """Shift the diagonal of the matrix to factor, the tangent's symmetric part or the tangent; of the
+        tangent itself for the duration of the factorisation only."""
         if self._alone and self._stored is not None:
             entries, at = self._stored
             kept = entries[at]
@@ -107,31 +106,31 @@ class DirectSolver:
             return
         if not self._alone:
             self._copy()
-        diagonal = self._lifted.getDiagonal()
-        lifted = diagonal.copy()
-        lifted.scale(1.0 + _DIAGONAL)
-        self._lifted.setDiagonal(lifted)
+        diagonal = self._shifted.getDiagonal()
+        shifted = diagonal.copy()
+        shifted.scale(1.0 + _DIAGONAL)
+        self._shifted.setDiagonal(shifted)
         try:
             yield
         finally:
             if self._alone:
-                self._lifted.setDiagonal(diagonal)
-            lifted.destroy()
+                self._shifted.setDiagonal(diagonal)
+            shifted.destroy()
             diagonal.destroy()
 
     def _copy(self) -> None:
         same = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
-        if self._lifted is None:
-            self._lifted = PETSc.Mat() if self._blocked else self.matrix.duplicate()
+        if self._shifted is None:
+            self._shifted = PETSc.Mat() if self._blocked else self.matrix.duplicate()
         if self._blocked:  # MUMPS factors no such matrix by Cholesky's method
             self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
-            self.matrix.convert("sbaij" if self.symmetric else "aij", out=self._lifted)
+            self.matrix.convert("sbaij" if self.symmetric else "aij", out=self._shifted)
         else:
-            self.matrix.copy(self._lifted, structure=same)
+            self.matrix.copy(self._shifted, structure=same)
         if not self.symmetric and self._method != "general":
             transposed = self.matrix.transpose(PETSc.Mat())
-            self._lifted.axpy(1.0, transposed, structure=same)
-            self._lifted.scale(0.5)
+            self._shifted.axpy(1.0, transposed, structure=same)
+            self._shifted.scale(0.5)
             transposed.destroy()
 
     def factor(self) -> None:
@@ -169,7 +168,7 @@ class DirectSolver:
 
     def _try(self) -> bool:
         try:
-            with self._lift():
+            with self._shift():
                 if self._solver is None:
                     self._solver = self._create()
                 pc = self._solver.getPC()
@@ -185,6 +184,10 @@ class DirectSolver:
         return False
 
     # solution -------------------------------------------------------------------------------------
+    def _solution(self) -> np.ndarray:
+        values: np.ndarray = self.solution.array.copy()
+        return values
+
     def solve(self, rhs: np.ndarray, accuracy: float = ACCURACY) -> np.ndarray:
         """Solve for the owned unknowns, (n,) -> (n,): with a factor of this tangent to `ACCURACY`, with an
         older one to `accuracy`. Collective.
@@ -195,13 +198,13 @@ class DirectSolver:
         self.rhs.array[:] = rhs
         if self._old:
             if self._solve_with_old(accuracy):
-                return self.solution.array.copy()
+                return self._solution()
             self._factor()
         while True:
             assert self._solver is not None
             self._solver.solve(self.rhs, self.solution)
             if self._solver.getConvergedReason() > 0:
-                return self.solution.array.copy()
+                return self._solution()
             self._release_solver()
             self._fall_back("the linear system could not be solved")
             self._factor()
@@ -214,7 +217,7 @@ class DirectSolver:
             if self._conjugate is None:
                 self._conjugate = PETSc.KSP().create(self.comm)
                 self._conjugate.setPC(ksp.getPC())
-                self._conjugate.setOperators(self.matrix, self._lifted)
+                self._conjugate.setOperators(self.matrix, self._shifted)
                 self._conjugate.setType(PETSc.KSP.Type.CG)
                 self._conjugate.setNormType(PETSc.KSP.NormType.NATURAL)
             ksp = self._conjugate
@@ -234,6 +237,6 @@ class DirectSolver:
     def destroy(self) -> None:
         """Release PETSc's objects."""
         self._release_solver()
-        for thing in (None if self._alone else self._lifted, self.matrix, self.rhs, self.solution):
+        for thing in (None if self._alone else self._shifted, self.matrix, self.rhs, self.solution):
             if thing is not None:
                 thing.destroy()

@@ -26,7 +26,7 @@ _STALE = 10  # a new hierarchy costs about as much as so many iterations
 _ROUNDS = 4  # solutions for what is left of the residual
 # Of the diagonal of weak nodes, whose tangent may be exactly singular: a point alone in its cell. Of 1e-12, a
 # factor's rounding is as large as makes a preconditioner unsymmetric, and conjugate gradients slow.
-_LIFT = 1e-8
+_SHIFT = 1e-8
 _MEMORY = 0.8  # of what is free, for a factor where multigrid fails
 _FAILURES = 2  # of multigrid, after which the direct solver takes over until the next reset
 
@@ -131,7 +131,7 @@ class Preconditioner:
         for ksp in self._weak.getASMSubKSP():
             ksp.setType(PETSc.KSP.Type.PREONLY)
             part = ksp.getOperators()[0]
-            part.shift(_LIFT)
+            part.shift(_SHIFT)
             part.setOption(PETSc.Mat.Option.SYMMETRIC, self._symmetric)
             part.setOption(PETSc.Mat.Option.SPD, self._symmetric)
             pc = ksp.getPC()
@@ -310,7 +310,8 @@ class MultigridSolver:
             raise SingularTangent("the residual has entries that are not finite")
         while not self._to_direct:
             if self._iterate(rhs, accuracy):
-                return self.solution.array * self._scale.array
+                solution: np.ndarray = self.solution.array * self._scale.array
+                return solution
             self._fall_back()
         assert self._direct is not None
         return self._direct.solve(rhs, accuracy)

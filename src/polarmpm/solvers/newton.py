@@ -21,16 +21,16 @@ class System(Protocol):
             LocalFailure: there is none at them; the attempt has failed.
         """
 
-    def measures(self) -> tuple[float, float]:
+    def convergence_measures(self) -> tuple[float, float]:
         """Normalised out-of-balance force and energy; NaN or infinite when the state is beyond repair."""
 
     def pending(self) -> bool:
         """Whether prescribed values are still to be put in."""
 
-    def retreat(self) -> bool:
+    def backtrack(self) -> bool:
         """Take back half of the last correction; False if there is none in this step."""
 
-    def advance(self, fresh: bool, accuracy: float) -> None:
+    def update(self, fresh: bool, accuracy: float) -> None:
         """Solve with the last tangent and add the correction to the unknowns.
 
         Args:
@@ -81,7 +81,7 @@ class Outcome:
 
 
 def solve(system: System, controls: Controls) -> Outcome:
-    """Iterate until one of the measures is below its tolerance. Collective."""
+    """Iterate until one of the convergence measures is below its tolerance. Collective."""
     outcome = Outcome()
     try:
         _iterate(system, controls, outcome)
@@ -91,7 +91,7 @@ def solve(system: System, controls: Controls) -> Outcome:
 
 
 def _iterate(system: System, controls: Controls, outcome: Outcome) -> None:
-    """Put measures and the result into the outcome.
+    """Put convergence measures and the result into the outcome.
 
     Near the solution the residual falls quadratically and the tangent hardly changes any more. Where the
     last ratio of residuals promises that the tangent at hand is good enough for the tolerance, the last
@@ -99,8 +99,8 @@ def _iterate(system: System, controls: Controls, outcome: Outcome) -> None:
     """
     tangent, chord = True, False
     while True:
-        evaluate(system, tangent, system.retreat)
-        force, energy = system.measures()
+        evaluate(system, tangent, system.backtrack)
+        force, energy = system.convergence_measures()
         outcome.history.append((force, energy))
         if not math.isfinite(force) or force > controls.divergence:
             outcome.reason = f"diverged (force measure {force:.3g})"
@@ -120,23 +120,23 @@ def _iterate(system: System, controls: Controls, outcome: Outcome) -> None:
         chord = not chord and not system.pending() and _SAFETY * ratio * force < controls.force_tolerance
         if not tangent and not chord:
             system.evaluate(True)
-        system.advance(not chord, _accuracy(ratio, force, controls))
+        system.update(not chord, _accuracy(ratio, force, controls))
         # the next residual and ratio if both fall quadratically: is a tangent needed for what then comes?
         following = ratio**2 * force
         tangent = not chord and _SAFETY * ratio**2 * following > controls.force_tolerance
 
 
-def evaluate(system: System, tangent: bool, retreat: Callable[[], bool]) -> None:
+def evaluate(system: System, tangent: bool, backtrack: Callable[[], bool]) -> None:
     """Evaluate where the points have stresses: while they have none, go back half of the last correction.
 
     Raises:
         LocalFailure: they still have none, or there is nothing to go back.
     """
-    for _ in range(_RETREATS):
+    for _ in range(_BACKTRACKS):
         try:
             return system.evaluate(tangent)
         except LocalFailure:
-            if not retreat():
+            if not backtrack():
                 raise
             tangent = True  # prescribed values may be pending again
     system.evaluate(True)
@@ -157,7 +157,7 @@ def _accuracy(ratio: float, force: float, controls: Controls) -> float:
 
 _SHARE = 0.1  # of the residual to come that a linear solution may leave
 _COARSEST, _FINEST = 1e-3, 1e-10  # relative residuals of linear systems
-_RETREATS = 4  # corrections halved before points without stresses end the attempt
+_BACKTRACKS = 4  # corrections halved before points without stresses end the attempt
 _SAFETY = 10.0  # the change of the tangent is about twice the ratio
 
 

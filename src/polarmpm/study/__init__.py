@@ -1,6 +1,6 @@
 """Studies: which discretisation gives this error in the least time?
 
-A ladder of discretisations is run, each in a process of its own, and what it found and cost becomes a row of
+A list of discretisations is run, each in a process of its own, and what each found and cost becomes a row of
 a table:
 
     from polarmpm import study
@@ -10,8 +10,10 @@ a table:
         return study.Case(problem, result=lambda: points.mean_displacement(tip))
 
     if __name__ == "__main__":
-        ladder = [study.Rung("GIMPM", f"{h:g} m", h, build, {"cell": h}, steps=10) for h in (1.0, 0.5)]
-        rows = study.run(ladder, {"beam": (0.0, -6.8)})
+        discretisations = [
+            study.Discretisation("GIMPM", f"{h:g} m", h, build, {"cell": h}, steps=10) for h in (1.0, 0.5)
+        ]
+        rows = study.run(discretisations, {"beam": (0.0, -6.8)})
         study.write(rows, "results/beam", unit="m")
 """
 
@@ -22,7 +24,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from . import figures
-from .rungs import PHASES, Case, Row, Rung
+from .discretisations import PHASES, Case, Discretisation, Row
 from .running import compare, run
 from .tables import (
     digits,
@@ -69,8 +71,8 @@ def write(
 __all__ = [
     "PHASES",
     "Case",
+    "Discretisation",
     "Row",
-    "Rung",
     "compare",
     "digits",
     "error_names",

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..plot import figures as plot
-from .rungs import PHASES, Row
+from .discretisations import PHASES, Row
 from .tables import check_name, digits, error_names, methods
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")
@@ -30,7 +30,7 @@ def errors(
     slopes: Sequence[int] = (),
     legend: bool = True,
 ) -> Any:
-    """Draw an error, with logarithmic axes: one line for each method, failed rungs left out.
+    """Draw an error, with logarithmic axes: one line for each method, failed discretisations left out.
 
     Args:
         name: of the error's reference.
@@ -126,7 +126,7 @@ def save_errors(
 
 
 def phases(rows: Sequence[Row], ax: Any = None) -> Any:
-    """Draw the shares of the phases in each rung's CPU time as stacked bars; the kernel's is hatched."""
+    """Draw the phases' shares in each discretisation's CPU time as stacked bars, the kernel's hatched."""
     rows = [r for r in rows if r.phases and r.cpu_s]
     if ax is None:
         _, ax = plot.subplots(figsize=(8.0, 0.9 + 0.27 * len(rows)))

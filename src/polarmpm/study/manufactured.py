@@ -15,7 +15,7 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
-from ..forms.strains import measures
+from ..forms.strains import strain_measures
 from ..kernels.kernel import compile_expressions
 from ..kinematics.motion import Increment, move
 from ..materials import Material
@@ -51,7 +51,7 @@ class Solution:
         u, theta = displacement(X), rotation(X)
         now = move(Increment(ufl.diff(u, X), theta, ufl.diff(theta, X)), ufl.Identity(3))
         F, Q = now.F, now.Q
-        E, wryness = map(ufl.variable, measures(material, now.stretch, now.wryness))
+        E, wryness = map(ufl.variable, strain_measures(material, now.stretch, now.wryness))
         w = material.energy(E, wryness, p)
         P, QS = ufl.dot(Q, ufl.diff(w, E)), ufl.dot(Q, ufl.diff(w, wryness))
         tau, J = ufl.dot(P, ufl.transpose(F)), ufl.det(F)
@@ -89,7 +89,8 @@ class Solution:
         u, theta, stress, couple_stress = self.fields(p.X)
 
         def size(a: np.ndarray) -> np.ndarray:
-            return np.sqrt(np.sum(a**2, axis=tuple(range(1, a.ndim))))
+            norms: np.ndarray = np.sqrt(np.sum(a**2, axis=tuple(range(1, a.ndim))))
+            return norms
 
         values = {
             "displacement": size(p.displacement - u),

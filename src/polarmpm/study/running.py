@@ -23,7 +23,7 @@ from ..kernels import native
 from ..problems.base import Problem
 from ..problems.elements import QuasiStaticFEM
 from ..tools.timing import Timer
-from .rungs import Case, Row, Rung
+from .discretisations import Case, Discretisation, Row
 
 # phases of `Problem.timer` that aren't part of a method's cost
 NOT_COUNTED = ("compile", "output")
@@ -31,12 +31,12 @@ Reference = Sequence[float] | np.ndarray | Callable[[np.ndarray], float]
 
 
 def run(
-    rungs: Sequence[Rung],
+    discretisations: Sequence[Discretisation],
     references: Mapping[str, Reference],
     *,
     record: Callable[[Row], Any] | None = None,
 ) -> list[Row]:
-    """Run every rung in a process of its own, one after the other.
+    """Run every discretisation in a process of its own, one after the other.
 
     Args:
         references: by name, vectors to which the distance is the error; or functions that give the error of
@@ -44,24 +44,25 @@ def run(
         record: called with every row as soon as it is there.
 
     Returns:
-        One row for each rung. A rung that finds no equilibrium, loses points or whose process dies (of too
-        little memory, say) is a row with `failed_at` and `failure`.
+        One row for each discretisation. A discretisation that finds no equilibrium, loses points or whose
+        process dies (of too little memory, say) is a row with `failed_at` and `failure`.
 
     Raises:
-        InputError: no rungs; two rungs of one name; a reference that doesn't fit the result; several ranks.
+        InputError: no discretisations; two of one name; a reference that doesn't fit the result; several
+            ranks.
     """
     if MPI.COMM_WORLD.size > 1:
         raise InputError("run: a study starts processes of its own; run the script on one rank")
-    rungs = list(rungs)
-    if not rungs:
-        raise InputError("rungs: none is given")
-    names = [(r.method, r.label) for r in rungs]
+    discretisations = list(discretisations)
+    if not discretisations:
+        raise InputError("discretisations: none is given")
+    names = [(d.method, d.label) for d in discretisations]
     for name in names:
         if names.count(name) > 1:
-            raise InputError(f"rungs: two are named {name[0]!r}, {name[1]!r}")
+            raise InputError(f"discretisations: two are named {name[0]!r}, {name[1]!r}")
     rows = []
-    for rung in rungs:
-        rows.append(compare(_in_new_process(rung), references))
+    for d in discretisations:
+        rows.append(compare(_in_new_process(d), references))
         if record is not None:
             record(rows[-1])
     return rows
@@ -83,23 +84,23 @@ def compare(row: Row, references: Mapping[str, Reference]) -> Row:
     return replace(row, errors=errors)
 
 
-def _in_new_process(rung: Rung) -> Row:
+def _in_new_process(d: Discretisation) -> Row:
     # spawned rather than forked: a fork shares the parent's memory, and MPI doesn't survive it
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         try:
-            return pool.submit(_measure, rung).result()
+            return pool.submit(_measure, d).result()
         except BrokenProcessPool:
             failure = "the process ended; was there enough memory?"
-            return Row(rung.method, rung.label, rung.h, failed_at=0.0, failure=failure)
+            return Row(d.method, d.label, d.h, failed_at=0.0, failure=failure)
 
 
-def _measure(rung: Rung) -> Row:
+def _measure(d: Discretisation) -> Row:
     """Build and march; runs in a process of its own."""
-    row = Row(rung.method, rung.label, rung.h)
+    row = Row(d.method, d.label, d.h)
     try:
-        case = rung.build(**rung.arguments)
+        case = d.build(**d.arguments)
         if not isinstance(case, Case):
-            raise InputError(f"build = {rung.build!r}: returned {case!r} and not a study.Case")
+            raise InputError(f"build = {d.build!r}: returned {case!r} and not a study.Case")
         problem = case.problem
     except PointsOutsideGrid as e:
         return replace(row, failed_at=0.0, failure=str(e))
@@ -107,7 +108,7 @@ def _measure(rung: Rung) -> Row:
     problem.timer = timer = _Counter()
     begin, failed, failure = time.process_time(), None, ""
     try:
-        for _ in problem.march(rung.steps, adaptive=rung.adaptive, progress=False):
+        for _ in problem.march(d.steps, adaptive=d.adaptive, progress=False):
             pass
     except (NotConverged, PointsOutsideGrid) as e:
         failed = e.factor if isinstance(e, NotConverged) else problem.progress.factor

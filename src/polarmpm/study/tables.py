@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 from ..errors import InputError
 from ..io.files import check_output, replace_file
-from .rungs import PHASES, Row
+from .discretisations import PHASES, Row
 
 
 def write_csv(rows: Sequence[Row], path: str | os.PathLike[str]) -> None:
@@ -134,7 +134,7 @@ def markdown_phases(rows: Sequence[Row]) -> str:
 
 
 def orders(rows: Sequence[Row], name: str) -> dict[str, list[float]]:
-    """Observed orders of convergence of an error between successive rungs of each method.
+    """Observed orders of convergence of an error between successive discretisations of each method.
 
     Raises:
         InputError: no row has an error of this name.
@@ -185,8 +185,8 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 def time_for_error(rows: Sequence[Row], name: str, level: float) -> dict[str, float]:
     """CPU seconds with which each method reaches an error; methods that don't are left out.
 
-    Between two rungs of a method it is interpolated on logarithmic axes; where already the first rung is
-    better than asked, it is that rung's time.
+    Between two discretisations of a method it is interpolated on logarithmic axes; where already the first
+    discretisation is better than asked, it is that discretisation's time.
 
     Raises:
         InputError: no row has an error of this name; `level` is not positive.

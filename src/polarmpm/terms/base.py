@@ -40,11 +40,11 @@ class Boxes:
 
     Attributes:
         count: nodes in each direction.
-        first: lattice number of each box's lowest node (m,).
+        lowest: lattice number of each box's lowest node (m,).
     """
 
     count: tuple[int, ...]
-    first: np.ndarray
+    lowest: np.ndarray
 
     @cached_property
     def offsets(self) -> np.ndarray:
@@ -54,7 +54,8 @@ class Boxes:
 
     def numbers(self, grid: Grid) -> np.ndarray:
         """Lattice numbers of the nodes (m, n)."""
-        return self.first[:, None] + self.offsets @ grid.strides
+        numbers: np.ndarray = self.lowest[:, None] + self.offsets @ grid.strides
+        return numbers
 
     def rows(self, nodes: ActiveNodes) -> np.ndarray:
         """Local rows of the nodes (m, n)."""
@@ -166,7 +167,7 @@ class Term(ABC):
     Attributes:
         name: for messages, and under which its work is summed.
         carried: a balanced reset, and a new base of the rotations, may carry along what becomes of its forces
-            there. False for what has its own history of them, such as inertia.
+            there. False for what keeps them itself, such as inertia.
         proportional: at given increments its forces are linear in the load factor, and what grows with the
             factor doesn't depend on the increments: the arc-length method can take it.
         rows: arrays (np, ...) with one row for each local point of the body, by name. They move with the

@@ -33,7 +33,7 @@ from ..geometry.grid import Grid
 from ..kinematics.layout import Layout
 from ..materials.base import Material
 from ..tools.checks import require_finite
-from ..tools.parallel import look_up, lowest_ranks
+from ..tools.parallel import lowest_ranks, values_by_number
 from .base import Boxes, Piece, Setting, Term, multiply
 from .settings import GridSetting
 
@@ -131,9 +131,9 @@ def boundary_faces(grid: Grid, reached: np.ndarray) -> list[np.ndarray]:
     index = grid.node_index(cells)
     exists = np.hstack([index > 0, index < np.array(grid.shape) - 1])
     wanted = (cells[:, None] + steps).ravel()
-    active = look_up(comm, cells, np.ones((len(cells), 1)), wanted).reshape(exists.shape) > 0
+    active = values_by_number(comm, cells, np.ones((len(cells), 1)), wanted).reshape(exists.shape) > 0
     boundary = np.any(exists & ~active, axis=1)
-    beside = look_up(comm, cells, boundary[:, None].astype(float), wanted).reshape(exists.shape) > 0
+    beside = values_by_number(comm, cells, boundary[:, None].astype(float), wanted).reshape(exists.shape) > 0
     face = (exists & active & (boundary[:, None] | beside))[:, grid.dim :]
     return [cells[face[:, axis]] for axis in range(grid.dim)]
 

@@ -22,7 +22,7 @@ class Traction(SurfaceCondition):
     """A traction (N/m^2) and couple traction (N/m), dead and per undeformed area, or following the surface.
 
     Args:
-        follows: per current area, see `kinematics.measures.convected`.
+        follows: per current area, see `kinematics.tensors.convected`.
         share: a factor on both; 1 over the area where totals are given.
     """
 
@@ -138,7 +138,7 @@ class SurfaceSupport(SurfaceCondition):
         total = np.zeros((len(x), self.layout.block))
         for column, (amplitude, component) in self._columns.items():
             total[:, column] = amplitude.at(factor, x)[:, component]
-        target = total - np.hstack([self._at["u"], self._at["theta"]])
+        target: np.ndarray = total - np.hstack([self._at["u"], self._at["theta"]])
         if r == 3 and all(c in self._columns for c in range(d, d + 3)):
             there = rotations.from_vector(total[:, d:])
             way = rotations.multiply(there, rotations.conjugate(self._at["q"]))
@@ -178,7 +178,8 @@ class SurfaceSupport(SurfaceCondition):
         d, (_, target, _) = self.layout.dim, self._data
         miss = self.form.slots.part(y, "displacement") - target[:, :d]
         if self._normal is not None:
-            return np.abs(np.sum(miss * self.surface.normal, axis=1))
+            distance: np.ndarray = np.abs(np.sum(miss * self.surface.normal, axis=1))
+            return distance
         held = [c for c in range(d) if c in self._columns]
         return np.asarray(np.linalg.norm(miss[:, held], axis=1))
 

@@ -48,21 +48,25 @@ class SurfacePiece(Piece):
         self._area = term.surface.area[self.rows]
 
     def _y(self, x: np.ndarray) -> np.ndarray:
-        return np.einsum("myk,mk->my", self._map, x.reshape(len(x), self._map.shape[2]))
+        y: np.ndarray = np.einsum("myk,mk->my", self._map, x.reshape(len(x), self._map.shape[2]))
+        return y
 
     def _blocks(self, x: np.ndarray) -> np.ndarray:
-        return self.term.evaluate(self._y(x), self.rows) * self._area[:, None]
+        values: np.ndarray = self.term.evaluate(self._y(x), self.rows) * self._area[:, None]
+        return values
 
     def forces(self, x: np.ndarray) -> np.ndarray:
         residual = self._blocks(x)[:, : self._map.shape[1]]
-        return np.einsum("myk,my->mk", self._map, residual).reshape(x.shape)
+        forces: np.ndarray = np.einsum("myk,my->mk", self._map, residual).reshape(x.shape)
+        return forces
 
     def matrices(self, x: np.ndarray) -> np.ndarray:
         m, n, b = x.shape
         size = self._map.shape[1]
         moduli = self._blocks(x)[:, size:].reshape(m, size, size)
         dense = np.swapaxes(self._map, 1, 2) @ moduli @ self._map
-        return dense.reshape(m, n, b, n, b).transpose(0, 1, 3, 2, 4).reshape(m, n, n, b * b)
+        blocks: np.ndarray = dense.reshape(m, n, b, n, b).transpose(0, 1, 3, 2, 4).reshape(m, n, n, b * b)
+        return blocks
 
     def commit(self, x: np.ndarray) -> None:
         self.term.commit(self._y(x), self.rows)

@@ -48,7 +48,10 @@ def expression_signature(expr: Any, terminals: dict[Any, int]) -> str:
     # newer UFL takes labels of variables by their running numbers unless it's told others
     labels = (t for t in traverse_unique_terminals(expr) if isinstance(t, ufl.classes.Label))
     try:
-        return compute_expression_signature(expr, {**terminals, **{t: k for k, t in enumerate(labels)}})
+        signature: str = compute_expression_signature(
+            expr, {**terminals, **{t: k for k, t in enumerate(labels)}}
+        )
+        return signature
     except KeyError as e:
         raise KernelError(f"{e.args[0]} is not an input of this kernel") from None
 

@@ -77,7 +77,9 @@ class Route:
         return out
 
 
-def look_up(comm: MPI.Comm, numbers: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def values_by_number(
+    comm: MPI.Comm, numbers: np.ndarray, values: np.ndarray, wanted: np.ndarray
+) -> np.ndarray:
     """Values (m, c) that ranks hold under numbers (m,), each on one rank, for the wanted numbers. Collective.
 
     Numbers that nobody holds get zeros. A number tells which rank keeps the book on it.
@@ -92,20 +94,20 @@ def look_up(comm: MPI.Comm, numbers: np.ndarray, values: np.ndarray, wanted: np.
     return ask.backward(np.where((known[at] == asked)[:, None], rows[at], 0.0))
 
 
-def lowest_ranks(comm: MPI.Comm, numbers: np.ndarray, claims: np.ndarray | None = None) -> np.ndarray:
+def lowest_ranks(comm: MPI.Comm, numbers: np.ndarray, priorities: np.ndarray | None = None) -> np.ndarray:
     """The lowest rank that holds each of the numbers (n,), all different on a rank. Collective.
 
-    With claims (n,), whole numbers, the lowest of those whose claim is the largest.
+    With priorities (n,), whole numbers, the lowest of those whose priority is the largest.
     """
     route = Route(comm, numbers % comm.size)
     asked = route.forward(numbers)
     source = np.repeat(np.arange(comm.size), route.received)
     unique, inverse = np.unique(asked, return_inverse=True)
-    if claims is not None:
-        claimed = route.forward(claims)
+    if priorities is not None:
+        asking = route.forward(priorities)
         most = np.zeros(len(unique), dtype=np.int64)
-        np.maximum.at(most, inverse, claimed)
-        source = np.where(claimed == most[inverse], source, comm.size)
+        np.maximum.at(most, inverse, asking)
+        source = np.where(asking == most[inverse], source, comm.size)
     lowest = np.full(len(unique), comm.size, dtype=np.int64)
     np.minimum.at(lowest, inverse, source)
     return route.backward(lowest[inverse])
@@ -129,7 +131,7 @@ def sharing_ranks(comm: MPI.Comm, numbers: np.ndarray, most: int) -> np.ndarray:
     return route.backward(table[first])
 
 
-def collectively(comm: MPI.Comm, error: Exception | None) -> None:
+def raise_on_all_ranks(comm: MPI.Comm, error: Exception | None) -> None:
     """Raise on every rank what any rank has found wrong (the lowest rank's error)."""
     errors = comm.allgather(error)
     for e in errors:
@@ -138,11 +140,11 @@ def collectively(comm: MPI.Comm, error: Exception | None) -> None:
 
 
 @contextmanager
-def together(comm: MPI.Comm) -> Iterator[None]:
+def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
     """Local work whose InputError is raised on every rank, so that no rank waits for ever. Collective."""
     error = None
     try:
         yield
     except InputError as e:
         error = e
-    collectively(comm, error)
+    raise_on_all_ranks(comm, error)

@@ -7,8 +7,8 @@ import pytest
 import ufl
 
 from polarmpm.kernels.kernel import PointSpace, compile_expressions
-from polarmpm.kinematics import measures as kinematics
 from polarmpm.kinematics import rotations
+from polarmpm.kinematics import tensors as kinematics
 from polarmpm.kinematics.layout import Layout
 from polarmpm.kinematics.motion import Motion
 from polarmpm.tools import compat

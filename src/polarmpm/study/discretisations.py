@@ -17,7 +17,7 @@ PHASES = ("assembly", "factor", "solve", "update", "reset", "pattern", "conditio
 
 @dataclass
 class Case:
-    """What a rung's `build` returns.
+    """What a discretisation's `build` returns.
 
     Attributes:
         problem: ready to march.
@@ -32,8 +32,8 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Rung:
-    """A discretisation to be tried.
+class Discretisation:
+    """Method, cell size and steps with which a study runs its problem.
 
     Attributes:
         method: its line in figures.
@@ -77,7 +77,7 @@ class Rung:
 
 @dataclass(frozen=True)
 class Row:
-    """What a rung found and cost; also a published result, with what is known of it.
+    """What a discretisation found and cost; also a published result, with what is known of it.
 
     Attributes:
         result: number or vector after the last step.
