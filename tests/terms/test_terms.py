@@ -234,7 +234,7 @@ def test_a_block_comes_to_rest_on_a_floor(method):
         points = pm.seed(grid, material=NEO_HOOKEAN, points_per_cell=3, bounds=bounds, layout="gauss")
         options = {"basis": "mpm", "assembly": method} if method == "projection" else {"basis": method}
         problem = pm.QuasiStatic(grid, points, reset=None, **options)
-        foot = pm.Surface.line((0.0, 0.0), (width, 0.0), 64)  # splines aren't linear between two of them
+        foot = pm.Surface.line((0.0, 0.0), (width, 0.0), 64)
     for side in (0.0, width):
         problem.fix(pm.plane(x=side), ux=0)
     head = problem.fix(pm.plane(y=1.0), uy=lambda t: -0.1 * t)
@@ -246,8 +246,9 @@ def test_a_block_comes_to_rest_on_a_floor(method):
     sunk = -forces[0] / (k * width)
     stretch = 1.0 - 0.1 + gap + sunk
     stress = mu * (stretch - 1 / stretch) + lam * np.log(stretch) / stretch
-    np.testing.assert_allclose(forces[0], stress * width, rtol=1e-5)
-    np.testing.assert_allclose(problem.surfaces[0].u[:, 1], -gap - sunk, rtol=1e-6)
+    exact = 1e-4 if method == "bspline" else 1e-6  # the floor's points sum up parabolas only nearly
+    np.testing.assert_allclose(forces[0], stress * width, rtol=exact)
+    np.testing.assert_allclose(problem.surfaces[0].u[:, 1], -gap - sunk, rtol=exact)
     list(problem.march(4, to=0.0, progress=False))
     forces.append(problem.reaction(head)[0][1])
     assert abs(forces[1]) < 1e-8 * abs(forces[0])
