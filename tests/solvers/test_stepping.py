@@ -386,7 +386,7 @@ class Local:
         if self.left == 0:
             raise LocalFailure("3 points: no return to the yield surface")
 
-    def measures(self) -> tuple[float, float]:
+    def convergence_measures(self) -> tuple[float, float]:
         return 1.0, 1.0
 
     def pending(self) -> bool:
@@ -410,9 +410,9 @@ class Shortened(Local):
         self.left -= 1
         if self.left <= 0 and self.halved < 2:
             raise LocalFailure("3 points: no return to the yield surface")
-        assert tangent or not self.halved  # what a backtrack leaves pending is put in with it
+        assert tangent or not self.halved  # what backtracking leaves pending is put in with it
 
-    def measures(self) -> tuple[float, float]:
+    def convergence_measures(self) -> tuple[float, float]:
         return (0.0, 0.0) if self.halved == 2 else (1.0, 1.0)
 
     def backtrack(self) -> bool:
@@ -427,7 +427,7 @@ def test_corrections_are_halved_until_the_points_have_stresses():
     assert system.halved == 2
 
 
-def test_a_retreat_leaves_prescribed_values_to_be_put_in():
+def test_backtracking_leaves_prescribed_values_to_be_put_in():
     """Half of a correction is taken back; the supports' part of it is pending again."""
     problem = beam(2)
     problem.fix(pm.plane(x=4.0), ux=0.2)

@@ -65,8 +65,7 @@ class ElementSystem(NodalSystem):
         return bool(self._varying) or self.terms.external
 
     def put_pieces(self, pieces: Sequence[Piece]) -> None:
-        """Replace the terms' pieces: increments count from the present state on. They act on the same
-        nodes."""
+        """Replace the terms' pieces, on the same nodes: increments count from the present state on."""
         self.terms = NodalTerms(self.nodes, pieces, self.comm)
 
     def set_loads(self) -> None:

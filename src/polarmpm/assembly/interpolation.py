@@ -1,8 +1,8 @@
 """Points on the grid between two resets: weighting functions, node sets, packed state.
 
-Nodal increments are measured from the last reset, and so are the weighting functions: the lattice moves
-with its nodes until it is reset (T 2.3.3). Everything here is rebuilt at a reset and read-only after it,
-but for the packed state when rotations get a new base.
+Nodal increments and weighting functions are those since the last reset: the lattice moves with its nodes
+until it is reset (T 2.3.3). Everything here is rebuilt at a reset and read-only after it, but for the packed
+state when rotations get a new base.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ class Interpolation:
 
     # state --------------------------------------------------------------------------------------
     def pack(self) -> None:
-        """Write the reference state into the kernels' input, see `pointforms`."""
+        """Write the reference state into the kernels' input, see `forms.points`."""
         r, p = self.reference, self.points
         for b in self.batches:
             state = b.form.pack(r.F[b.rows], r.q[b.rows], r.wryness[b.rows], p.plastic_state(b.rows))
@@ -158,9 +158,7 @@ class Interpolation:
         return Increments(value, layout.part(z, "displacement", 1), layout.part(z, "rotation", 1))
 
     def spread(self, point_values: np.ndarray) -> np.ndarray:
-        """Nodal sums of point values (np, c) with the weighting functions; complete on owned rows.
-        Collective.
-        """
+        """Sums of point values (np, c) with the weighting functions, complete on owned rows. Collective."""
         c = point_values.shape[1]
         out = np.zeros((len(self.nodes), c))
         for b in self.batches:

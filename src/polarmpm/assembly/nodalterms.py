@@ -61,7 +61,7 @@ class NodalTerms:
         block = values.shape[2]
         at = (rows[:, :, None] * block + np.arange(block)).ravel()
         sums = np.bincount(at, values.ravel(), minlength=len(self.nodes) * block)
-        return sums.astype(float).reshape(-1, block)  # of nothing at all they are whole numbers
+        return sums.astype(float).reshape(-1, block)  # without any pieces they are integers
 
     def forces(self, x: np.ndarray, which: Callable[[Piece], bool]) -> np.ndarray:
         """Sum (nodes, b) of the forces of some pieces at increments (nodes, b), on this rank."""

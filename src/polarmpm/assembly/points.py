@@ -28,7 +28,7 @@ _WEAK = 0.2  # share of a cell: nodes beyond edges of the body, and beyond faces
 
 
 class LoadedPoints(NodalSystem):
-    """Laws and loads of the points. How their virtual work is summed is left to subclasses."""
+    """Kernels and loads of the points. How their virtual work is summed is left to subclasses."""
 
     nodes: ActiveNodes
 
@@ -53,7 +53,7 @@ class LoadedPoints(NodalSystem):
     def _mapping(self, batch: PointBatch) -> ReturnMapping | None:
         if not batch.form.material.plastic:
             return None
-        from ..forms.returnmapping import ReturnMapping  # elastic scenes don't know of it
+        from ..forms.returnmapping import ReturnMapping  # lazy import: elastic scenes need no plasticity
 
         return ReturnMapping(batch.form, self.comm, self.interpolation.points.id[batch.rows])
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..conditions.prescribed import Prescribed
 from ..errors import InputError
-from ..forms.numbers import BlockForms, tangent_size
+from ..forms.numbers import QuadratureForms, tangent_size
 from ..geometry.cells import cell_mesh, occupied_cells
 from ..geometry.grid import Grid, snap
 from ..geometry.nodes import ActiveNodes
@@ -154,7 +154,7 @@ class ProjectedSystem(LoadedPoints):
             fixed = self.exchange.to_mesh(prescribed.fixed[: self.nodes.owned].astype(float)) > 0.5
             self._numbers = self._numbers_on_mesh()
         with timer("compile"):
-            self.forms = BlockForms(self.cells.space, self.layout, DEGREE, self.symmetric)
+            self.forms = QuadratureForms(self.cells.space, self.layout, DEGREE, self.symmetric)
         with timer("pattern"):
             plastic = any(m is not None for m in self.mappings)
             self.matrix = FormMatrix(

@@ -185,8 +185,8 @@ def _assemble_pattern(
     row, code, col, mine = local
     total = max(nodes.total, 1)
     keys = pairs[:, 0] * total + pairs[:, 1]
-    first = np.searchsorted(pairs[:, 0], nodes.start + np.arange(nodes.owned + 1))
-    indptr, indices = _scalar_rows(pairs[:, 1], first, block, symmetric)
+    offsets = np.searchsorted(pairs[:, 0], nodes.start + np.arange(nodes.owned + 1))
+    indptr, indices = _scalar_rows(pairs[:, 1], offsets, block, symmetric)
     # owned rows: block column k of node I starts at indptr of its scalar row, less the part below the
     # diagonal that the upper triangle leaves out
     trim = np.tile(np.arange(block) if symmetric else np.zeros(block, dtype=np.int64), nodes.owned)
@@ -194,7 +194,7 @@ def _assemble_pattern(
     starts[: nodes.owned * block] = indptr[:-1] - trim
     place = np.full((len(nodes), codes), -1, dtype=np.int32)
     at = np.searchsorted(keys, nodes.number[row[mine]] * total + nodes.number[col[mine]])
-    place[row[mine], code[mine]] = at - first[row[mine]]
+    place[row[mine], code[mine]] = at - offsets[row[mine]]
     # ghost rows: full blocks, each contiguous, in the order in which they are listed
     ghosts = np.flatnonzero(~mine)
     count = len(ghosts)
@@ -206,13 +206,13 @@ def _assemble_pattern(
         indptr,
         indices,
         values,
-        _diagonal(first, pairs, nodes, indptr, block, symmetric),
+        _diagonal(offsets, pairs, nodes, indptr, block, symmetric),
         native.Matrix(),
     )
     if route is not None:
         pattern.route = route
         pattern.ghost_order = _place_ghosts(pattern, row[ghosts], code[ghosts], place, starts)
-        pattern.received_at = _received_positions(pattern, ghost_pairs, keys, first, total)
+        pattern.received_at = _received_positions(pattern, ghost_pairs, keys, offsets, total)
     native.fill(
         pattern.matrix,
         symmetric=int(symmetric),
@@ -226,27 +226,32 @@ def _assemble_pattern(
 
 
 def _scalar_rows(
-    cols: np.ndarray, first: np.ndarray, block: int, symmetric: bool
+    cols: np.ndarray, offsets: np.ndarray, block: int, symmetric: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Scalar row pointers and columns of block rows with ascending block columns, the diagonal first."""
-    nodes = len(first) - 1
-    lengths = np.repeat(np.diff(first) * block, block).reshape(nodes, block)
+    nodes = len(offsets) - 1
+    lengths = np.repeat(np.diff(offsets) * block, block).reshape(nodes, block)
     if symmetric:
         lengths = lengths - np.arange(block)
     indptr = np.concatenate([[0], np.cumsum(lengths.ravel())])
     columns = np.empty(int(indptr[-1]), dtype=np.int32)
-    first, cols = np.ascontiguousarray(first, dtype=np.int64), np.ascontiguousarray(cols, dtype=np.int64)
-    native.library().polarmpm_scalar_columns(nodes, first, cols, block, int(symmetric), columns)
+    offsets, cols = np.ascontiguousarray(offsets, dtype=np.int64), np.ascontiguousarray(cols, dtype=np.int64)
+    native.library().polarmpm_scalar_columns(nodes, offsets, cols, block, int(symmetric), columns)
     return indptr, columns
 
 
 def _diagonal(
-    first: np.ndarray, pairs: np.ndarray, nodes: ActiveNodes, indptr: np.ndarray, block: int, symmetric: bool
+    offsets: np.ndarray,
+    pairs: np.ndarray,
+    nodes: ActiveNodes,
+    indptr: np.ndarray,
+    block: int,
+    symmetric: bool,
 ) -> np.ndarray:
     if symmetric:
         return indptr[:-1].copy()
     own = np.flatnonzero(pairs[:, 0] == pairs[:, 1])
-    k = own - first[:-1]
+    k = own - offsets[:-1]
     component = np.tile(np.arange(block), nodes.owned)
     at: np.ndarray = indptr[:-1] + np.repeat(k * block, block) + component
     return at
@@ -273,12 +278,12 @@ def _place_ghosts(
 
 
 def _received_positions(
-    pattern: Pattern, pairs: np.ndarray, keys: np.ndarray, first: np.ndarray, total: int
+    pattern: Pattern, pairs: np.ndarray, keys: np.ndarray, offsets: np.ndarray, total: int
 ) -> np.ndarray:
     """Where entries of received blocks go in the owned rows, (blocks, block * block); -1: left out."""
     block, nodes = pattern.block, pattern.nodes
     row = pairs[:, 0] - nodes.start
-    k = np.searchsorted(keys, pairs[:, 0] * total + pairs[:, 1]) - first[row]
+    k = np.searchsorted(keys, pairs[:, 0] * total + pairs[:, 1]) - offsets[row]
     i, j = np.divmod(np.arange(block * block), block)
     at: np.ndarray = pattern.indptr[(row[:, None] * block + i)] + k[:, None] * block + j
     if pattern.symmetric:

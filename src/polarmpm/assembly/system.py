@@ -60,7 +60,7 @@ class StepState:
 
 
 class NodalSystem(ABC):
-    """Implements `newton.System` but for the assembly and the linear solution.
+    """Implements `solvers.newton.System` but for the assembly and the linear solution.
 
     Attributes:
         x: nodal increments since the reset (nodes, block), ghosts included.
@@ -212,7 +212,7 @@ class NodalSystem(ABC):
 
     def forget_rotations(self) -> None:
         """Rotation increments count from the present rotations on: set them to zero. The equilibrium stays,
-        as forces of terms that were those of the increments are carried along. Collective."""
+        as terms' forces that depended on the increments are carried along. Collective."""
         before = self.x.copy()
         self.x[:, self.layout.dim :] = 0.0
         if len(self.terms):
@@ -224,9 +224,9 @@ class NodalSystem(ABC):
             self.nodes.add_to_owners(lost)
             self.carried -= np.where(self.prescribed.fixed, 0.0, lost)
 
-    # newton.System ----------------------------------------------------------------------------------
+    # solvers.newton.System --------------------------------------------------------------------------
     def set_prescribed(self, increments: np.ndarray) -> None:
-        """Target of the prescribed unknowns, as increments since the reset (nodes, block); begins a step.
+        """Begin a step: targets of the prescribed unknowns, increments (nodes, block) since the reset.
         Collective."""
         self.before = self.x
         self.step = StepState(np.where(self.prescribed.fixed, increments - self.x, 0.0))
@@ -249,7 +249,7 @@ class NodalSystem(ABC):
                 s.rounding = self._rounding_squares()
 
     def convergence_measures(self) -> tuple[float, float]:
-        with np.errstate(over="ignore", invalid="ignore"):  # what diverges is told by the numbers
+        with np.errstate(over="ignore", invalid="ignore"):  # divergence shows in the measures
             return self._convergence_measures()
 
     def _convergence_measures(self) -> tuple[float, float]:
@@ -268,7 +268,7 @@ class NodalSystem(ABC):
         )
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         out, loads = np.sqrt(sums[:2])
-        # before the first correction loads as small as rounding are still to be felt
+        # before the first correction loads as small as rounding still count
         if (last is not None or loads == 0.0) and out <= self._rounding_level():
             return 0.0, 0.0
         force = out / loads if loads > 0 else np.inf
@@ -279,9 +279,10 @@ class NodalSystem(ABC):
         """Squares of the out-of-balance forces (N) that a relative rounding of strains makes, and of those
         that one of rotations of a radian makes beside. Collective.
 
-        Strains and rotations are rounded by so much of one, which the tangent's diagonal turns into forces: a
-        rotation is a strain, and a displacement one over a cell. Not so where bending stiffness is large: a
-        change of the wryness is rounded by so much of itself, and is as small as the rotations are.
+        Strains and rotations are rounded relative to one, and the tangent's diagonal turns that into forces:
+        a rotation is a strain, and a displacement is one over a cell. It is different where bending stiffness
+        is large: a change of the wryness is rounded relative to itself, and it is as small as the rotations
+        are.
         """
         diagonal, d = np.abs(self.diagonal()), self.layout.dim
         forces = diagonal[:, :d] * self.length
@@ -291,9 +292,8 @@ class NodalSystem(ABC):
         return _ROUNDING**2 * np.asarray(self.comm.allreduce(squares))
 
     def _rounding_level(self) -> float:
-        """Out-of-balance force (N) that rounding makes at the present increments; loads so small that their
-        strains are near rounding can't be balanced more closely than this. Collective.
-        """
+        """Out-of-balance force (N) that rounding makes at the present increments: loads whose strains are
+        near rounding can't be balanced more closely. Collective."""
         if self.step.rounding is None:
             return 0.0
         turned = 0.0
@@ -314,8 +314,8 @@ class NodalSystem(ABC):
             s.lift, s.lifted, s.pending = np.zeros_like(s.lift), None, False
 
     def solve_free(self, forces: np.ndarray, fresh: bool, accuracy: float = ACCURACY) -> np.ndarray:
-        """What forces (nodes, block), complete on owned rows, move with the last tangent; prescribed
-        unknowns stay. Collective."""
+        """Increments (nodes, block) by which forces, complete on owned rows, move the nodes with the last
+        tangent; prescribed unknowns stay. Collective."""
         fixed, own = self.prescribed.fixed, self.nodes.owned
         step = np.zeros_like(self.x)
         step[:own] = self.solve(np.where(fixed[:own], 0.0, forces[:own]), fresh, accuracy)

@@ -1,9 +1,9 @@
 """Slivers: cells of which the body only fills a thin layer at a face.
 
-A B-spline that reaches the body with its tail only has next to no stiffness: its weight goes with a power of
-the layer's thickness, in each direction. The points of such a layer are weighted instead with the
-polynomials of the cell behind the face, continued through it (cell aggregation). Then every function that is
-left reaches well into the body. Polynomials of the splines' degree are still represented exactly.
+A B-spline of which the body fills only the tail has hardly any stiffness: its weight goes with a power of the
+layer's thickness, in each direction. The points of such a layer are weighted instead with the polynomials of
+the cell behind the face, continued through it (cell aggregation). Then every function that is left reaches
+well into the body. Polynomials of the splines' degree are still represented exactly.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ def supporting_cells(grid: Grid, x: np.ndarray, thickness: float) -> np.ndarray:
     step = thin[:, dim:].astype(np.int64) - thin[:, :dim]
 
     def at_target() -> np.ndarray:
-        """Steps of the cells that the cells step to, and whether there are points in them."""
+        """The steps of the cells behind the faces, and whether there are points in them."""
         known = np.hstack([step, np.ones((len(step), 1), dtype=np.int64)])
         wanted = cells + step @ grid.strides
         return values_by_number(comm, cells, known.astype(float), wanted).astype(np.int64)
 
-    # where everything is thin, as with one point a cell near a plane, nobody has anything to lean on
+    # where all cells are slivers, as with one point a cell near a plane, none can be moved to another one
     target = at_target()
     leans = (target[:, -1] > 0) & np.all((step == 0) | (target[:, :-1] == 0), axis=1) & np.any(step, axis=1)
     step *= leans[:, None]

@@ -36,6 +36,5 @@ class QuadraticSplines(Splines):
 
 def _shares(grid: Grid, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Size of the cells (n, d) over that of them and the cell below, which the lower outer function shares
-    with the middle one, and the same above: a half, as cells are equal; one at walls, where knots coincide.
-    """
+    with the middle one; the same above. A half, as cells are equal; at walls, where knots coincide, one."""
     return np.where(cells == 0, 1.0, 0.5), np.where(cells == np.array(grid.shape) - 1, 1.0, 0.5)

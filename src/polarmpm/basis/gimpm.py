@@ -4,9 +4,9 @@ The weight T (2.26) is the mean of the tent function over the point's interval. 
 planes; on each part the tent is linear, so its mean is its value at the part's centre. That is exact, has no
 case distinction, and tends to the standard weight as the interval shrinks.
 
-An interval that reaches less than `_SLIVER` of a cell across a plane would hang nodes on the body by a
-thread: their stiffness is that of the sliver squared. Such an interval is shortened on both sides, so that it
-ends on the plane and keeps its centre; linear fields are still weighted exactly.
+Nodes that an interval reaches by less than `_SLIVER` of a cell across a plane would have a tiny stiffness,
+that of the sliver squared. Such an interval is shortened on both sides, so that it ends on the plane and
+keeps its centre; linear fields are still weighted exactly.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ class Gimpm(Tents):
 def _means(
     grid: Grid, low: np.ndarray, high: np.ndarray, lowest: np.ndarray, count: np.ndarray
 ) -> np.ndarray:
-    """Means over intervals (n, d) of lattice coordinates of the tents of `count` nodes from
-    `lowest` on, and of their gradients (1/m): (n, d, 2, slots)."""
+    """Means over intervals (n, d) of lattice coordinates of the tents of `count` nodes from `lowest` on, and
+    of their gradients (1/m): (n, d, 2, slots)."""
     slots = int(count.max(initial=2))
     table = np.zeros((*low.shape, 2, slots))
     length = high - low

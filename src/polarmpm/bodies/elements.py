@@ -45,7 +45,7 @@ class Elements:
         q: microrotation of the nodes, unit quaternions (n, 4), for output.
 
     Raises:
-        InputError: a mesh, degree, region or material that is not allowed; see `meshes.BodyMesh`.
+        InputError: a mesh, degree, region or material that is not allowed; see `geometry.meshes.BodyMesh`.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Groups of boundary facets; and facets as points with areas and normals, for terms that act on surfaces."""
+"""Groups of boundary facets, and facets as points with areas and normals for terms that act on surfaces."""
 
 from __future__ import annotations
 

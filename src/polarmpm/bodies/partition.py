@@ -75,7 +75,7 @@ def _cuts(
         width = -(-(high - low) // _BINS)
         within = (key >= low[part]) & (key < high[part])
         bins = part[within] * _BINS + (key[within] - low[part[within]]) // width[part[within]]
-        # of nothing at all bincount makes whole numbers
+        # without any cells bincount gives integers
         sums = np.bincount(bins, weight[within], minlength=parts * _BINS).astype(float)
         comm.Allreduce(MPI.IN_PLACE, sums)
         to = below[:, None] + np.cumsum(sums.reshape(parts, _BINS), axis=1)
@@ -146,7 +146,7 @@ class LoadShares:
         if limit is not None and not (number and np.isfinite(limit) and limit > 1):
             raise InputError(f"rebalance = {limit!r}: a number greater than 1, or None")
         self.comm, self.limit = comm, limit
-        self.shares = Shares(work=1.0)  # better ones are possible, so far as is known
+        self.shares = Shares(work=1.0)  # the points haven't been distributed yet
 
     def due(self) -> bool:
         """Whether to distribute the points."""

@@ -38,8 +38,8 @@ def seed(
         inside: predicate of positions (n, d) -> (n,) bool; None keeps all points within `bounds`.
         material: of all these points.
         points_per_cell: points in each direction of a cell, one number or one for each axis.
-        bounds: lower and upper corner (m) of a box around the body; only its cells are searched. An
-            `inside` object's own attribute `bounds` is used where it has one; default: the whole grid.
+        bounds: lower and upper corner (m) of a box around the body; only its cells are searched. Default: the
+            attribute `bounds` of `inside` where it has one, else the whole grid.
         layout: "uniform" (equally spaced) or "gauss" (Gauss-Legendre positions and volumes).
 
     Raises:

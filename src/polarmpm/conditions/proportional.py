@@ -29,7 +29,7 @@ def check_linear(
 
 def check_loads(comm: MPI.Comm, loads: list[tuple[Amplitude, np.ndarray]], of_terms: np.ndarray) -> None:
     """Raise InputError unless loads, given with the positions where they act, are linear in the load factor,
-    and they or terms grow with it: the latter by these forces (nodes, block). Collective."""
+    and they or terms, by these forces (nodes, block), grow with it. Collective."""
     grows = bool(comm.allreduce(bool(np.any(of_terms)), op=MPI.LOR))
     for amplitude, position in loads:
         zero, one, half, two = (amplitude.at(f, position) for f in _PROBES)

@@ -10,6 +10,6 @@ def make_form(material: Material, dim: int) -> PointForm:
     """The form of an elastic or a plastic material at points in `dim` dimensions."""
     if not material.plastic:
         return PointForm(material, dim)
-    from .plastic import PlasticForm  # elastic scenes don't know of it
+    from .plastic import PlasticForm  # lazy import: elastic scenes need no plasticity
 
     return PlasticForm(material, dim)

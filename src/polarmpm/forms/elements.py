@@ -1,9 +1,9 @@
 """The weak form on a mesh, in UFL; dolfinx assembles it.
 
-Unknowns are the nodal increments (Du, Dw) since the last converged state, and that state,
-F~, Q~ and Gamma~, lives in quadrature spaces. On a mesh that moves with its nodes d(.)/dx~ F~ = d(.)/dX holds
-exactly, so that the updated Lagrangian integrals of T (3.145)-(3.146) are taken over the undeformed mesh and
-its geometry never has to be changed.
+Unknowns are the nodal increments (Du, Dw) since the last converged state, and that state, F~, Q~ and Gamma~,
+lives in quadrature spaces. On a mesh that moves with its nodes d(.)/dx~ F~ = d(.)/dX holds exactly, so that
+the updated Lagrangian integrals of T (3.145)-(3.146) are taken over the undeformed mesh and its geometry
+never has to be changed.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class ElementForms:
         function.x.array.reshape(-1, values.shape[1])[self._rows] = values
 
     def start_elastic(self, on: bool) -> bool:
-        """See `system.NodalSystem`."""
+        """See `assembly.system.NodalSystem`."""
         return False
 
     def flow(self, base: np.ndarray) -> None:
@@ -108,7 +108,7 @@ class ElementForms:
 
     @cached_property
     def tangent_form(self) -> ufl.Form:
-        """The iterations' tangent, see `pointforms.tangent_work`; symmetric, being a Hessian."""
+        """The iterations' tangent, see `forms.strains.tangent_work`; symmetric, being a Hessian."""
         form = 0
         for m, numbers, dx in self._parts():
             at = [self._strains(m, x) for x in (self.x, self.before)]

@@ -1,7 +1,7 @@
 """Forms whose integrands are given as numbers at quadrature points.
 
 The virtual work at a point is s . z(test), its derivative z(test) . A z(trial), with z = (du/dx, w, dw/dx) as
-in `pointforms`. s and A are computed elsewhere and put into quadrature functions; dolfinx assembles them.
+in `forms.points`. s and A are computed elsewhere and put into quadrature functions; dolfinx assembles them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def tangent_size(layout: Layout, symmetric: bool) -> int:
     return n * (n + 1) // 2 if symmetric else n * n
 
 
-class BlockForms:
+class QuadratureForms:
     """Linear and bilinear form of s and A at the quadrature points of a mesh.
 
     Args:

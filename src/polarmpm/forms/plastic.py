@@ -1,8 +1,8 @@
 """Elastoplastic points in UFL: trial state, stresses, and the local problem of each region.
 
-The state of a `PlasticForm` holds, after what `pointforms.strains` needs, the plastic state at the last
-converged step: P = Fp^-1, Gp and chi (plane strain: the entries that aren't zero). Local unknowns are
-X = (Ue, Ge, chi, Dgamma), T (4.61), for classical materials (Fe, chi, Dgamma), with one multiplier Dgamma for
+The state of a `PlasticForm` is that of a `PointForm`, followed by the plastic state at the last converged
+step: P = Fp^-1, Gp and chi (plane strain: the entries that aren't zero). Local unknowns X are
+(Ue, Ge, chi, Dgamma), T (4.61), for classical materials (Fe, chi, Dgamma), with one multiplier Dgamma for
 each active yield surface. In the rotated frame all of it is turned by Q~, which changes neither tau nor nu.
 
 The local residuals r(X, z) = 0 are those of the material's regions (`materials.regions`). With the stresses
@@ -90,7 +90,7 @@ class PlasticForm(PointForm):
     # sizes ----------------------------------------------------------------------------------------
     @property
     def elastic_size(self) -> int:
-        """Scalars of the state before the plastic ones."""
+        """Scalars of the state before the plastic part."""
         return state_size(self.layout, rotated=self.material.isotropic)
 
     @property
@@ -170,7 +170,7 @@ class PlasticForm(PointForm):
             fe = ufl.variable(deformation)
             measures = material.measures(fe)
             v = [ufl.variable(m) for m in measures]
-            w = evaluate_energy(material, v, p)  # derived by the few measures first
+            w = evaluate_energy(material, v, p)  # derived with respect to the few measures first
             parts = [_chain(ufl.diff(w, vi), ufl.diff(m, fe)) for vi, m in zip(v, measures, strict=True)]
             return sum(parts[1:], parts[0]), None
         e, g = ufl.variable(deformation - ufl.Identity(3)), ufl.variable(wryness)

@@ -1,7 +1,7 @@
 """Finite elements with plastic materials: stresses and consistent tangents at quadrature points as numbers.
 
 The return mapping is the material points' own. What it finds at the quadrature points goes into the forms of
-`blockforms`, which dolfinx assembles; elastic points get theirs from the elastic kernels.
+`forms.numbers`, which dolfinx assembles; elastic points get theirs from the elastic kernels.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..kinematics.layout import Layout
 from ..materials.base import parameter_values
 from .choice import make_form
 from .elements import ElementForms
-from .numbers import BlockForms
+from .numbers import QuadratureForms
 from .returnmapping import ReturnMapping
 
 
@@ -47,22 +47,22 @@ class PlasticElementForms(ElementForms):
 
     # kernels --------------------------------------------------------------------------------------
     @cached_property
-    def _blocks(self) -> BlockForms:
+    def _quadrature_forms(self) -> QuadratureForms:
         e = self.elements
         for form, rows in zip(self._point_forms, self._rows_of, strict=True):
             self._kernels.append(form.compile(self._comm))
             plastic = form.material.plastic
             ids = e.points.id[rows]
             self._mappings.append(ReturnMapping(form, self._comm, ids) if plastic else None)
-        return BlockForms(e.space, self.layout, e.quadrature_degree, symmetric=False)
+        return QuadratureForms(e.space, self.layout, e.quadrature_degree, symmetric=False)
 
     @property
     def residual(self) -> Any:
-        return self._blocks.residual
+        return self._quadrature_forms.residual
 
     @property
     def tangent(self) -> Any:
-        return self._blocks.tangent
+        return self._quadrature_forms.tangent
 
     # state --------------------------------------------------------------------------------------
     def pack(self) -> None:
@@ -107,9 +107,9 @@ class PlasticElementForms(ElementForms):
             s[rows] = np.einsum("nij,nj->ni", back, s[rows])
             if tangent:
                 moduli[rows] = (back @ a @ frame).reshape(len(rows), nz * nz)
-        self.put_at_points(self._blocks.residual_values, s)
+        self.put_at_points(self._quadrature_forms.residual_values, s)
         if tangent:
-            self.put_at_points(self._blocks.tangent_values, moduli)
+            self.put_at_points(self._quadrature_forms.tangent_values, moduli)
 
     def _unknowns(self) -> np.ndarray:
         """z = (dDu/dX, Dw, dDw/dX) at the points (n, nz)."""

@@ -1,8 +1,8 @@
 """The weak form at a material point: UFL in, compiled residual and tangent blocks out.
 
 The unknown of a point is the vector z = (du/dx, w, dw/dx) of its increments since the last reset; the
-material's energy W(E, Gamma) makes the residual dW[dz] and, by `ufl.derivative`, the tangent. Gradients
-are taken in the frame of the state, so that hardly any arithmetic is left (T 3.4; `docs/theory.md`):
+material's energy W(E, Gamma) gives the residual dW[dz] and, by `ufl.derivative`, the tangent. Gradients are
+taken in the frame of the state, which leaves little arithmetic (T 3.4; `docs/theory.md`):
 
 * isotropic energies, rotated frame: V~ = F~ Q~^T, E' = dQ^T (V~ + G) - I, Gamma' = Gamma~' + J_r Gw;
 * any other energy, reference frame: F = F~ + G, Q = dQ Q~, Gamma = Gamma~ + Q~^T J_r Gw;
@@ -66,9 +66,7 @@ class PointForm:
 
     # kinematics ---------------------------------------------------------------------------------
     def strains(self) -> tuple[Any, ...]:
-        """(E, Gamma) of a micropolar material, the strain measures of a classical one, from z and the
-        state.
-        """
+        """(E, Gamma), of a classical material its strain measures, from z and the state."""
         return strains(self.material, self.layout, self.z, self.state, rotated=self.material.isotropic)
 
     def pack(

@@ -19,7 +19,7 @@ from ..materials.base import Material, evaluate_energy, named_parameters, parame
 from ..tools import compat
 
 if TYPE_CHECKING:
-    from ..materials.plastic import Plastic  # elastic scenes don't load it
+    from ..materials.plastic import Plastic  # lazy import: elastic scenes need no plasticity
 
 
 # what a field is computed of --------------------------------------------------------------------------

@@ -57,7 +57,7 @@ class SurfaceEnergyForm(SurfaceForm):
         d, r = layout.dim, layout.rotations
         self._function, self._names, self._energy = function, tuple(names), conservative
         self.symmetric = conservative
-        # never of no length, which UFL doesn't know
+        # at least one number: UFL has no vectors of length zero
         super().__init__(layout, d, d, d, d * d, max(r, 1), max(len(names), 1))
 
     def virtual_work(self) -> Any:

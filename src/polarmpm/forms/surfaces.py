@@ -95,7 +95,7 @@ class SurfaceForm:
 class DeadTraction(SurfaceForm):
     """A force (N/m^2) and a couple (N/m) that keep their directions: -f . du - m . J_l(w) dw.
 
-    In space couples do work on the spin (see `pointforms.CoupleForm`), which makes the tangent unsymmetric.
+    In space couples do work on the spin (`forms.couples.CoupleForm`), which makes the tangent unsymmetric.
     """
 
     def __init__(self, layout: Layout, couples: bool):
@@ -113,7 +113,8 @@ class DeadTraction(SurfaceForm):
 
 
 class FollowerTraction(SurfaceForm):
-    """A force (N/m^2) and a couple (N/m) per current area that follow the surface, see `tensors.convected`.
+    """A force (N/m^2) and a couple (N/m) per current area that follow the surface, see
+    `kinematics.tensors.convected`.
 
     Data: F~ row by row, N, the force, and with `couples` the couple.
     """
@@ -159,8 +160,8 @@ class FollowerPressure(SurfaceForm):
 
 
 class Penalty(SurfaceForm):
-    """Springs towards given values, with a given force: the derivative of 1/2 g . P g + l . g, g = (u, w) -
-    t.
+    """Springs towards given values t, with a given force l: the derivative of 1/2 g . P g + l . g with
+    g = (u, w) - t.
 
     Data: P row by row, t, l.
     """

@@ -1,7 +1,7 @@
 """The background grid: a Cartesian lattice of box cells.
 
 The lattice is only arithmetic: cells and nodes exist as integer triples (pairs in plane strain), so empty
-space costs nothing. `cells` presents the cells that matter as a dolfinx mesh.
+space costs nothing. `geometry.cells` presents the cells that matter as a dolfinx mesh.
 
 Where the grid's planes are is asked through `sizes`, `corners`, `position`, `local`, `within` and `plane`: no
 other module knows that they are equidistant.

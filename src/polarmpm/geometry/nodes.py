@@ -44,8 +44,8 @@ class ActiveNodes:
         priorities: np.ndarray | None = None,
     ) -> ActiveNodes:
         """From the sorted lattice numbers that this rank's points reach. Of the ranks that share a node the
-        one with the largest of the priorities (n,), whole numbers, owns it; the lowest one where they are
-        equal. Collective."""
+        one with the largest of the `priorities` (n,), whole numbers, owns it; where they are equal the lowest
+        of them. Collective."""
         comm = grid.comm
         if comm.size == 1:
             n = len(touched)

@@ -22,8 +22,8 @@ class Located(Protocol):
 
 @dataclass
 class Plane:
-    """Nodes on a grid plane, and those beyond it where the body isn't (walls: T 2.3.2's domains overlap
-    them).
+    """Nodes on a grid plane and, at walls, those beyond it on the side without the body, which points'
+    domains overlap (T 2.3.2).
 
     Attributes:
         axis, value: the plane x_axis = value (m).
@@ -39,7 +39,7 @@ class Plane:
     index: int
 
     def follow(self, grid: Grid) -> None:
-        """Stand where the plane of this index is in a grid that has been stretched."""
+        """Take the place of the plane of this index in a grid that has been stretched."""
         self.size = grid.smallest[self.axis]
         self.value = grid.plane(self.axis, self.index)
 

@@ -1,5 +1,4 @@
-"""Surfaces that don't follow the grid: points with areas and normals, in lines and rectangles or of any
-shape."""
+"""Surfaces that don't follow the grid, as points with areas and normals: lines, rectangles, any shape."""
 
 from __future__ import annotations
 

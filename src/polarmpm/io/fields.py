@@ -82,8 +82,7 @@ def choose(fields: str | AnyField | Iterable[str | AnyField], points: Points) ->
 
 
 def field_arrays(problem: Any, fields: Sequence[AnyField]) -> dict[str, np.ndarray]:
-    """The local points' values by name, vectors with three components; nothing else is computed.
-    Collective.
+    """The local points' values of these fields by name, vectors with three components. Collective.
 
     Raises:
         InputError: a user's function doesn't give a row for each point; on every rank.

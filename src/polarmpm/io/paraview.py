@@ -61,7 +61,7 @@ def write_vtu(
         kind: meshio's name of the cells; by default boxes of 2^d corners, or vertices.
         point_data, cell_data: arrays (n, ...) and (m, ...); tensors become rows of 9 numbers.
     """
-    import meshio  # here, as it takes a third of a second
+    import meshio  # lazy import: it takes a third of a second
 
     kind = kind or _BOXES[cells.shape[1]]
     mesh = meshio.Mesh(

@@ -1,4 +1,4 @@
-/* Points' moments for the projection on a quadrature space (projection.py); a part of _native.c. */
+/* Points' moments for the projection on a quadrature space (assembly/projection.py); a part of _native.c. */
 #include "_points.h"
 
 /* Work of gradients in a point's frame T -> work of gradients with respect to x~: r_ik = sum_j r_ij T_kj. */

@@ -54,15 +54,15 @@ void polarmpm_couple_nodes(const Batch *b, int32_t reach, uint8_t *mark)
     }
 }
 
-/* Columns of the scalar rows of block rows: nodes' block columns cols[first[I]..first[I + 1]], ascending, in symmetric
- * matrices from the diagonal on. */
-void polarmpm_scalar_columns(int64_t nodes, const int64_t *first, const int64_t *cols, int32_t block,
+/* Columns of the scalar rows of block rows: nodes' block columns cols[offsets[I]..offsets[I + 1]], ascending, in
+ * symmetric matrices from the diagonal on. */
+void polarmpm_scalar_columns(int64_t nodes, const int64_t *offsets, const int64_t *cols, int32_t block,
                              int32_t symmetric, int32_t *out)
 {
     for (int64_t node = 0; node < nodes; ++node)
         for (int i = 0; i < block; ++i)
-            for (int64_t k = first[node]; k < first[node + 1]; ++k)
-                for (int j = symmetric && k == first[node] ? i : 0; j < block; ++j)
+            for (int64_t k = offsets[node]; k < offsets[node + 1]; ++k)
+                for (int j = symmetric && k == offsets[node] ? i : 0; j < block; ++j)
                     *out++ = (int32_t)(cols[k] * block + j);
 }
 

@@ -1,8 +1,8 @@
-/* Return mapping of points that yield (returnmapping.py); the last part of _native.c.
+/* Return mapping of points that yield (forms/returnmapping.py); the last part of _native.c.
  *
  * Local unknowns X solve r(X; inputs) = 0 by Newton's method with step halving, LANES points at a time. The
  * consistent tangent is ds/dz - ds/dX (dr/dX)^-1 dr/dz (implicit function theorem). All of the derivatives come
- * from compiled kernels (plasticforms.py). */
+ * from compiled kernels (forms/plastic.py). */
 #include "_points.h"
 
 typedef struct {

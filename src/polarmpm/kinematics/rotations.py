@@ -18,7 +18,7 @@ def identity(n: int) -> Array:
 
 
 def normalise(q: Array) -> Array:
-    """Unit quaternions; a rotation history would otherwise drift off the sphere."""
+    """Unit quaternions; products of many would otherwise drift off the sphere."""
     unit: Array = q / np.linalg.norm(q, axis=1, keepdims=True)
     return unit
 
@@ -50,8 +50,8 @@ def turned(q: Array, w: Array) -> Array:
 def to_vector(q: Array) -> Array:
     """Rotation vector of a quaternion, T (3.171), with an angle between 0 and 2 pi; for output only.
 
-    q and -q turn a point alike, but the history of a point is continuous in q, so the angle
-    passes pi smoothly; it wraps at 2 pi.
+    q and -q turn a point alike, but a point's q is continuous in time, so the angle passes pi smoothly; it
+    wraps at 2 pi.
     """
     sine = np.linalg.norm(q[:, 1:], axis=1, keepdims=True)
     half = np.arctan2(sine, q[:, :1])

@@ -58,7 +58,7 @@ class NeoHookean(_Classical):
 class Hencky(_Classical):
     """W = mu |ln V|^2 + lambda/2 (ln J)^2 with the logarithmic strain; lam, mu in Pa.
 
-    |ln V|^2 is exact to 4e-11 for principal stretches between 1/10 and 10, see `spectral`.
+    |ln V|^2 is exact to 4e-11 for principal stretches between 1/10 and 10, see `kinematics.spectral`.
     """
 
     stress_prediction = False  # invariants are no measures in which it would be linear

@@ -39,8 +39,8 @@ def check_flow(elastic: Any, name: str, strength: Any, H: Any, l_p: Any) -> None
 
 
 def generalised_stress(tau: Any, nu: Any, length: Any, tip: Any = None) -> Any:
-    """q = sqrt(3/2 (s : s + nu : nu / l_p^2)), s the deviator of sym tau: T (4.37)-(4.38); with a rounded
-    tip."""
+    """q = sqrt(3/2 (s : s + nu : nu / l_p^2)) with a rounded tip, s the deviator of sym tau;
+    T (4.37)-(4.38)."""
     s = ufl.dev(ufl.sym(tau))
     square = ufl.inner(s, s)
     if nu is not None:
@@ -156,7 +156,7 @@ class DruckerPrager(Plastic):
     @property
     def continuation(self) -> Continuation:
         """Cones with rounded tips. Close to the apex the direction of flow on the sharp cone turns with the
-        smallest change of stress, and Newton's method gets nowhere from the trial state."""
+        smallest change of stress, and Newton's method finds no solution from the trial state."""
         tips = (share * self.strength for share in _TIPS)
         return Continuation("tip", tuple(tip for tip in tips if tip > self.tip))
 

@@ -18,8 +18,9 @@ class MicropolarElastic(Material):
     """Saint Venant-Kirchhoff type isotropic micropolar solid, T (3.122)-(3.125).
 
     W = 1/2 E : B + 1/2 Gamma : S with
-    B = lambda tr(E) I + 2 mu sym E + 2 kappa skw E, S = alpha tr(Gamma) I + 2 gamma sym Gamma
-    + 2 beta skw Gamma.
+
+        B = lambda tr(E) I + 2 mu sym E + 2 kappa skw E,
+        S = alpha tr(Gamma) I + 2 gamma sym Gamma + 2 beta skw Gamma.
 
     Args:
         lam, mu: Lame's constants (Pa).

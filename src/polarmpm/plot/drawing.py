@@ -1,4 +1,4 @@
-"""Polygons, colours and axes of figures; what is drawn is up to `plot`."""
+"""Polygons, colours and axes of figures; what is drawn is up to `plot.figures`."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def colour_bar(ax: Any, mappable: Any, label: str, dim: int) -> None:
 
 
 # in the plane -------------------------------------------------------------------------------------
-def flat_ghost(ax: Any, polygons: np.ndarray) -> None:
+def flat_undeformed(ax: Any, polygons: np.ndarray) -> None:
     """The undeformed body in grey, of polygons (n, k, 2) that go round."""
     from matplotlib.collections import PolyCollection
 
@@ -110,16 +110,16 @@ def _shared(ax: Any) -> bool:
 
 
 # in space -----------------------------------------------------------------------------------------
-def solid_ghost(ax: Any, polygons: np.ndarray, outward: np.ndarray, view: tuple[float, float]) -> None:
+def solid_undeformed(ax: Any, polygons: np.ndarray, outward: np.ndarray, view: tuple[float, float]) -> None:
     """The undeformed body in grey, of faces (n, k, 3) with outward normals (n, 3)."""
     from matplotlib.colors import to_rgba
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     # only what faces the camera: two layers of a translucent grey would show as stripes
     seen = outward @ _camera(view) > 0
-    ghost = Poly3DCollection(polygons[seen], facecolor=to_rgba(GREY, 0.25), edgecolor="none")
-    ghost.set_antialiased(False)  # no hairlines between neighbours
-    ax.add_collection3d(ghost)
+    body = Poly3DCollection(polygons[seen], facecolor=to_rgba(GREY, 0.25), edgecolor="none")
+    body.set_antialiased(False)  # no hairlines between neighbours
+    ax.add_collection3d(body)
 
 
 def solid_faces(ax: Any, polygons: np.ndarray, colour: np.ndarray, edges: bool = False) -> None:

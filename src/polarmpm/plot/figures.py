@@ -164,7 +164,7 @@ def plot_mesh(
     else:
         ax = ax or drawing.new_axes(faces.span, projection="3d")
         if undeformed:
-            drawing.solid_ghost(ax, faces.before, faces.outward, view)
+            drawing.solid_undeformed(ax, faces.before, faces.outward, view)
         fill = drawing.rgba(mappable, faces.values, len(faces.now))
         drawing.solid_faces(ax, faces.now, fill, edges)
         drawn = [faces.now, faces.before] if undeformed else [faces.now]
@@ -299,7 +299,7 @@ class _Body:
 def _draw_flat(ax: Any, body: _Body, undeformed: bool, mappable: Any) -> None:
     ring = [0, 1, 3, 2]
     if undeformed:
-        drawing.flat_ghost(ax, body.initial[:, ring])
+        drawing.flat_undeformed(ax, body.initial[:, ring])
     fill = drawing.PLAIN if mappable is None else mappable.to_rgba(body.values)
     drawing.flat_patches(ax, body.corners[:, ring], fill)
     drawing.finish_flat(ax)
@@ -307,7 +307,7 @@ def _draw_flat(ax: Any, body: _Body, undeformed: bool, mappable: Any) -> None:
 
 def _draw_flat_mesh(ax: Any, faces: Faces, undeformed: bool, edges: bool, mappable: Any) -> None:
     if undeformed:
-        drawing.flat_ghost(ax, faces.before)
+        drawing.flat_undeformed(ax, faces.before)
     if faces.of_nodes is not None and faces.middle is not None:
         # triangles around the middle of each cell
         n, k = faces.now.shape[:2]
@@ -335,7 +335,7 @@ def _draw_solid(ax: Any, body: _Body, undeformed: bool, mappable: Any, view: tup
         corner = np.array(_FACES[3])[face]
         if undeformed:
             outward = np.eye(3)[face // 2] * (2.0 * (face % 2) - 1.0)[:, None]
-            drawing.solid_ghost(ax, body.initial[point[:, None], corner], outward, view)
+            drawing.solid_undeformed(ax, body.initial[point[:, None], corner], outward, view)
         fill = drawing.rgba(mappable, body.values, len(body.X))[point]
         drawing.solid_faces(ax, body.corners[point[:, None], corner], fill)
     drawn = [body.corners, body.initial] if undeformed else [body.corners]

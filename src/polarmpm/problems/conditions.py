@@ -145,8 +145,8 @@ class Conditions(ABC):
         its size.
 
         Raises:
-            InputError: neither is given, values of the wrong size, a surface of another dimension; at the
-                next step: points of the surface outside of the body.
+            InputError: neither is given, values of the wrong size, a surface of another dimension; when the
+                next step begins, also points of the surface outside of the body.
         """
         surfaces.add_traction(self, where, force, couple, follows=follows)
 

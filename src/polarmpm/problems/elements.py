@@ -37,7 +37,7 @@ from .surfaces import add_load
 def _make_forms(elements: Elements) -> ElementForms:
     if not elements.points.plastic:
         return ElementForms(elements)
-    from ..forms.plasticelements import PlasticElementForms  # elastic scenes don't know of it
+    from ..forms.plasticelements import PlasticElementForms  # lazy import: elastic scenes need no plasticity
 
     return PlasticElementForms(elements)
 
@@ -71,8 +71,7 @@ class _Varying:
 
 
 class QuasiStaticFEM(Problem):
-    """Equilibrium of a body meshed with finite elements under slowly changing loads. All methods are
-    collective.
+    """Equilibrium of a mesh of finite elements under slowly changing loads. All methods are collective.
 
     Attributes:
         rows: arrays (np, ...) of the script's own by name, one row a local quadrature point; they go into

@@ -87,9 +87,9 @@ class QuasiStatic(Problem):
             "projection" on a quadrature space, assembled by dolfinx, to the same result.
         reset: when the grid is reset: a policy such as `WhenDistorted(0.2)`, every n steps (1: the papers'
             method), or None for never.
-        balanced_reset: a reset keeps the body in equilibrium. The new basis can't balance the points'
-            stresses to the last; the papers let the rest relax, which softens the body reset by reset. Here
-            it is carried along as forces on the nodes until the next reset (docs/theory.md).
+        balanced_reset: a reset keeps the body in equilibrium. The new basis can't balance all of the points'
+            stresses; the papers let the rest relax, which softens the body reset by reset. Here it is carried
+            along as forces on the nodes until the next reset (docs/theory.md).
         ghost: stabilises cells that the body cuts slightly (T 2.3.4): None, "thesis" (a hundredth of lambda
             and of gamma, T 4.4), "light" (against the thinnest cuts only) or a `GhostPenalty`. With basis
             "gimpm" or "mpm" and assembly "direct".
@@ -274,15 +274,15 @@ class QuasiStatic(Problem):
         p.reset_due, p.since_reset = False, 0
         p.reset_factor = p.rotation_factor = p.factor
         if self.balanced_reset and p.step:
-            # not the loads of now: what was added since the last step is to be felt
+            # not the present loads: what has been added since the last step stays out of balance
             system.set_loads(*(self._converged_loads or self._loads_at(p.factor)))
             self._set_terms(p.factor, carrying=True)
             system.carry_imbalance()
         return system
 
     def _migrate(self, reference: Reference | None = None) -> Reference | None:
-        """Deal the points out afresh, with all that is kept for each of them between steps, or between resets
-        their reference, which is then returned for the new distribution."""
+        """Distribute the points afresh, with all that is kept for each of them between steps; between resets
+        also their reference, which is then returned for the new distribution."""
         before, kept = Totals.numbers(self.points, self.grid), self.kept()
         route = distribute(self.grid, self.points, None if reference is None else reference.x)
         self.load_shares.distributed()
@@ -313,7 +313,8 @@ class QuasiStatic(Problem):
         prescribed, c = self._prescribed(interpolation.nodes), self._compiled
         kind: Callable[..., LoadedPoints] = PointSystem
         if self.assembly == "projection":
-            from ..assembly.projection import ProjectedSystem as kind  # brings dolfinx' assembler with it
+            # lazy import: direct sums need no assembler of dolfinx
+            from ..assembly.projection import ProjectedSystem as kind
         return kind(interpolation, c.kernels, c.couple, prescribed, self.timer, self.solver)
 
     def _compile(self) -> None:

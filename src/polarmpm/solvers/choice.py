@@ -69,8 +69,7 @@ def check_solver(solver: str) -> str:
 
 def is_large(dim: int, layer: float, ranks: int) -> bool:
     """Whether multigrid takes less time than a factor. `layer`: mean number of nodes in a layer, one cell
-    thick, across the body's longest direction; a factor of a slender body is cheap, however many unknowns
-    it has."""
+    thick, across the body's longest direction; a slender body's factor is cheap, however large it is."""
     return dim == 3 and layer >= (_LARGE if ranks == 1 else _LARGE_ON_RANKS)
 
 

@@ -46,10 +46,15 @@ class DirectSolver:
         memory: int = 0,
         stored: tuple[np.ndarray, np.ndarray] | None = None,
     ):
-        """`matrix` (whole, or its upper triangle when symmetric) belongs to the solver from now on; its
-        entries may change before each `factor`. Of one that is far from symmetric (plastic flow) the
-        symmetric part is no help. `memory` (MB) that a rank may use; 0: all. `stored`: the entries that
-        the matrix uses, and where those of the diagonal are, if it's so."""
+        """Take over a matrix, whose entries may change before each `factor`.
+
+        Args:
+            matrix: whole, or its upper triangle when symmetric; it belongs to the solver from now on.
+            far_from_symmetric: the symmetric part is no help (plastic flow).
+            memory: that a rank may use (MB); 0: all.
+            stored: the entries that the matrix uses, and where those of the diagonal are; None: it has
+                its own.
+        """
         self.matrix, self.symmetric, self.comm = matrix, symmetric, matrix.comm.tompi4py()
         self._blocked = matrix.getType() in ("seqbaij", "mpibaij")
         # what is factored: the matrix itself for a while, or a copy, made when the matrix has its entries

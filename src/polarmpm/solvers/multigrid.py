@@ -48,9 +48,9 @@ def rigid_motions(position: np.ndarray, turned: np.ndarray, comm: MPI.Comm) -> n
     """Rigid motions of nodes as changes of their unknowns, (k, n, block). Collective.
 
     Where the microrotation has been turned by exp(Dw), a further spin b changes Dw by J_l(Dw)^-1 b, which is
-    b + b x Dw / 2 up to the square of Dw. So far it is linear in the nodal increments, and right at points
-    between nodes however far off nodes are that the points hardly reach. Rotations are about the nodes'
-    centre.
+    b + b x Dw / 2 up to the square of Dw. To that order it is linear in the nodal increments, and right at
+    points between nodes, whatever the increments of nodes that the points hardly reach. Rotations are about
+    the nodes' centre.
 
     Args:
         position: current positions (n, d) (m).
@@ -75,8 +75,8 @@ def rigid_motions(position: np.ndarray, turned: np.ndarray, comm: MPI.Comm) -> n
 class Preconditioner:
     """Multigrid between two corrections of weak nodes, each for what the one before leaves.
 
-    A few points in a cell leave its outer nodes motions that cost next to nothing. There are too many of them
-    for Krylov methods, and relaxation doesn't see them: each rank factors the tangent of its weak nodes.
+    A few points in a cell give motions of its outer nodes hardly any stiffness. There are too many of them
+    for Krylov methods, and relaxation doesn't reduce them: each rank factors the tangent of its weak nodes.
 
     Args:
         matrix: with a diagonal of 1, and with its near-null space.
@@ -114,8 +114,9 @@ class Preconditioner:
         self.update()
 
     def _relax_by_rows(self, finest: PETSc.KSP) -> None:
-        """Small cuts and short lengths ask for more than a diagonal on the finest level. Coarse operators may
-        have empty rows, where a node without microrotation is an aggregate: there it's the diagonal."""
+        """Choose the relaxation. Small cuts and short characteristic lengths need more than the diagonal on
+        the finest level. Coarse operators may have empty rows, where a node without microrotation is an
+        aggregate: there it's the diagonal."""
         _put_options(_FINEST, _RELAXATION | (_ONE_RANK if finest.comm.size == 1 else _RANKS))
         finest.setOptionsPrefix(_FINEST)
         for kind in (PETSc.KSP.Type.RICHARDSON, PETSc.KSP.Type.CHEBYSHEV):  # forget bounds of eigenvalues
@@ -151,8 +152,8 @@ def _put_options(prefix: str, values: dict[str, Any]) -> None:
 
 
 def _free_memory(comm: MPI.Comm) -> int:
-    """Memory (MB) that a rank may take, if all ranks share the machine's; 0 where that isn't told. A factor
-    that doesn't fit is to fail, not to be killed with the process. Collective."""
+    """Memory (MB) that a rank may take, if all ranks share the machine's; 0 where that isn't known. A factor
+    that doesn't fit has to fail before the process is killed for it. Collective."""
     free = 0
     if os.path.exists("/proc/meminfo"):
         with open("/proc/meminfo") as lines:

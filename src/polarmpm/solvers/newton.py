@@ -22,7 +22,7 @@ class System(Protocol):
         """
 
     def convergence_measures(self) -> tuple[float, float]:
-        """Normalised out-of-balance force and energy; NaN or infinite when the state is beyond repair."""
+        """Normalised out-of-balance force and energy; NaN or infinite when the iteration has diverged."""
 
     def pending(self) -> bool:
         """Whether prescribed values are still to be put in."""
@@ -95,7 +95,7 @@ def _iterate(system: System, controls: Controls, outcome: Outcome) -> None:
 
     Near the solution the residual falls quadratically and the tangent hardly changes any more. Where the
     last ratio of residuals promises that the tangent at hand is good enough for the tolerance, the last
-    correction is made with it (a chord step); should the promise fail, a full iteration follows.
+    correction is made with it (a chord step); if that isn't enough, a full iteration follows.
     """
     tangent, chord = True, False
     while True:

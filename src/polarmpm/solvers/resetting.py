@@ -1,7 +1,7 @@
 """When the background grid is reset: a policy of its own, apart from load steps.
 
-Resets, not load steps, move the answer: the reset basis can't carry part of the points' stresses, and
-what it can't carry is lost.
+Resets, not load steps, change the answer: the new basis can't balance all of the points' stresses, and what
+it can't balance is lost unless it is carried along.
 """
 
 from __future__ import annotations

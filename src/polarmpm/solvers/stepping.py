@@ -95,7 +95,7 @@ _STEPS = 10  # of which the first adaptive one is a part, unless a number is giv
 
 
 def march(problem: Marching, schedule: Schedule) -> Iterator[Step]:
-    """Steps to the final factor; see `QuasiStatic.march`."""
+    """Steps to the final factor; see `Problem.march`."""
     hidden = (not schedule.progress) if schedule.progress is not None else None
     if problem.comm.rank:
         hidden = True

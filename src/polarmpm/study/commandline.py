@@ -33,9 +33,8 @@ def arguments(
     argv: Sequence[str] | None = None,
     more: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> argparse.Namespace:
-    """Command line of a demo with its defaults; `more` adds options of its own (flag -> argparse
-    keywords). Without a `cell` there is no option for it; `bases` are those to choose from.
-    """
+    """Command line of a demo with its defaults; `more` adds options of its own (flag -> argparse keywords).
+    Without a `cell` there is no option for it; `bases` are those to choose from."""
     parser = _parser(description)
     if cell is not None:
         parser.add_argument("--cell", type=float, default=cell, help="cell size (unit of the scene)")

@@ -119,7 +119,7 @@ def save_errors(
         ax.set_visible(False)
     handles, labels = axes.flat[0].get_legend_handles_labels()
     if handles:
-        # below the panels: `plot.save` makes room for it
+        # below the panels: `plot.figures.save` makes room for it
         where = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0)}
         figure.legend(handles, labels, ncol=min(3, len(labels)), frameon=False, fontsize=9, **where)
     plot.save(figure, path)

@@ -133,8 +133,8 @@ class Setting(ABC):
 
     @abstractmethod
     def node_volumes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes (their lattice numbers; of a mesh their local rows) and what of the body's volume (m^3) this
-        rank gives to each: complete when summed over the ranks."""
+        """Nodes (lattice numbers; of a mesh local rows) and this rank's share of the body's volume (m^3) at
+        each; complete when summed over the ranks."""
 
 
 class Places(Protocol):
@@ -166,8 +166,8 @@ class Term(ABC):
 
     Attributes:
         name: for messages, and under which its work is summed.
-        carried: a balanced reset, and a new base of the rotations, may carry along what becomes of its forces
-            there. False for what keeps them itself, such as inertia.
+        carried: a balanced reset, and a new base of the rotations, may carry its forces along. False for
+            terms that keep them in a state of their own, such as inertia.
         proportional: at given increments its forces are linear in the load factor, and what grows with the
             factor doesn't depend on the increments: the arc-length method can take it.
         rows: arrays (np, ...) with one row for each local point of the body, by name. They move with the
@@ -199,8 +199,8 @@ class Term(ABC):
         """Rotation increments begin to count from the present rotations."""
 
     def set_factor(self, factor: float, carrying: bool = False) -> None:  # noqa: B027
-        """Put the values of a load factor in. `carrying`: for forces that are to be carried along: those with
-        which the last step has converged."""
+        """Put the values of a load factor in. `carrying`: those with which the last step has converged, for
+        forces that are to be carried along."""
 
     def state(self) -> dict[str, np.ndarray]:
         """All else that a restart needs, the same on every rank, by name."""

@@ -9,9 +9,9 @@ matrix of normals times strains (2.60). On faces of the grid that is the jump of
 as it stands here (but for a misprint in its last row): the functions are continuous and multilinear, so that
 derivatives along the face don't jump.
 
-With h^3 the parameters count in Pa / m^2 and N / m^2, strictly speaking. T takes the numbers of moduli; on
-cells of one metre that is a share of the stiffness, on smaller ones much less. With h in its place
-(`power=1`, the default) the parameters are shares of the moduli whatever the size of the cells.
+With h^3 the parameters strictly have the units Pa / m^2 and N / m^2. T takes the numbers of moduli; on cells
+of one metre that is a share of the stiffness, on smaller ones much less. With h in its place (`power=1`, the
+default) the parameters are shares of the moduli whatever the size of the cells.
 """
 
 from __future__ import annotations

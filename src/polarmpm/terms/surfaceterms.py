@@ -1,5 +1,4 @@
-"""Terms on surfaces that the body carries: one's own by an energy in UFL, and what tractions and supports
-share.
+"""Terms on surfaces that the body carries: by an energy in UFL, and what tractions and supports share.
 
 At each converged step a surface's points move with the interpolated increments, and so do the deformation
 gradient and the rotation there. Between two resets their weighting functions stay: those of the cell behind
@@ -27,7 +26,7 @@ from ..kinematics import rotations
 from ..kinematics.layout import Layout
 from .base import Carried, Piece, Setting, Term
 
-_HISTORY = ("u", "F", "theta", "q")
+_STATE = ("u", "F", "theta", "q")
 
 
 class SurfacePiece(Piece):
@@ -51,19 +50,19 @@ class SurfacePiece(Piece):
         y: np.ndarray = np.einsum("myk,mk->my", self._map, x.reshape(len(x), self._map.shape[2]))
         return y
 
-    def _blocks(self, x: np.ndarray) -> np.ndarray:
+    def _values(self, x: np.ndarray) -> np.ndarray:
         values: np.ndarray = self.term.evaluate(self._y(x), self.rows) * self._area[:, None]
         return values
 
     def forces(self, x: np.ndarray) -> np.ndarray:
-        residual = self._blocks(x)[:, : self._map.shape[1]]
+        residual = self._values(x)[:, : self._map.shape[1]]
         forces: np.ndarray = np.einsum("myk,my->mk", self._map, residual).reshape(x.shape)
         return forces
 
     def matrices(self, x: np.ndarray) -> np.ndarray:
         m, n, b = x.shape
         size = self._map.shape[1]
-        moduli = self._blocks(x)[:, size:].reshape(m, size, size)
+        moduli = self._values(x)[:, size:].reshape(m, size, size)
         dense = np.swapaxes(self._map, 1, 2) @ moduli @ self._map
         blocks: np.ndarray = dense.reshape(m, n, b, n, b).transpose(0, 1, 3, 2, 4).reshape(m, n, n, b * b)
         return blocks
@@ -98,7 +97,7 @@ class SurfaceCondition(Term):
         self.name, self.surface = name, surface
         self.committed, self._released, self._carrying = False, False, False
         self._kernel: Kernel | None = None
-        self._at: dict[str, np.ndarray] = {}  # the history at the last reset or rotation base
+        self._at: dict[str, np.ndarray] = {}  # u, F, theta and q at the last reset or rotation base
         self._data: list[np.ndarray] = []
 
     def attach(self, layout: Layout, comm: MPI.Comm) -> None:
@@ -112,7 +111,7 @@ class SurfaceCondition(Term):
         n, d = len(surface), layout.dim
         self.u, self.F = np.zeros((n, d)), np.tile(np.eye(d), (n, 1, 1))
         self.theta, self.q = np.zeros((n, layout.rotations)), rotations.identity(n)
-        self._at = {name: getattr(self, name).copy() for name in _HISTORY}
+        self._at = {name: getattr(self, name).copy() for name in _STATE}
 
     # what conditions differ in ------------------------------------------------------------------------
     @abstractmethod
@@ -145,8 +144,7 @@ class SurfaceCondition(Term):
         self._at["theta"], self._at["q"] = self.theta.copy(), self.q.copy()
 
     def set_factor(self, factor: float, carrying: bool = False) -> None:
-        """See `Term`; what hasn't taken part in a converged step doesn't belong to forces that are
-        carried."""
+        """See `Term`; what hasn't taken part in a converged step has no part in forces that are carried."""
         self._carrying, self._released = carrying, carrying and not self.committed
         self._data = self.values(factor)
 
@@ -182,7 +180,7 @@ class SurfaceCondition(Term):
 
     # restart ------------------------------------------------------------------------------------------
     def state(self) -> dict[str, np.ndarray]:
-        now = {name: getattr(self, name) for name in _HISTORY}
+        now = {name: getattr(self, name) for name in _STATE}
         return {**now, **{f"{name}_at": a for name, a in self._at.items()}}
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
@@ -192,7 +190,7 @@ class SurfaceCondition(Term):
                 raise InputError(
                     f"{self.name}: the saved {name} has the shape {found}; {old.shape} is needed"
                 )
-        for name in _HISTORY:
+        for name in _STATE:
             setattr(self, name, np.array(arrays[name], dtype=float))
             self._at[name] = np.array(arrays[f"{name}_at"], dtype=float)
         self.committed = True
@@ -217,8 +215,8 @@ class SurfaceTerm(SurfaceCondition):
             Changing them compiles nothing.
 
     Raises:
-        InputError: not a surface; a number that isn't finite or an array of another length; when it is added:
-            a surface of another dimension, an energy that isn't a scalar.
+        InputError: not a surface; a number that isn't finite or an array of another length. When it is added:
+            a surface of another dimension; an energy that isn't a scalar.
     """
 
     linear = False

@@ -111,8 +111,7 @@ def mesh_quadrature(mesh: Any, degree: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tabulate(cell: str, degree: int, xi: np.ndarray) -> np.ndarray:
-    """Lagrange functions and their derivatives at positions (q, d) of the reference cell, (1 + d, q,
-    nodes)."""
+    """Lagrange functions and derivatives (1 + d, q, nodes) at positions (q, d) of the reference cell."""
     import basix
 
     kind = getattr(basix.CellType, cell)

@@ -82,7 +82,8 @@ def values_by_number(
 ) -> np.ndarray:
     """Values (m, c) that ranks hold under numbers (m,), each on one rank, for the wanted numbers. Collective.
 
-    Numbers that nobody holds get zeros. A number tells which rank keeps the book on it.
+    Numbers that no rank holds get zeros. A number's remainder modulo the number of ranks is the rank at which
+    holders and askers of it meet.
     """
     home = Route(comm, numbers % comm.size)
     known = np.append(home.forward(numbers), -1)
@@ -123,12 +124,12 @@ def sharing_ranks(comm: MPI.Comm, numbers: np.ndarray, most: int) -> np.ndarray:
     asked = route.forward(numbers)
     source = np.repeat(np.arange(comm.size), route.received)
     order = np.argsort(asked, kind="stable")
-    first = np.searchsorted(asked[order], asked)  # where the number's entries begin
+    offsets = np.searchsorted(asked[order], asked)  # where the number's entries begin
     place = np.empty(len(asked), dtype=np.int64)
-    place[order] = np.arange(len(asked)) - first[order]
+    place[order] = np.arange(len(asked)) - offsets[order]
     table = np.full((len(asked), most), -1, dtype=np.int64)
-    table[first, place] = source
-    return route.backward(table[first])
+    table[offsets, place] = source
+    return route.backward(table[offsets])
 
 
 def raise_on_all_ranks(comm: MPI.Comm, error: Exception | None) -> None:
@@ -141,7 +142,7 @@ def raise_on_all_ranks(comm: MPI.Comm, error: Exception | None) -> None:
 
 @contextmanager
 def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
-    """Local work whose InputError is raised on every rank, so that no rank waits for ever. Collective."""
+    """Local work whose InputError is raised on every rank, so that none waits in vain. Collective."""
     error = None
     try:
         yield
