@@ -211,6 +211,26 @@ def test_a_reset_carries_along_what_it_may(carried):
     np.testing.assert_allclose(np.where(free, system.residual[own], 0.0), expected, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("surface", [True, False])
+def test_a_term_that_is_added_in_mid_run_is_felt(surface):
+    """The balanced reset before its first step doesn't carry its forces away."""
+    problem = beam(2, basis="mpm", balanced_reset=True, reset=None)
+    problem.body_load(force=(0.0, -5.0))
+    list(problem.march(1, to=0.5, progress=False))
+    if surface:
+        problem.traction(pm.Surface.line((3.4, 0.35), (3.4, 1.25), 6), force=lambda t: (3.0, 0.0))
+    else:
+        problem.add(Pull(True))
+    system = problem.system_at(0.5)
+    system.evaluate(False)
+    own = slice(0, system.nodes.owned)
+    free = ~system.prescribed.fixed[own]
+    forces = system.terms.forces(system.x, lambda piece: True)
+    system.nodes.add_to_owners(forces)
+    assert COMM.allreduce(float(np.abs(forces[own][free]).sum())) > 1.0
+    np.testing.assert_allclose(system.residual[own][free], forces[own][free], rtol=0, atol=1e-9)
+
+
 # a scene that nobody built the seam for ------------------------------------------------------------------
 class Floor(pm.SurfaceTerm):
     """A rigid floor y = p.y: a penalty on what lies below it."""

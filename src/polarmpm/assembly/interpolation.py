@@ -74,7 +74,11 @@ class Interpolation:
         order, groups = group_points(points.material, w)
         reached = partial(reached_cells, grid, groups, basis)
         setting = GridSetting(grid, basis, self.layout, points, w, reached)
-        self.pieces = [piece for term in terms for piece in term.pieces(setting)]
+        self.pieces: list[Piece] = []
+        for term in terms:
+            for piece in term.pieces(setting):
+                piece.fresh = not term.committed
+                self.pieces.append(piece)
         boxes = [_boxes_of(piece) for piece in self.pieces]
         more = [b.numbers(grid).ravel() for b in boxes]
         touched, node_sets, node_offsets = node_sets_of(grid, groups, more)

@@ -202,12 +202,16 @@ class NodalSystem(ABC):
 
     def carry_imbalance(self) -> None:
         """Take the present state as an equilibrium: carry along what is out of balance in it, but for terms
-        with a state of their own. Collective."""
+        that forbid it or have just been added. Collective."""
+
+        def apart(piece: Piece) -> bool:
+            return piece.fresh or not piece.carried
+
         forces = self.assemble(False).forces
-        apart = self.terms.forces(self.x, lambda piece: not piece.carried)
-        if any(not piece.carried for piece in self.terms.pieces):
-            self.nodes.add_to_owners(apart)
-            forces = forces - apart
+        if any(apart(piece) for piece in self.terms.pieces):
+            left_out = self.terms.forces(self.x, apart)
+            self.nodes.add_to_owners(left_out)
+            forces = forces - left_out
         self.carried = np.where(self.prescribed.fixed, 0.0, forces)
 
     def forget_rotations(self) -> None:

@@ -293,6 +293,8 @@ class Problem(Conditions):
         self.progress.ghost_work = self.term_works.get("ghost", 0.0)
         self.progress.term_work = sum(self.term_works.values()) - self.progress.ghost_work
         system.terms.commit(system.x)
+        for term in self.terms:
+            term.committed = True
 
     def _tell_of_reset(self) -> None:
         for observer in self.observers:

@@ -203,6 +203,8 @@ class Conditions(ABC):
                 f"the saved state has {len(saved)} term(s) with a state of their own, the problem has "
                 f"{len(with_state)}"
             )
+        for term in self.terms:
+            term.committed = True
         for k in with_state:
             start = f"{k}/"
             of_this = {key[len(start) :]: a for key, a in arrays.items() if key.startswith(start)}

@@ -74,6 +74,7 @@ class Piece(ABC):
         linear: its tangent doesn't change.
         external: a load or a support; its forces count as such in the convergence measure.
         carried: see `Term`.
+        fresh: its term has not taken part in a converged step yet: nothing of it is carried along.
     """
 
     name: str
@@ -83,6 +84,7 @@ class Piece(ABC):
     linear: bool = False
     external: bool = False
     carried: bool = True
+    fresh: bool = False
 
     @abstractmethod
     def forces(self, x: np.ndarray) -> np.ndarray:
@@ -170,6 +172,7 @@ class Term(ABC):
             terms that keep them in a state of their own, such as inertia.
         proportional: at given increments its forces are linear in the load factor, and what grows with the
             factor doesn't depend on the increments: the arc-length method can take it.
+        committed: it has taken part in a converged step; the problem sees to it.
         rows: arrays (np, ...) with one row for each local point of the body, by name. They move with the
             points to other ranks and into restart files.
     """
@@ -177,6 +180,7 @@ class Term(ABC):
     name: str = "term"
     carried: bool = True
     proportional: bool = True
+    committed: bool = False
 
     def __init__(self) -> None:
         self.rows: dict[str, np.ndarray] = {}

@@ -77,7 +77,6 @@ class SurfaceCondition(Term):
     Attributes:
         u: displacement (m), (n, d); F: deformation gradient (n, d, d); theta: sum of the rotation increments
             (rad), (n, r); q: rotation (n, 4), of the last converged state.
-        committed: it has taken part in a converged step.
         external: its forces count as loads.
         linear: its tangent doesn't change between two resets.
     """
@@ -95,7 +94,7 @@ class SurfaceCondition(Term):
         if not isinstance(surface, Surface):
             raise InputError(f"{name}: surface = {surface!r} is not a Surface")
         self.name, self.surface = name, surface
-        self.committed, self._released, self._carrying = False, False, False
+        self._carrying = False
         self._kernel: Kernel | None = None
         self._at: dict[str, np.ndarray] = {}  # u, F, theta and q at the last reset or rotation base
         self._data: list[np.ndarray] = []
@@ -144,15 +143,13 @@ class SurfaceCondition(Term):
         self._at["theta"], self._at["q"] = self.theta.copy(), self.q.copy()
 
     def set_factor(self, factor: float, carrying: bool = False) -> None:
-        """See `Term`; what hasn't taken part in a converged step has no part in forces that are carried."""
-        self._carrying, self._released = carrying, carrying and not self.committed
+        self._carrying = carrying
         self._data = self.values(factor)
 
     def evaluate(self, y: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Residual and tangent (m, size + size^2) per area of points `rows`."""
         assert self._kernel is not None
-        out = self._kernel(y, *(d[rows] for d in self._data)) if len(rows) else np.zeros((0, self._outputs))
-        return np.zeros_like(out) if self._released else out
+        return self._kernel(y, *(d[rows] for d in self._data)) if len(rows) else np.zeros((0, self._outputs))
 
     @property
     def _outputs(self) -> int:
@@ -175,7 +172,6 @@ class SurfaceCondition(Term):
         self.F = (np.eye(d) + slots.part(every, "displacement", 1)) @ self._at["F"]
         self.theta = self._at["theta"] + w
         self.q = rotations.turned(self._at["q"], w)
-        self.committed = True
         self.converged(every)
 
     # restart ------------------------------------------------------------------------------------------
@@ -193,7 +189,6 @@ class SurfaceCondition(Term):
         for name in _STATE:
             setattr(self, name, np.array(arrays[name], dtype=float))
             self._at[name] = np.array(arrays[f"{name}_at"], dtype=float)
-        self.committed = True
 
 
 class SurfaceTerm(SurfaceCondition):
