@@ -231,6 +231,62 @@ def test_a_term_that_is_added_in_mid_run_is_felt(surface):
     np.testing.assert_allclose(system.residual[own][free], forces[own][free], rtol=0, atol=1e-9)
 
 
+# the body's volume at the nodes ---------------------------------------------------------------------------
+class Bedding(pm.Term):
+    """A body on springs of p (N/m^4), lumped at the nodes."""
+
+    name = "bedding"
+
+    def __init__(self, k: float):
+        super().__init__()
+        self.k = k
+
+    def pieces(self, setting: Any) -> list[pm.Piece]:
+        nodes, volumes = setting.node_volumes()
+        return [_Springs(setting.alone(nodes), self.k * volumes, setting.layout.dim)]
+
+
+class _Springs(pm.Piece):
+    name, linear = "bedding", True
+
+    def __init__(self, boxes: Any, stiffness: np.ndarray, dim: int):
+        self.boxes, self.stiffness = boxes, stiffness
+        self.pairs = np.stack([np.arange(dim)] * 2, axis=1)
+
+    def forces(self, x: np.ndarray) -> np.ndarray:
+        out = np.zeros_like(x)
+        d = len(self.pairs)
+        out[:, :, :d] = self.stiffness[:, None, None] * x[:, :, :d]
+        return out
+
+    def matrices(self, x: np.ndarray) -> np.ndarray:
+        return np.tile(self.stiffness[:, None, None, None], (1, 1, 1, len(self.pairs)))
+
+
+@pytest.mark.parametrize("method", ["mpm", "gimpm", "bspline", "projection", "elements"])
+def test_a_body_on_springs_moves_as_a_whole(method):
+    """u = b/k everywhere under a body load b, over balanced resets, which carry the springs' forces along."""
+    k, load, steps = 500.0, np.array([30.0, -20.0]), 1 if method == "elements" else 4
+    if method == "elements":
+        elements = pm.Elements(box("triangle", (4, 3)), material=NEO_HOOKEAN)
+        problem: Any = pm.QuasiStaticFEM(elements)
+    else:
+        grid = pm.Grid.box((-1.0, -1.0), (2.0, 2.0), 0.25)
+        bounds = (0.0, 0.0), (1.0, 1.0)
+        points = pm.seed(grid, material=NEO_HOOKEAN, points_per_cell=3, bounds=bounds)
+        options = {"basis": "mpm", "assembly": method} if method == "projection" else {"basis": method}
+        problem = pm.QuasiStatic(grid, points, reset=2, balanced_reset=True, **options)
+    problem.body_load(force=load)
+    problem.add(Bedding(k))
+    list(problem.march(steps, progress=False))
+    np.testing.assert_allclose(
+        problem.points.displacement, np.tile(load / k, (len(problem.points), 1)), atol=1e-9
+    )
+    if method == "elements":
+        assert problem.energies()["terms"] == pytest.approx(load @ load / k / 2, rel=1e-9)  # k V u^2 / 2
+    assert abs(problem.energies()["residue"]) < 1e-8
+
+
 # a scene that nobody built the seam for ------------------------------------------------------------------
 class Floor(pm.SurfaceTerm):
     """A rigid floor y = p.y: a penalty on what lies below it."""

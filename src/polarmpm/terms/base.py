@@ -134,6 +134,10 @@ class Setting(ABC):
         """
 
     @abstractmethod
+    def alone(self, nodes: np.ndarray) -> NodeSets:
+        """Sets of one node each, of nodes as `node_volumes` names them."""
+
+    @abstractmethod
     def node_volumes(self) -> tuple[np.ndarray, np.ndarray]:
         """Nodes (lattice numbers; of a mesh local rows) and this rank's share of the body's volume (m^3) at
         each; complete when summed over the ranks."""

@@ -60,6 +60,9 @@ class GridSetting(Setting):
         volumes = np.bincount(at.ravel(), shares, minlength=len(nodes)).astype(float)
         return nodes[volumes != 0.0], volumes[volumes != 0.0]
 
+    def alone(self, nodes: np.ndarray) -> Boxes:
+        return Boxes((1,) * self.grid.dim, nodes)
+
     def carry(self, places: Places) -> Carried:
         owner, cells = self._find(places)
         rows = np.flatnonzero(owner == self.comm.rank)
@@ -131,6 +134,9 @@ class MeshSetting(Setting):
         volumes = np.bincount(nodes.ravel(), share, minlength=len(e.nodes)).astype(float)
         at = np.flatnonzero(volumes)
         return at, volumes[at]
+
+    def alone(self, nodes: np.ndarray) -> MeshNodes:
+        return MeshNodes(nodes[:, None])
 
     def carry(self, places: Places) -> Carried:
         surface = places.surface
