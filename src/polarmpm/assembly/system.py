@@ -285,8 +285,7 @@ class NodalSystem(ABC):
 
         Strains and rotations are rounded relative to one, and the tangent's diagonal turns that into forces:
         a rotation is a strain, and a displacement is one over a cell. It is different where bending stiffness
-        is large: a change of the wryness is rounded relative to itself, and it is as small as the rotations
-        are.
+        is large: a change of the wryness is rounded relative to itself, and is as small as the rotations.
         """
         diagonal, d = np.abs(self.diagonal()), self.layout.dim
         forces = diagonal[:, :d] * self.length

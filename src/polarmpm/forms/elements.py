@@ -159,8 +159,8 @@ class ElementForms:
 
         Args:
             load: function of d or r components per undeformed area; with `follows` per current area, its
-                components measured on the undeformed body: the part along the normal follows the normal,
-                the part in the surface is convected with it, its size kept.
+                components measured on the undeformed body: the part along the normal follows the normal, the
+                part in the surface is convected with it and keeps its size.
         """
         ds, values = self.elements.surface_measure(facets.facets), _components(load)
         if follows:

@@ -97,10 +97,10 @@ def plane(*, beyond: str = "auto", moving: bool = False, **coordinate: float) ->
     Args:
         beyond: "below" or "above" adds the nodes on that side of the plane, "none" adds none; "auto" adds
             the side on which the body has no point.
-        moving: the plane follows the displacement that is prescribed on it, as the face of a platen: at
-            every reset the grid is stretched along the plane's axis so that it stands where the platen is
-            (T 2.2.4). The grid's wall on the other side stays; it is the place for a support that holds the
-            body against the platen. A mesh of finite elements moves anyway.
+        moving: the plane follows the displacement that is prescribed on it, as the face of a platen: at every
+            reset the grid is stretched along the plane's axis so that the plane is where the platen is (T
+            2.2.4). The grid's wall on the other side stays; it is the place for a support that holds the body
+            against the platen. A mesh of finite elements moves anyway.
     """
     if len(coordinate) != 1 or next(iter(coordinate)) not in ("x", "y", "z"):
         raise InputError(f"plane({coordinate!r}): exactly one of x, y, z")

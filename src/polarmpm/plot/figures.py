@@ -86,8 +86,8 @@ def plot_points(
         ax: axes to draw into (of rank 0; with projection "3d" in three dimensions); None makes a figure.
         label: of the colour bar, with unit: "displacement (m)"; None leaves the bar out.
         limits: of the colours; default: the values' range.
-        domains: draw the weighting functions' domains, boxes along the axes, instead of the initial boxes
-            as F deforms them.
+        domains: draw the domains of the weighting functions, boxes along the axes, instead of the initial
+            boxes as F deforms them.
         length: factor from metres to the axes' unit, and the unit: (1e3, "mm").
         view: elevation and azimuth of the camera (degrees), in three dimensions.
 
