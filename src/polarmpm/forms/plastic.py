@@ -25,12 +25,12 @@ from ..errors import InputError
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from ..kinematics.layout import Layout, state_size
-from ..materials.base import Material, evaluate_energy, evaluate_scalar, named_parameters
+from ..materials.base import Material, evaluate_scalar, named_parameters
 from ..materials.plastic import Plastic, check_regions
 from ..materials.regions import LocalState, Region, Scales
 from .points import PointForm
 from .returns import LocalProblem, Return, compile_functions
-from .strains import motion, strain_measures
+from .strains import elastic_stress, motion, pushed, strain_measures
 
 _PLANE = ((0, 0), (0, 1), (1, 0), (1, 1), (2, 2))  # entries of deformations in plane strain
 _PLANE_WRYNESS = ((0, 2), (1, 2), (2, 0), (2, 1))  # plastic flow brings in the third column
@@ -61,14 +61,6 @@ def _tensor(c: Any, first: int, places: tuple[tuple[int, int], ...]) -> Any:
     for k, (i, j) in enumerate(places):
         rows[i][j] = c[first + k]
     return ufl.as_tensor(rows)
-
-
-def _chain(outer: Any, inner: Any) -> Any:
-    """Derivative of an energy by a measure times the measure's derivative by F."""
-    if not outer.ufl_shape:
-        return outer * inner
-    i, j, k, l = ufl.indices(4)
-    return ufl.as_tensor(outer[i, j] * inner[i, j, k, l], (k, l))
 
 
 class PlasticForm(PointForm):
@@ -165,26 +157,15 @@ class PlasticForm(PointForm):
 
     def _elastic_stress(self, deformation: Any, wryness: Any) -> tuple[Any, Any]:
         """B and S of Ue and Ge; dW/dFe of a classical material."""
-        material, p = self.material, self._numbers
-        if wryness is None:
-            fe = ufl.variable(deformation)
-            measures = material.measures(fe)
-            v = [ufl.variable(m) for m in measures]
-            w = evaluate_energy(material, v, p)  # derived with respect to the few measures first
-            parts = [_chain(ufl.diff(w, vi), ufl.diff(m, fe)) for vi, m in zip(v, measures, strict=True)]
-            return sum(parts[1:], parts[0]), None
-        e, g = ufl.variable(deformation - ufl.Identity(3)), ufl.variable(wryness)
-        w = evaluate_energy(material, (e, g), p)
-        return ufl.diff(w, e), ufl.diff(w, g)
+        return elastic_stress(self.material, deformation, wryness, self._numbers)
 
     def kirchhoff(self, deformation: Any, wryness: Any) -> tuple[Any, Any]:
         """tau = Q B Fe^T and nu = Q S F^T (T (4.26)-(4.27) times J); nu is None of classical materials."""
         f, q, _ = self._motion
         b, s = self._elastic_stress(deformation, wryness)
         if wryness is None:
-            return ufl.dot(b, ufl.transpose(deformation)), None
-        fe = ufl.dot(q, deformation)
-        return ufl.dot(q, ufl.dot(b, ufl.transpose(fe))), ufl.dot(q, ufl.dot(s, ufl.transpose(f)))
+            return pushed(b, None, deformation), None
+        return pushed(b, q, ufl.dot(q, deformation)), pushed(s, q, f)
 
     def _hardening_energy(self, chi: Any) -> Any:
         what = f"hardening_energy of {type(self.material).__name__}"

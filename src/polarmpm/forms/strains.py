@@ -46,6 +46,39 @@ def stresses(material: Material, strains: Sequence[Any], numbers: Any) -> list[A
     return [ufl.diff(w, v) for v in variables]
 
 
+def elastic_stress(material: Material, deformation: Any, wryness: Any, numbers: Any) -> tuple[Any, Any]:
+    """B = dW/dE and S = dW/dGe at the elastic stretch Ue = Q^T Fe and wryness Ge; of a classical material,
+    without a wryness, dW/dFe and None.
+
+    Args:
+        numbers: the material's, by name.
+    """
+    if wryness is not None:
+        e, g = ufl.variable(deformation - ufl.Identity(3)), ufl.variable(wryness)
+        w = evaluate_energy(material, (e, g), numbers)
+        return ufl.diff(w, e), ufl.diff(w, g)
+    fe = ufl.variable(deformation)
+    measures = material.measures(fe)
+    v = [ufl.variable(m) for m in measures]
+    w = evaluate_energy(material, v, numbers)  # derived with respect to the few measures first
+    parts = [_chain(ufl.diff(w, vi), ufl.diff(m, fe)) for vi, m in zip(v, measures, strict=True)]
+    return sum(parts[1:], parts[0]), None
+
+
+def _chain(outer: Any, inner: Any) -> Any:
+    """Derivative of an energy by a measure times the measure's derivative by F."""
+    if not outer.ufl_shape:
+        return outer * inner
+    i, j, k, l = ufl.indices(4)
+    return ufl.as_tensor(outer[i, j] * inner[i, j, k, l], (k, l))
+
+
+def pushed(stress: Any, q: Any, by: Any) -> Any:
+    """Q S by^T: a stress in space, per reference volume. Q is None of a classical material."""
+    forward = ufl.dot(stress, ufl.transpose(by))
+    return forward if q is None else ufl.dot(q, forward)
+
+
 def virtual_work(material: Material, strains: Sequence[Any], unknown: Any, test: Any, numbers: Any) -> Any:
     """dW/dE : dE + dW/dGamma : dGamma with variations of the strains in `unknown`."""
     pairs = zip(stresses(material, strains, numbers), strains, strict=True)

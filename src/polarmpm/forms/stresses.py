@@ -17,6 +17,7 @@ from ..kernels.kernel import Kernel, PointSpace, compile_expressions, matrix
 from ..kinematics import tensors as kin
 from ..materials.base import Material, evaluate_energy, named_parameters, parameter_values
 from ..tools import compat
+from .strains import elastic_stress, pushed, strain_measures
 
 if TYPE_CHECKING:
     from ..materials.plastic import Plastic  # lazy import: elastic scenes need no plasticity
@@ -42,17 +43,17 @@ class PointState:
         self.Fe, self.Ge, self.chi = _elastic_parts(self.F, self.Gamma, plastic)
 
     @cached_property
-    def _derived(self) -> tuple[Any, Any, Any]:
-        """W of the elastic part, and its derivatives by Q^T Fe (Fe of a classical material) and Ge."""
-        material, p = self.material, self.p
-        if self.Q is None:
-            fe = ufl.variable(self.Fe)
-            w = evaluate_energy(material, material.measures(fe), p)
-            return w, ufl.diff(w, fe), None
-        strain = ufl.variable(ufl.dot(ufl.transpose(self.Q), self.Fe) - ufl.Identity(3))
-        wryness = ufl.variable(self.Ge)
-        w = evaluate_energy(material, (strain, wryness), p)
-        return w, ufl.diff(w, strain), ufl.diff(w, wryness)
+    def _stretch(self) -> Any:
+        """Ue = Q^T Fe; Fe of a classical material."""
+        return self.Fe if self.Q is None else ufl.dot(ufl.transpose(self.Q), self.Fe)
+
+    @cached_property
+    def _wryness(self) -> Any:
+        return None if self.Q is None else self.Ge
+
+    @cached_property
+    def _stresses(self) -> tuple[Any, Any]:
+        return elastic_stress(self.material, self._stretch, self._wryness, self.p)
 
     @cached_property
     def energy(self) -> Any:
@@ -60,21 +61,20 @@ class PointState:
         stored = ufl.as_ufl(0.0)
         if self.chi is not None:
             stored = cast("Plastic", self.material).hardening_energy(self.chi, self.p)
-        return self._derived[0] + stored
+        measures = strain_measures(self.material, self._stretch, self._wryness)
+        return evaluate_energy(self.material, measures, self.p) + stored
 
     @cached_property
     def stress(self) -> Any:
         """Cauchy stress (Pa) sigma = Q B Fe^T / J, T 3.4, (4.26)."""
-        return self._push(self._derived[1], self.Fe)
+        return pushed(self._stresses[0], self.Q, self.Fe) / ufl.det(self.F)
 
     @cached_property
     def couple_stress(self) -> Any:
         """Cauchy couple stress (N/m) mu = Q S F^T / J, T (4.27); zero of a classical material."""
-        return 0 * self.F if self.Q is None else self._push(self._derived[2], self.F)
-
-    def _push(self, s: Any, by: Any) -> Any:
-        forward = ufl.dot(s, ufl.transpose(by))
-        return (forward if self.Q is None else ufl.dot(self.Q, forward)) / ufl.det(self.F)
+        if self.Q is None:
+            return 0 * self.F
+        return pushed(self._stresses[1], self.Q, self.F) / ufl.det(self.F)
 
 
 def _elastic_parts(F: Any, Gamma: Any, plastic: Sequence[Any]) -> tuple[Any, Any, Any]:
