@@ -160,8 +160,9 @@ def test_terms_that_cannot_be(make, message):
     with pytest.raises(pm.InputError, match=message):
         problem.add(make())
     assert problem.terms == before
-    with pytest.raises(pm.InputError, match="has been added already"):
-        problem.add(before[0])
+    for other in (problem, foundation("mpm", NEO_HOOKEAN)[0]):
+        with pytest.raises(pm.InputError, match="has been added to a problem already"):
+            other.add(before[0])
 
 
 if __name__ == "__main__":

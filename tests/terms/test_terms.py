@@ -172,7 +172,6 @@ class Pull(pm.Term):
     name = "pull"
 
     def __init__(self, carried: bool):
-        super().__init__()
         self.carried = carried
 
     def pieces(self, setting: Any) -> list[pm.Piece]:
@@ -238,7 +237,6 @@ class Bedding(pm.Term):
     name = "bedding"
 
     def __init__(self, k: float):
-        super().__init__()
         self.k = k
 
     def pieces(self, setting: Any) -> list[pm.Piece]:

@@ -123,9 +123,10 @@ class Conditions(ABC):
             raise InputError(
                 f"term = {term!r} is not a Term; derive from polarmpm.Term or polarmpm.SurfaceTerm"
             )
-        if term in self.terms:
-            raise InputError(f"term = {term.name!r} has been added already")
+        if term.taken:
+            raise InputError(f"term = {term.name!r} has been added to a problem already; make another one")
         term.attach(self.layout, self.comm)
+        term.taken = True
         self.terms.append(term)
         self._stale = self.progress.reset_due = True
 

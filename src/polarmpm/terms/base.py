@@ -15,7 +15,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol, Self
 
 from mpi4py import MPI
 
@@ -177,6 +177,7 @@ class Term(ABC):
         proportional: at given increments its forces are linear in the load factor, and what grows with the
             factor doesn't depend on the increments: the arc-length method can take it.
         committed: it has taken part in a converged step; the problem sees to it.
+        taken: it belongs to a problem.
         rows: arrays (np, ...) with one row for each local point of the body, by name. They move with the
             points to other ranks and into restart files.
     """
@@ -185,9 +186,14 @@ class Term(ABC):
     carried: bool = True
     proportional: bool = True
     committed: bool = False
+    taken: bool = False
+    rows: dict[str, np.ndarray]
 
-    def __init__(self) -> None:
-        self.rows: dict[str, np.ndarray] = {}
+    def __new__(cls, *arguments: Any, **options: Any) -> Self:
+        """Whatever a subclass' own `__init__` does, it has rows."""
+        term = super().__new__(cls)
+        term.rows = {}
+        return term
 
     def attach(self, layout: Layout, comm: MPI.Comm) -> None:  # noqa: B027
         """The problem that takes it has these unknowns and ranks.

@@ -235,7 +235,6 @@ class Ghost(Term):
     name = "ghost"
 
     def __init__(self, penalty: GhostPenalty, layout: Layout):
-        super().__init__()
         self.penalty = penalty
         self.scale = np.repeat([penalty.displacement, penalty.rotation], [layout.dim, layout.rotations])
 

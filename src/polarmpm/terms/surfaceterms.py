@@ -90,7 +90,6 @@ class SurfaceCondition(Term):
     q: np.ndarray
 
     def __init__(self, name: str, surface: Surface):
-        super().__init__()
         if not isinstance(surface, Surface):
             raise InputError(f"{name}: surface = {surface!r} is not a Surface")
         self.name, self.surface = name, surface
