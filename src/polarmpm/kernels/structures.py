@@ -10,7 +10,7 @@ import ctypes
 import numbers
 import re
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -54,7 +54,7 @@ class Declared:
     def __init__(self, owner: str, name: str, kind: str, pointer: bool):
         self.owner, self.name, self.kind, self.pointer = owner, name, kind, pointer
 
-    @property
+    @cached_property
     def ctype(self) -> Any:
         """What ctypes calls it."""
         if self.pointer and self.kind in _STRUCTURES:
@@ -66,11 +66,17 @@ class Declared:
         """What converts it as an argument; pointers to numbers check the arrays."""
         return self if self.pointer and self.kind not in _STRUCTURES else self.ctype
 
-    @property
+    @cached_property
     def dtype(self) -> np.dtype[Any]:
         """Element type of the arrays that a pointer takes; addresses of other arrays are numbers, too."""
         found: np.dtype[Any] = np.dtype(_NUMBERS.get(self.kind, np.uintp))
         return found
+
+    @cached_property
+    def _limits(self) -> tuple[int, int]:
+        """The least and the greatest whole number that it holds."""
+        limits = np.iinfo(self.dtype)
+        return int(limits.min), int(limits.max)
 
     def check(self, value: Any) -> None:
         """Whether a value fits.
@@ -97,9 +103,9 @@ class Declared:
             return
         if not isinstance(value, numbers.Integral):
             raise TypeError(f"{what} = {value!r}: a whole number is needed")
-        limits = np.iinfo(self.dtype)
-        if not limits.min <= int(value) <= limits.max:
-            raise ValueError(f"{what} = {value}: {self.kind} holds {limits.min} to {limits.max}")
+        least, greatest = self._limits
+        if not least <= int(value) <= greatest:
+            raise ValueError(f"{what} = {value}: {self.kind} holds {least} to {greatest}")
 
     def from_param(self, value: Any) -> Any:
         """How ctypes passes a value as this argument: arrays are checked, addresses are taken as they are."""
