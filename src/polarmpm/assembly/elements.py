@@ -81,15 +81,8 @@ class ElementSystem(NodalSystem):
         return self.loads + self._sum([v.residual for v in self._varying]) if self._varying else self.loads
 
     def node_volumes(self) -> np.ndarray:
-        """An equal share of its volume for each node of an element: positive for all degrees."""
-        e = self.forms.elements
-        nodes = e.cell_nodes[: len(e.body.owned_cells)]
-        of_cells = e.points.volume0.reshape(len(nodes), -1).sum(axis=1)
-        share = np.repeat(of_cells / nodes.shape[1], nodes.shape[1])
-        total = np.bincount(nodes.ravel(), share, minlength=len(self.nodes)).astype(
-            float
-        )  # also of no elements
-        out = np.tile(total[:, None], (1, self.layout.block))  # what the mesh's vectors hold
+        shares = self.forms.elements.node_volumes()
+        out = np.tile(shares[:, None], (1, self.layout.block))  # what the mesh's vectors hold
         self.nodes.add_to_owners(out)
         return out[:, 0]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..basis.base import Basis, Weights
-from ..geometry.grid import Grid
+from ..geometry.grid import Grid, box_indices
 
 
 @dataclass
@@ -42,8 +42,7 @@ def boxes_of(grid: Grid, sizes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray
     different, kind = np.unique(sizes, axis=0, return_inverse=True)
     out = []
     for k, size in enumerate(different):
-        index = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1).reshape(-1, grid.dim)
-        out.append((np.flatnonzero(kind.ravel() == k), index @ grid.strides))
+        out.append((np.flatnonzero(kind.ravel() == k), box_indices(size) @ grid.strides))
     return out
 
 

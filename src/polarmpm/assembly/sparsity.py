@@ -11,6 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from ..geometry.grid import box_indices
 from ..geometry.nodes import ActiveNodes
 from ..kernels import native
 from ..tools.parallel import Route
@@ -144,7 +145,7 @@ def build(
     for batch in batches:
         native.library().polarmpm_couple_nodes(ctypes.byref(batch), reach, mark)
     row, code = np.nonzero(mark)
-    offset = np.stack(np.unravel_index(np.arange(codes), (side,) * grid.dim), axis=1) - reach
+    offset = box_indices((side,) * grid.dim) - reach
     col = nodes.local(nodes.lattice[row] + (offset @ grid.strides)[code])
     if symmetric:
         keep = nodes.number[row] <= nodes.number[col]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.grid import MARGIN, Grid
+from ..geometry.grid import MARGIN, Grid, box_indices
 from ..geometry.planes import PlaneSpec
 from .aggregation import supporting_cells
 
@@ -29,7 +29,7 @@ class Weights:
 
     def products(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
         """Lattice numbers of each point's nodes and their weights, (n, slots^d); unused slots weigh zero."""
-        index = _box(self.table.shape[-1], grid.dim)
+        index = box_indices((self.table.shape[-1],) * grid.dim)
         numbers = grid.node_number(self.lowest)[:, None] + index @ grid.strides
         value = np.prod([self.table[:, i, 0, index[:, i]] for i in range(grid.dim)], axis=0)
         return numbers, value
@@ -102,7 +102,7 @@ class Basis(ABC):
     def at(self, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """Values and gradients (1/m) at x (n, d) (m) of the functions of cells of lattice index (n, d),
         continued beyond the cells: (n, 1 + d, functions^d), the last axis running fastest."""
-        line, index = self.lines(grid, x, cells), _box(self.functions, grid.dim)
+        line, index = self.lines(grid, x, cells), box_indices((self.functions,) * grid.dim)
 
         def product(derivative: int) -> np.ndarray:
             out = np.ones((len(x), len(index)))
@@ -134,8 +134,3 @@ def check_margin(grid: Grid, lowest: np.ndarray, last: np.ndarray) -> None:
     """Raise InputError unless the lattice has all nodes from index `lowest` (n, d) to `last` (n, d)."""
     if np.any(lowest < -MARGIN) or np.any(last > np.array(grid.shape) + MARGIN):
         raise InputError(f"point domains reach more than {MARGIN} cells beyond the grid")
-
-
-def _box(side: int, dim: int) -> np.ndarray:
-    """Indices (side^d, d) of a box of nodes, the last axis running fastest."""
-    return np.stack(np.unravel_index(np.arange(side**dim), (side,) * dim), axis=-1)

@@ -234,6 +234,15 @@ class Elements:
         own, nq = self.body.owned_cells, len(self.reference_points)
         return dmesh.meshtags(self.mesh, self.dim, own, self.points.material[::nq].astype(np.int32) + 1)
 
+    def node_volumes(self) -> np.ndarray:
+        """An equal share of its volume for each node of an element (nodes,), positive for all degrees; summed
+        over this rank's elements."""
+        nodes = self.cell_nodes[: len(self.body.owned_cells)]
+        of_cells = self.points.volume0.reshape(len(nodes), -1).sum(axis=1)
+        share = np.repeat(of_cells / nodes.shape[1], nodes.shape[1])
+        sums = np.bincount(nodes.ravel(), share, minlength=len(self.nodes))
+        return sums.astype(float)  # without any elements they are integers
+
     # results --------------------------------------------------------------------------------------
     @property
     def rotation_vector(self) -> np.ndarray:

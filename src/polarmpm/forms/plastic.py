@@ -24,7 +24,7 @@ import ufl
 from ..errors import InputError
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
-from ..kinematics.layout import Layout, state_size
+from ..kinematics.layout import Layout
 from ..materials.base import Material, evaluate_scalar, named_parameters
 from ..materials.plastic import Plastic, check_regions
 from ..materials.regions import LocalState, Region, Scales
@@ -83,7 +83,7 @@ class PlasticForm(PointForm):
     @property
     def elastic_size(self) -> int:
         """Scalars of the state before the plastic part."""
-        return state_size(self.layout, rotated=self.material.isotropic)
+        return self.layout.state(rotated=self.material.isotropic).size
 
     @property
     def state_size(self) -> int:

@@ -208,6 +208,12 @@ class Grid:
         return cells
 
 
+def box_indices(count: Sequence[int]) -> np.ndarray:
+    """Indices (m, d) in a box of `count` nodes or cells in each direction, the last axis running fastest."""
+    count = tuple(count)
+    return np.stack(np.unravel_index(np.arange(np.prod(count)), count), axis=-1)
+
+
 def snap(xi: np.ndarray, tolerance: float = 1e-8) -> np.ndarray:
     """Put lattice coordinates that are within rounding of a grid plane exactly on it."""
     near = np.rint(xi)

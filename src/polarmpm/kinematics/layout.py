@@ -231,8 +231,3 @@ class StateLayout:
         if not self.layout.rotations:
             return (F,)
         return F, state[:, self.at_rotation].copy(), state[:, self.at_wryness].reshape(n, 3, 3)
-
-
-def state_size(layout: Layout, *, rotated: bool) -> int:
-    """Number of scalars of a state."""
-    return layout.state(rotated=rotated).size

@@ -40,6 +40,7 @@ class Problem(Conditions):
         progress: load factor and number of steps of the last converged state.
         steps: converged steps so far.
         observers: told what happens in the run, see `Observer`.
+        rows: arrays (np, ...) of the script's own by name, one row for each of `points`.
         timer: CPU seconds of this rank by phase.
     """
 
@@ -47,7 +48,7 @@ class Problem(Conditions):
         super().__init__(comm, points, dim)
         self.controls, self.timer = controls or Controls(), Timer()
         self.observers: list[Observer] = []
-        self.term_works: dict[str, float] = {}  # work (J) done against each term that is no load, by name
+        self.rows: dict[str, np.ndarray] = {}
         self.steps: list[Step] = []
         self._fields = StateFields(comm)
         # nodes, out-of-balance forces and rotational increments of the last converged step
@@ -288,10 +289,9 @@ class Problem(Conditions):
 
     def _commit_terms(self, system: NodalSystem, start: np.ndarray) -> None:
         """Tell the terms of a step that has converged, from increments (nodes, block) at its start."""
-        for name, work in system.terms.work(start, system.x).items():
-            self.term_works[name] = self.term_works.get(name, 0.0) + work
-        self.progress.ghost_work = self.term_works.get("ghost", 0.0)
-        self.progress.term_work = sum(self.term_works.values()) - self.progress.ghost_work
+        works = system.terms.work(start, system.x)
+        self.progress.ghost_work += works.pop("ghost", 0.0)
+        self.progress.term_work += sum(works.values())
         system.terms.commit(system.x)
         for term in self.terms:
             term.committed = True
@@ -303,6 +303,16 @@ class Problem(Conditions):
     def _prescribed(self, nodes: Nodes) -> Prescribed:
         with self.timer("conditions"), errors_on_all_ranks(self.comm):
             return Prescribed(nodes, self.supports, self.layout)
+
+    # restart --------------------------------------------------------------------------------------
+    def kept(self) -> dict[str, np.ndarray]:
+        """What is kept for each local point from step to step, beside its state: rows (np, ...) by name."""
+        return {f"rows.{name}": a for name, a in self.rows.items()} | self.term_rows()
+
+    def keep(self, rows: dict[str, np.ndarray]) -> None:
+        """Put in rows such as those of `kept`."""
+        self.rows = {name[5:]: a for name, a in rows.items() if name.startswith("rows.")}
+        self.restore_term_rows(rows)
 
     # results --------------------------------------------------------------------------------------
     def fields(self, *names: str | MaterialField) -> Fields:

@@ -94,7 +94,6 @@ class QuasiStaticFEM(Problem):
         self.surface_loads: list[SurfaceLoad] = []
         self.progress.reset_due = False
         self._system: ElementSystem | None = None
-        self.rows: dict[str, np.ndarray] = {}
         self._last_loads: np.ndarray | None = None  # forces of the last converged state's loads
         self._body: Any = None  # densities of body loads at the quadrature points
 
@@ -292,19 +291,9 @@ class QuasiStaticFEM(Problem):
                 system.put_pieces(self._pieces())
             self._tell_of_reset()
 
-    def kept(self) -> dict[str, np.ndarray]:
-        """What is kept for each local quadrature point beside its state: rows (np, ...) by name."""
-        return {f"rows.{name}": a for name, a in self.rows.items()} | self.term_rows()
-
-    def keep(self, rows: dict[str, np.ndarray]) -> None:
-        """Put in rows such as those of `kept`."""
-        self.rows = {name[5:]: a for name, a in rows.items() if name.startswith("rows.")}
-        self.restore_term_rows(rows)
-
     def restore(self, progress: Progress) -> None:
         """Continue from a state that has been put into the elements already; see `io.restart`."""
         self.progress, self._equilibrium, self._last_x = progress, None, None
-        self.term_works = {"terms": progress.term_work}
         if self._system is not None:
             self._system.destroy()
             self._system = None

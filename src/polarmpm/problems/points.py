@@ -138,7 +138,6 @@ class QuasiStatic(Problem):
         self.rotation_limit = 1.0
         self.load_shares = LoadShares(grid.comm, rebalance)
         self._conservation = Conservation(grid.comm)
-        self.rows: dict[str, np.ndarray] = {}
         self.balanced_reset = balanced_reset
         self.ghost = make_penalty(ghost, points.materials, self.layout, self.basis, assembly)
         if self.ghost:
@@ -289,7 +288,7 @@ class QuasiStatic(Problem):
         if route is None:
             return reference
         self._conservation.moved(before, self.points, self.grid)
-        self._keep({name: route.forward(rows) for name, rows in kept.items()})
+        self.keep({name: route.forward(rows) for name, rows in kept.items()})
         self._attempted = None
         return None if reference is None else reference.moved(route)
 
@@ -339,18 +338,15 @@ class QuasiStatic(Problem):
         return s.interpolation.reference, s.nodes.lattice[:own], np.hstack([s.x[:own], s.carried[:own]])
 
     def kept(self) -> dict[str, np.ndarray]:
-        """What is kept for each local point from step to step, beside its state: rows (np, ...) by name."""
-        out = {f"rows.{name}": a for name, a in self.rows.items()} | self.term_rows()
+        out = super().kept()
         if self._last_x is not None:
             out["last_x"] = self._last_x
         if self._converged_loads is not None:
             out |= {"forces": self._converged_loads[0], "couples": self._converged_loads[1]}
         return out
 
-    def _keep(self, rows: dict[str, np.ndarray]) -> None:
-        """Put in rows such as those of `kept`."""
-        self.rows = {name[5:]: a for name, a in rows.items() if name.startswith("rows.")}
-        self.restore_term_rows(rows)
+    def keep(self, rows: dict[str, np.ndarray]) -> None:
+        super().keep(rows)
         self._last_x = rows.get("last_x")
         self._converged_loads = (rows["forces"], rows["couples"]) if "forces" in rows else None
 
@@ -370,8 +366,7 @@ class QuasiStatic(Problem):
                 now.
         """
         self.progress, self._equilibrium, self._conservation = progress, None, Conservation(self.comm)
-        self.term_works = {"ghost": progress.ghost_work, "terms": progress.term_work}
-        self._keep(kept)
+        self.keep(kept)
         if self._system is not None:
             self._system.destroy()
             self._system = None

@@ -21,7 +21,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..geometry.grid import Grid
+from ..geometry.grid import Grid, box_indices
 from ..geometry.nodes import ActiveNodes
 from ..geometry.surfaces import Surface
 from ..kinematics.layout import Layout
@@ -49,8 +49,7 @@ class Boxes:
     @cached_property
     def offsets(self) -> np.ndarray:
         """Lattice distance of a box's nodes from its lowest one, (n, d)."""
-        index = np.stack(np.meshgrid(*map(np.arange, self.count), indexing="ij"), axis=-1)
-        return index.reshape(-1, len(self.count))
+        return box_indices(self.count)
 
     def numbers(self, grid: Grid) -> np.ndarray:
         """Lattice numbers of the nodes (m, n)."""

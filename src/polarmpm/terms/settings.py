@@ -15,7 +15,7 @@ from ..bodies.elements import Elements
 from ..bodies.facets import FacetSurface
 from ..bodies.points import Points
 from ..errors import InputError
-from ..geometry.grid import Grid
+from ..geometry.grid import Grid, box_indices
 from ..kinematics.layout import Layout
 from .base import Boxes, Carried, Places, Setting
 
@@ -78,7 +78,7 @@ class GridSetting(Setting):
         normal = places.surface.normal[:, :, None]
         turned = np.linalg.solve(np.swapaxes(places.deformation, 1, 2), normal)[:, :, 0]
         xi = grid.local(x) - _INWARD * turned / np.linalg.norm(turned, axis=1, keepdims=True)
-        around = np.stack(np.unravel_index(np.arange(3**grid.dim), (3,) * grid.dim), axis=-1) - 1
+        around = box_indices((3,) * grid.dim) - 1
         index = np.floor(xi).astype(np.int64)[:, None] + around
         inside = np.all((index >= 0) & (index < np.array(grid.shape)), axis=2)
         here = inside & np.isin(grid.cell_number(index), self.reached)
@@ -127,11 +127,7 @@ class MeshSetting(Setting):
         self.elements, self.layout, self.comm = elements, elements.layout, elements.comm
 
     def node_volumes(self) -> tuple[np.ndarray, np.ndarray]:
-        e = self.elements
-        nodes = e.cell_nodes[: len(e.body.owned_cells)]
-        of_cells = e.points.volume0.reshape(len(nodes), -1).sum(axis=1)
-        share = np.repeat(of_cells / nodes.shape[1], nodes.shape[1])
-        volumes = np.bincount(nodes.ravel(), share, minlength=len(e.nodes)).astype(float)
+        volumes = self.elements.node_volumes()
         at = np.flatnonzero(volumes)
         return at, volumes[at]
 
