@@ -96,25 +96,34 @@ def full(upper: np.ndarray, n: int) -> np.ndarray:
     return out
 
 
+def derivative_errors(
+    form: PointForm, z: np.ndarray, state: np.ndarray, parameters: np.ndarray
+) -> tuple[float, float]:
+    """Relative errors of residual and tangent against differences of the energy and of the residual."""
+    residual, blocks = form.compile(COMM)
+    energy, n = form.compile_energy(COMM), z.shape[1]
+
+    def r(z: np.ndarray) -> np.ndarray:
+        return residual(z, state, parameters)
+
+    def tangent(z: np.ndarray) -> np.ndarray:
+        return full(blocks(*at_rest(form, z, state, parameters))[:, n:], n)
+
+    of_energy = derivative_error(lambda z: energy(z, state, parameters), lambda z: r(z)[:, None], z)
+    return of_energy, derivative_error(r, tangent, z)
+
+
 @pytest.mark.parametrize(("dim", "material"), CASES)
 def test_residual_and_tangent_are_derivatives(dim, material):
     """Residual against differences of the energy and tangent against those of the residual, below 1e-7."""
     form = PointForm(material, dim)
-    residual, blocks = form.compile(COMM)
-    energy = form.compile_energy(COMM)
     z, state, parameters = inputs(form, draw(dim))
     n = z.shape[1]
-
-    def r(z):
-        return residual(z, state, parameters)
-
-    def tangent(z):
-        return full(blocks(*at_rest(form, z, state, parameters))[:, n:], n)
-
-    assert derivative_error(lambda z: energy(z, state, parameters), lambda z: r(z)[:, None], z) < 1e-7
-    assert derivative_error(r, tangent, z) < 1e-7
+    residual, blocks = form.compile(COMM)
+    r = residual(z, state, parameters)
+    assert max(derivative_errors(form, z, state, parameters)) < 1e-7
     np.testing.assert_allclose(
-        blocks(*at_rest(form, z, state, parameters))[:, :n], r(z), rtol=1e-13, atol=1e-13 * abs(r(z)).max()
+        blocks(*at_rest(form, z, state, parameters))[:, :n], r, rtol=1e-13, atol=1e-13 * abs(r).max()
     )
 
 

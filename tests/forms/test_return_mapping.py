@@ -623,6 +623,17 @@ def user_flow(tau: Any, nu: Any, chi: Any, p: Any) -> Any:
     return ufl.sqrt(1.5 * (ufl.inner(s, s) + ufl.inner(nu, nu) / p.l**2)) + p.b * ufl.tr(tau) / 3
 
 
+def same_returns(first: Driven, second: Driven, z: np.ndarray) -> None:
+    """Both yield at the same points, many, in no special region, with the same stresses and moduli."""
+    (s0, a0, y0), (s1, a1, y1) = first.stress(z), second.stress(z)
+    np.testing.assert_array_equal(y0.rows, y1.rows)
+    assert len(y0.rows) >= 30
+    assert not y0.region.any()
+    assert not y1.region.any()
+    np.testing.assert_allclose(s0, s1, rtol=0, atol=1e-10 * np.abs(s1).max())
+    np.testing.assert_allclose(a0, a1, rtol=0, atol=1e-9 * np.abs(a1).max())
+
+
 @pytest.mark.parametrize("angles", [(30.0, 10.0), (0.0, 0.0)])
 def test_a_users_cone_is_the_packages(angles):
     """Drucker-Prager, and von Mises with both angles zero; a user's has no apex."""
@@ -632,31 +643,29 @@ def test_a_users_cone_is_the_packages(angles):
     user = pm.UserPlasticity(ELASTIC, user_cone, values, user_flow, hardening, length=L_P)
     own = cone(phi=angles[0], psi=angles[1], H=50.0) if angles[0] else cylinder(H=50.0)
     (first, z), (second, _) = (scattered(m, tension=-0.02) for m in (user, own))
-    (s0, a0, y0), (s1, a1, y1) = first.stress(z), second.stress(z)
-    np.testing.assert_array_equal(y0.rows, y1.rows)
-    assert len(y0.rows) >= 30
-    assert not y1.region.any()
-    np.testing.assert_allclose(s0, s1, rtol=0, atol=1e-10 * np.abs(s1).max())
-    np.testing.assert_allclose(a0, a1, rtol=0, atol=1e-9 * np.abs(a1).max())
+    same_returns(first, second, z)
     (_, one), (_, other) = first.advance(z), second.advance(z)
     np.testing.assert_allclose(one, other, rtol=0, atol=1e-10 * K)
 
 
+def _hyperbola(tau: Any, nu: Any, p: Any) -> Any:
+    s = ufl.dev(ufl.sym(tau))
+    return ufl.sqrt(1.5 * (ufl.inner(s, s) + ufl.inner(nu, nu) / p.l**2) + p.radius**2)
+
+
+def hyperbolic_cone(tau: Any, nu: Any, chi: Any, p: Any) -> Any:
+    """A yield function of a user: the cone with its tip rounded off."""
+    return _hyperbola(tau, nu, p) + p.a * ufl.tr(tau) / 3 - p.strength
+
+
+def hyperbolic_flow(tau: Any, nu: Any, chi: Any, p: Any) -> Any:
+    return _hyperbola(tau, nu, p) + p.b * ufl.tr(tau) / 3
+
+
 def test_a_users_hyperbolic_cone():
-    """sqrt(q^2 + e^2) rounds off the tip: nothing needs an apex, the tangent is consistent everywhere."""
-
-    def smooth(tau: Any, nu: Any, p: Any) -> Any:
-        s = ufl.dev(ufl.sym(tau))
-        return ufl.sqrt(1.5 * (ufl.inner(s, s) + ufl.inner(nu, nu) / p.l**2) + p.e**2)
-
-    def f(tau: Any, nu: Any, chi: Any, p: Any) -> Any:
-        return smooth(tau, nu, p) + p.a * ufl.tr(tau) / 3 - p.strength
-
-    def g(tau: Any, nu: Any, chi: Any, p: Any) -> Any:
-        return smooth(tau, nu, p) + p.b * ufl.tr(tau) / 3
-
-    values = {"a": slope(30.0), "b": slope(10.0), "strength": K, "e": 10.0, "l": L_P}
-    material = pm.UserPlasticity(ELASTIC, f, values, g, length=L_P)
+    """sqrt(q^2 + radius^2) rounds off the tip: no apex is needed, the tangent is consistent everywhere."""
+    values = {"a": slope(30.0), "b": slope(10.0), "strength": K, "radius": 10.0, "l": L_P}
+    material = pm.UserPlasticity(ELASTIC, hyperbolic_cone, values, hyperbolic_flow, length=L_P)
     driven, z = scattered(material, tension=0.01)
     x = driven.solve(z)
     value = np.sqrt(q_of(x.tau, x.nu) ** 2 + 100.0) + slope(30.0) * trace(x.tau) / 3
@@ -722,30 +731,20 @@ def test_every_state_near_the_apex_has_a_return():
 
 def test_a_users_surface_is_approached_through_rounder_ones():
     """A cone whose tip is rounded off next to nothing: without help some states have no return."""
-
-    def smooth(tau: Any, nu: Any, p: Any) -> Any:
-        s = ufl.dev(ufl.sym(tau))
-        return ufl.sqrt(1.5 * (ufl.inner(s, s) + ufl.inner(nu, nu) / p.l**2) + p.radius**2)
-
-    def f(tau: Any, nu: Any, chi: Any, p: Any) -> Any:
-        return smooth(tau, nu, p) + p.a * ufl.tr(tau) / 3 - p.strength
-
-    def g(tau: Any, nu: Any, chi: Any, p: Any) -> Any:
-        return smooth(tau, nu, p) + p.b * ufl.tr(tau) / 3
-
     values = {"a": slope(25.0), "b": slope(5.0), "strength": K, "l": L_P, "radius": 1e-3 * K}
-    alone = pm.UserPlasticity(ELASTIC, f, values, g, length=L_P)
+    functions = hyperbolic_cone, values, hyperbolic_flow
+    alone = pm.UserPlasticity(ELASTIC, *functions, length=L_P)
     driven, z = _sheared(alone, 400, 3)
     with pytest.raises(pm.errors.LocalFailure):
         driven.solve(z)
     rounder = pm.Continuation("radius", tuple(share * K for share in (1.0, 0.3, 0.1, 0.03, 0.01, 0.003)))
-    driven, z = _sheared(pm.UserPlasticity(ELASTIC, f, values, g, length=L_P, continuation=rounder), 400, 3)
+    driven, z = _sheared(pm.UserPlasticity(ELASTIC, *functions, length=L_P, continuation=rounder), 400, 3)
     x = driven.solve(z)
     f_found = np.sqrt(q_of(x.tau, x.nu) ** 2 + (1e-3 * K) ** 2) + slope(25.0) * trace(x.tau) / 3 - K
     assert len(x.rows) > 300
     assert np.abs(f_found).max() < 1e-8 * K
     with pytest.raises(pm.InputError, match="continuation: 'tip' is none of the values"):
-        pm.UserPlasticity(ELASTIC, f, values, continuation=pm.Continuation("tip", (1.0,)))
+        pm.UserPlasticity(ELASTIC, hyperbolic_cone, values, continuation=pm.Continuation("tip", (1.0,)))
 
 
 def test_the_apex_is_the_limit_of_rounded_tips():

@@ -1,10 +1,15 @@
-"""The demo scripts as modules."""
+"""The demo scripts, as modules and run."""
 
 from __future__ import annotations
 
 import importlib.util
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 DEMOS = Path(__file__).parents[2] / "demos"
 
@@ -17,3 +22,16 @@ def demo_module(name: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def run_demo(name: str, folder: Path, *options: str, ranks: int = 1) -> dict[str, Any]:
+    """The JSON object that a demo prints as its last line; its files go to `folder`."""
+    command = [sys.executable, str(DEMOS / f"{name}.py"), *options, "--json", "--output", str(folder)]
+    if ranks > 1:
+        command = ["mpirun", "-n", str(ranks), *command]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=900, env=dict(os.environ), check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found

@@ -1,15 +1,14 @@
 """Every demo runs at a coarse setting, serially and on two ranks, writes its files, and finds its number."""
 
-import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-DEMOS = Path(__file__).parents[2] / "demos"
+from tests.helpers.demos import DEMOS, run_demo
+
 KEYS = {
     "case",
     "parameters",
@@ -45,16 +44,10 @@ ELEMENTS = {"curved_cantilever_fem"}  # demos with finite elements
 def run(name, folder, ranks=1):
     """The JSON object that a demo prints as its last line."""
     options, files = CASES[name]
-    command = [sys.executable, str(DEMOS / f"{name}.py"), *options, "--json", "--output", str(folder)]
-    if ranks > 1:
-        command = ["mpirun", "-n", str(ranks), *command]
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=600, env=dict(os.environ), check=False
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
+    found = run_demo(name, folder, *options, ranks=ranks)
     for file in files:
         assert (folder / file).stat().st_size > 0, file
-    return json.loads(done.stdout.splitlines()[-1])
+    return found
 
 
 def numbers(name, result):

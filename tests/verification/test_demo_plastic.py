@@ -2,11 +2,7 @@
 
 import argparse
 import csv
-import json
 import math
-import os
-import subprocess
-import sys
 
 from mpi4py import MPI
 
@@ -17,7 +13,7 @@ from scipy.integrate import quad
 from scipy.special import iv
 
 import polarmpm as pm
-from tests.helpers.demos import DEMOS, demo_module
+from tests.helpers.demos import demo_module, run_demo
 
 shear, wires = demo_module("shear_layer"), demo_module("wire_torsion")
 # a weak zone that is the same for all grids, and splines, which resolve the band on the coarsest one
@@ -319,18 +315,8 @@ def test_script_on_one_and_two_ranks(name, tmp_path):
     found = []
     for ranks in (1, 2):
         folder = tmp_path / str(ranks)
-        command = [sys.executable, str(DEMOS / f"{name}.py"), *options, "--json", "--output", str(folder)]
-        done = subprocess.run(
-            ["mpirun", "-n", str(ranks), *command] if ranks > 1 else command,
-            capture_output=True,
-            text=True,
-            timeout=600,
-            env=dict(os.environ),
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr[-2000:]
+        found.append(run_demo(name, folder, *options, ranks=ranks)["result"])
         for file in files:
             assert (folder / file).stat().st_size > 0, file
-        found.append(json.loads(done.stdout.splitlines()[-1])["result"])
     for key in numbers:
         np.testing.assert_allclose(found[1][key], found[0][key], rtol=1e-7)

@@ -2,36 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
-DEMOS = Path(__file__).parents[2] / "demos"
-
-
-def run(name: str, folder: Path, *options: str, ranks: int = 1) -> dict[str, Any]:
-    """The result of a demo."""
-    command = [sys.executable, str(DEMOS / f"{name}.py"), *options, "--json", "--output", str(folder)]
-    if ranks > 1:
-        command = ["mpirun", "-n", str(ranks), *command]
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=900, env=dict(os.environ), check=False
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    return json.loads(done.stdout.splitlines()[-1])["result"]
+from tests.helpers.demos import run_demo
 
 
 @pytest.mark.slow
 @pytest.mark.mpi
 def test_biaxial_bands_are_the_materials_own(tmp_path):
     """T 4.5.1: 21 mm wide, at 50 degrees, steeper with dilatancy, 0.68 rad; no matter how wide the cells."""
-    found = run("biaxial", tmp_path)
+    found = run_demo("biaxial", tmp_path)["result"]
     assert found["cell"] == [2.5e-3, 2.5e-3, 2.5e-3, 1.25e-3]
     assert found["dilatancy"] == [0.0, 10.0, 20.0, 10.0]
     flat, coarse, steep, fine = range(4)
@@ -52,7 +33,7 @@ def test_biaxial_bands_are_the_materials_own(tmp_path):
 @pytest.mark.mpi
 def test_biaxial_on_two_ranks(tmp_path):
     options = ("--cells", "5e-3", "--dilatancies", "10", "--steps", "20", "--basis", "gimpm")
-    one, two = (run("biaxial", tmp_path / str(n), *options, ranks=n) for n in (1, 2))
+    one, two = (run_demo("biaxial", tmp_path / str(n), *options, ranks=n)["result"] for n in (1, 2))
     for name in ("peak", "residual", "rotation", "hardening", "inclination"):
         np.testing.assert_allclose(two[name], one[name], rtol=1e-6)
 
@@ -61,7 +42,7 @@ def test_biaxial_on_two_ranks(tmp_path):
 @pytest.mark.mpi
 def test_column_collapses_far_past_its_limit_load(tmp_path):
     """T 4.5.3: 12 x 12 cells to 0.45 m; the thesis' 24 x 24 cells stop just past the elastic range."""
-    found = run("column_collapse", tmp_path, "--cells", "12", "24")
+    found = run_demo("column_collapse", tmp_path, "--cells", "12", "24")["result"]
     assert np.all(np.array(found["settlement"]) >= 0.45)
     # load steps of 1 kN/m^3: points at the toe yield within the step that ends at 5 (T: at 6)
     assert np.all(np.abs(np.array(found["first_yield"]) - 5e3) <= 1.5e3)
