@@ -31,6 +31,7 @@ FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
     "wryness": ((3, 3), float),
     "volume0": ((), float),
     "half_length0": (("d",), float),
+    "half_axes0": (("d", "d"), float),
 }
 
 # what bodies with plastic materials have beside it
@@ -64,6 +65,8 @@ class Points:
         wryness: Gamma (1/m), tensor.
         volume0: reference volume (m^3; m^2 per unit thickness in plane strain).
         half_length0: initial half-lengths of the domains (m), vector.
+        half_axes0: initial half axes of the points' boxes (m), (np, d, d), one a row: the second moment of what
+            a point stands for is the sum of their squares, a^T a, over 3. Zero: of a point alone.
         materials: the materials that `material` counts.
         plastic_F, plastic_wryness: Fp of F = Fe Fp and Gp (1/m) of Gamma = Ge + Gp (T 4.1), tensors; like the
             following two only in bodies with plastic materials.
@@ -80,6 +83,7 @@ class Points:
     wryness: np.ndarray
     volume0: np.ndarray
     half_length0: np.ndarray
+    half_axes0: np.ndarray
     plastic_F: np.ndarray
     plastic_wryness: np.ndarray
     hardening: np.ndarray
@@ -93,8 +97,10 @@ class Points:
         material: Material,
         comm: MPI.Comm,
         first_id: int = 0,
+        half_axes: np.ndarray | None = None,
     ):
-        """Unloaded points at x (n, d) (m) with volumes (n,) and domain half-lengths (n, d); collective."""
+        """Unloaded points at x (n, d) (m) with volumes (n,), domain half-lengths (n, d) and half axes (n, d, d)
+        of their boxes, by default along the grid; collective."""
         self.comm, self.dim, n = comm, x.shape[1], len(x)
         self.materials: tuple[Material, ...] = (check_material(material),)
         before = comm.exscan(n) or 0
@@ -105,6 +111,8 @@ class Points:
         self.q = rotations.identity(n)
         self.wryness = np.zeros((n, 3, 3))
         self.volume0, self.half_length0 = volume.copy(), half_length.copy()
+        along = half_length[:, None, :] * np.eye(self.dim)
+        self.half_axes0 = along if half_axes is None else half_axes.copy()
         self._has_plastic_state = False
         self._add_plastic_state()
 
