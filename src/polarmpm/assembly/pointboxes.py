@@ -71,20 +71,28 @@ class PointBoxes:
         native.fill(kernels, box_kernel=address, **self._arrays)
 
     def add_moduli(
-        self, kernel: Kernel, matrix: native.Matrix, x: np.ndarray, lifted: np.ndarray | None, before: np.ndarray | None
+        self,
+        kernel: Kernel,
+        matrix: native.Matrix,
+        x: np.ndarray,
+        before: np.ndarray | None,
+        lifted: np.ndarray | None,
+        *,
+        whole: bool,
     ) -> None:
-        """Add the boxes' tangent at nodal increments x (nodes, block) to a matrix: the moduli at the points alone.
+        """Add the boxes' tangent at nodal increments x (nodes, block) to a matrix.
 
         Args:
             kernel: residual and tangent of the points' elastic energy, see `PointForm.compile`.
+            before: x before the last correction, where the kernel predicts stresses.
             lifted: takes what prescribed increments add through the tangent.
-            before: x, where the kernel predicts stresses.
+            whole: the tangent itself; else what the sides' strains add with the moduli at the points.
         """
         kernels = native.PointKernels()
         native.fill(kernels, kernel=kernel.address, before=before)
         self.put(kernels, None)
         add = native.library().polarmpm_assemble_boxes
-        if add(ctypes.byref(self.batch), ctypes.byref(kernels), ctypes.byref(matrix), x, lifted):
+        if add(ctypes.byref(self.batch), ctypes.byref(kernels), ctypes.byref(matrix), int(whole), x, lifted):
             raise MemoryError("no memory for the sums over the points' boxes")
 
     def gather(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
