@@ -9,7 +9,15 @@ from .bodies.elements import Elements
 from .bodies.facets import Facets
 from .bodies.points import Points, Selection
 from .bodies.seeding import seed, seed_mesh
-from .errors import InputError, KernelError, NotConserved, NotConverged, PointsOutsideGrid, PolarMPMError
+from .errors import (
+    InputError,
+    KernelError,
+    NotConserved,
+    NotConverged,
+    PointsOutsideGrid,
+    PolarMPMError,
+    TrustWarning,
+)
 from .forms.stresses import MaterialField
 from .geometry.grid import Grid
 from .geometry.planes import plane
@@ -92,6 +100,7 @@ __all__ = [
     "SurfaceTerm",
     "Table",
     "Term",
+    "TrustWarning",
     "UserEnergy",
     "UserPlasticity",
     "VonMises",

@@ -383,6 +383,53 @@ FAST int polarmpm_gather_boxes(const Batch *b, const PointKernels *kernels, cons
     return failed;
 }
 
+INLINE void box_work(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const double *from,
+                     const double *to, double *inside, double *whole, Work *w, double *old)
+{
+    const int nz = unknowns_of(dim, rot), block = nz * LANES, sides = (1 + dim) * block;
+    double *z = old, *r = z + block, *zk = r + block, *sums = zk + dim * block;
+    const BoxWork *boxes = &w->boxes;
+    int64_t group = 0, group_of[LANES];
+    for (int64_t start = 0; start < b->npoints; start += LANES) {
+        int coupled;
+        int64_t first = group;
+        evaluate(dim, rot, b, kernels, from, start, &first, group_of, w, &coupled);
+        memcpy(z, w->in, sizeof(double) * block), memcpy(r, w->out, sizeof(double) * block);
+        memcpy(zk, boxes->zk, sizeof(double) * dim * block), memcpy(sums, boxes->sums, sizeof(double) * sides);
+        w->gathered = -1;  /* the same group at other nodal values */
+        const int lanes = evaluate(dim, rot, b, kernels, to, start, &group, group_of, w, &coupled);
+        w->gathered = -1;
+        for (int l = 0; l < lanes; ++l) {
+            const double volume = b->volume[start + l], weight = volume * kernels->box_share[start + l] / 6.0;
+            double at_point = 0.0, in_box = 0.0;
+            for (int i = l; i < block; i += LANES) {
+                at_point += (w->in[i] - z[i]) * (w->out[i] - r[i]);
+                in_box += (w->in[i] - z[i]) * (boxes->sums[i] - sums[i]);
+            }
+            for (int i = l; i < dim * block; i += LANES)
+                in_box += (boxes->zk[i] - zk[i]) * (boxes->sums[block + i] - sums[block + i]);
+            inside[start + l] = weight * in_box;
+            whole[start + l] = volume * at_point + weight * in_box;
+        }
+    }
+}
+
+/* Of each point, the work of the change of its elastic stresses on the increments between two nodal states, and what of
+ * it is done inside its box: (z' - z)(R' - R), twice the energy of the change where that is linear. Returns nonzero when
+ * memory ran out. */
+FAST int polarmpm_box_work(const Batch *b, const PointKernels *kernels, const double *from, const double *to,
+                           double *inside, double *whole)
+{
+    if (b->npoints == 0) return 0;
+    Work w;
+    double *old = vectors((size_t)(3 + 2 * SIDES) * unknowns_of(b->dim, b->rot) * LANES);
+    const int failed = create_work(b, 0, 0, 1, &w) || !old;
+    if (!failed) SPECIALISED(box_work, b, kernels, from, to, inside, whole, &w, old);
+    free_work(&w);
+    free(old);
+    return failed;
+}
+
 /* The other half of symmetric sums whose rows are whole. Pairs: local nodes, and block columns of (row, col) and of
  * (col, row) in their rows; each node with itself, too. */
 void polarmpm_mirror(const Matrix *M, int32_t nb, int64_t pairs, const int32_t *row, const int32_t *col,
