@@ -19,7 +19,7 @@ class CubicSplines(Splines):
     degree = 3
     # a tail's stiffness goes with the fifth power of the layer's thickness, that of quadratic ones with the
     # third: this thickness leaves about as little of it as theirs
-    sliver = 0.35
+    sliver = 0.344
 
     def lines(self, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
         r, size = snap(grid.within(x, cells)), grid.sizes(cells)
