@@ -91,6 +91,32 @@ def test_cells_that_are_all_thin_stay_as_they_are():
     np.testing.assert_array_equal(SPLINES.supporting_cells(grid, x), grid.cells_of(x))
 
 
+@BOTH
+def test_slivers_of_seeded_bodies_move_with_the_grid(basis):
+    """Any number of points a cell, equal or Gauss positions, or a last box cut at a simple place: shifted by
+    whole cells of .7 m, or mirrored, the same points lean on the cell behind."""
+    splines, h = basis_of(basis), 0.7
+    for n in range(1, 13):
+        equal, gauss = (np.arange(n) + 0.5) / n, 0.5 * (1 + np.polynomial.legendre.leggauss(n)[0])
+        for rule in (equal, gauss, (np.arange(n) + 1) / n):
+            # a row of cells for each end
+            ends = [rule[:k] for k in range(1, n + 1)] + [np.array([t / 40]) for t in range(1, 11)]
+            x = [np.concatenate([2 + rule[rule < 1], 3 + end]) for end in ends]
+            rows = np.repeat(np.arange(len(x)), [len(r) for r in x])
+            y = np.stack([np.concatenate(x), rows + 0.5], axis=1)
+            y = np.array_split(y, COMM.size)[COMM.rank]
+            size = np.array([6, len(x)]) * h
+            expected = splines.supporting_cells(pm.Grid.box((0, 0), size, h), y * h)[:, 0]
+            for k in (-17, 3, 1001):
+                low = np.array([k * h, 0.0])
+                found = splines.supporting_cells(pm.Grid.box(low, low + size, h), y * h + low)[:, 0]
+                np.testing.assert_array_equal(found, expected)
+            mirrored = np.array([6.0, 0.0]) + y * [-1.0, 1.0]
+            found = splines.supporting_cells(pm.Grid.box((0, 0), size, h), mirrored * h)[:, 0]
+            free = np.abs(y[:, 0] - np.rint(y[:, 0])) > 1e-9  # on a plane either cell will do
+            np.testing.assert_array_equal(5 - found[free], expected[free])
+
+
 def block(
     dim: int, material: pm.Material, offset: float, basis: str = "bspline", **options
 ) -> pm.QuasiStatic:
@@ -149,7 +175,7 @@ def test_patch_of_a_body_that_cuts_cells(dim, material, reset, basis, strict):
     cells, inner = {"bspline": (7, (2.4, 4.0)), "bspline3": (9, (2.9, 5.1))}[basis]
     grid = pm.Grid.box((0,) * dim, (cells,) * dim, 1.0)
     lower, upper = np.full(dim, 0.85), np.full(dim, cells - 1.4)
-    points = pm.seed(grid, material=material, points_per_cell=3, bounds=(lower, upper))
+    points = pm.seed(grid, material=material, points_per_cell=3, bounds=(lower, upper), cut=False)
     shift = 0.003 * np.arange(1, dim + 1)
     points.x = points.X = points.x + shift
     problem = pm.QuasiStatic(grid, points, basis=basis, reset=reset, controls=strict, balanced_reset=False)

@@ -13,7 +13,7 @@ class QuadraticSplines(Splines):
 
     name = "bspline"
     degree = 2
-    sliver = 0.0955
+    sliver = 0.0955  # see `aggregation`
 
     def positions(self, grid: Grid, numbers: np.ndarray) -> np.ndarray:
         return grid.position(np.clip(grid.node_index(numbers) - 0.5, 0.0, grid.shape))

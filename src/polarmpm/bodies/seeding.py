@@ -64,24 +64,7 @@ def seed(
     lower, upper = _bounds(grid, bounds if bounds is not None else getattr(inside, "bounds", None))
     searched = grid.part(lower, np.maximum(upper, lower))
     body = _Body(inside, bounds, cut and layout == "uniform")
-    span = np.array(searched.shape)
-    axes = np.argsort(-span, kind="stable")  # the longest axis varies slowest: ranks get slices of it
-    cells = int(np.prod(span))
-    start, stop = (cells * r // grid.comm.size for r in (grid.comm.rank, grid.comm.rank + 1))
-    step = max(1, body.chunk(grid.dim) // len(xi))
-    found, error = [_Boxes.none(grid.dim)], None
-    try:
-        for begin in range(start, stop, step):
-            number = np.arange(begin, min(begin + step, stop))
-            index = np.stack(np.unravel_index(number, span[axes]), axis=1)[:, np.argsort(axes)]
-            x = searched.position(index[:, None, :] + xi[None]).reshape(-1, grid.dim)
-            sizes = np.repeat(searched.sizes(index), len(xi), axis=0)
-            volume = np.tile(share, len(index)) * np.prod(sizes, axis=1)
-            found.append(body.boxes(x, 0.5 * sizes / per_cell, volume))
-    except InputError as e:
-        error = e
-    raise_on_all_ranks(grid.comm, error)
-    made = _Boxes(*(np.concatenate(column) for column in zip(*map(astuple, found), strict=True)))
+    made = _found(searched, body, per_cell, xi, share)
     axes0 = made.axes if layout == "uniform" else np.zeros_like(made.axes)
     points = Points(made.x, made.volume, made.half, material, grid.comm, half_axes=axes0)
     if points.total == 0:
@@ -150,6 +133,29 @@ def _clipped(x: np.ndarray, half: np.ndarray, volume: np.ndarray, bounds: Any) -
     return _Boxes.along_grid(
         np.where(clipped, 0.5 * (low + high), x), volume * np.prod(length / half, axis=1), length
     )
+
+
+def _found(searched: Grid, body: _Body, per_cell: np.ndarray, xi: np.ndarray, share: np.ndarray) -> _Boxes:
+    """What is inside of this rank's share of the cells searched, in the order of the ids. Collective."""
+    dim, comm = searched.dim, searched.comm
+    span = np.array(searched.shape)
+    axes = np.argsort(-span, kind="stable")  # the longest axis varies slowest: ranks get slices of it
+    cells = int(np.prod(span))
+    start, stop = (cells * r // comm.size for r in (comm.rank, comm.rank + 1))
+    step = max(1, body.chunk(dim) // len(xi))
+    found, error = [_Boxes.none(dim)], None
+    try:
+        for begin in range(start, stop, step):
+            number = np.arange(begin, min(begin + step, stop))
+            index = np.stack(np.unravel_index(number, span[axes]), axis=1)[:, np.argsort(axes)]
+            x = searched.position(index[:, None, :] + xi[None]).reshape(-1, dim)
+            sizes = np.repeat(searched.sizes(index), len(xi), axis=0)
+            volume = np.tile(share, len(index)) * np.prod(sizes, axis=1)
+            found.append(body.boxes(x, 0.5 * sizes / per_cell, volume))
+    except InputError as e:
+        error = e
+    raise_on_all_ranks(comm, error)
+    return _Boxes(*(np.concatenate(column) for column in zip(*map(astuple, found), strict=True)))
 
 
 def _points_per_cell(value: int | Sequence[int], dim: int) -> np.ndarray:
