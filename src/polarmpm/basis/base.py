@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.grid import MARGIN, Grid, box_indices
 from ..geometry.planes import PlaneSpec
+from ..kinematics.stretch import domain_half_length
 from .aggregation import supporting_cells
 
 
@@ -79,6 +80,11 @@ class Basis(ABC):
         the field's own."""
         return grid.node_position(numbers)
 
+    def domains(self, F: np.ndarray, half_length0: np.ndarray) -> np.ndarray:
+        """Half lengths (m), (n, d), of the domains over which points are weighted, from their deformation
+        gradients (n, 3, 3) and initial half lengths (n, d) (m); asked for where `uses_domains`."""
+        return domain_half_length(F, half_length0)
+
     def weights(
         self,
         grid: Grid,
@@ -86,10 +92,10 @@ class Basis(ABC):
         half_length: np.ndarray | None = None,
         cells: np.ndarray | None = None,
     ) -> Weights:
-        """Weights of points at x (n, d) (m).
+        """Weights of points at x (n, d) (m). Collective.
 
         Args:
-            half_length: of the domains (n, d) (m); needed where `uses_domains`.
+            half_length: of the domains (n, d) (m), from `domains`; needed where `uses_domains`.
             cells: lattice index (n, d) of the cells whose functions weight the points, from
                 `supporting_cells`. Default: those that the points are in.
 
