@@ -40,7 +40,9 @@ class PointBoxes:
         reference: state at the last reset.
     """
 
-    def __init__(self, batch: native.Batch, layout: Layout, points: Points, rows: np.ndarray, reference: Reference):
+    def __init__(
+        self, batch: native.Batch, layout: Layout, points: Points, rows: np.ndarray, reference: Reference
+    ):
         self.batch, self.layout, self.points, self.rows = batch, layout, points, rows
         d = layout.dim
         F, self._half_axes0 = reference.F[rows, :d, :d], points.half_axes0[rows]
@@ -123,8 +125,9 @@ class PointBoxes:
         for k in range(self.layout.dim):
             for side in (z + zk[:, k], z - zk[:, k]):
                 energy += kernel(side, *known)[:, 0]
-        weight = self.share * self.batch.kept["volume"] / 6.0
-        return weight * energy
+        weight: np.ndarray = self.share * self.batch.kept["volume"] / 6.0
+        energy *= weight
+        return energy
 
     def work(self, kernel: Kernel, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Work (J) of the change of the elastic stresses on the change of the strains between nodal increments (nodes,

@@ -262,17 +262,23 @@ class Points:
         return self._select(mask)
 
     def farthest(self, direction: Sequence[float], tolerance: float | None = None) -> Selection:
-        """The plane of points farthest in a direction, within `tolerance` (m). Collective.
+        """The layer of points farthest in a direction, within `tolerance` (m). Collective.
 
-        Default tolerance: half of the smallest domain half-length.
+        Default tolerance: what a whole box, with the largest half lengths that the points were seeded with,
+        reaches from its centre in this direction. That takes all points whose boxes an end face across the
+        direction touches or cuts, and no second layer of a body along the grid.
         """
         n = np.asarray(direction, float)
         if n.shape != (self.dim,) or not np.linalg.norm(n) > 0:
             raise InputError(f"direction = {direction!r}: {self.dim} numbers, not all zero")
-        along = self.x @ (n / np.linalg.norm(n))
+        n = n / np.linalg.norm(n)
+        along = self.x @ n
         most = self.comm.allreduce(along.max(initial=-np.inf), op=MPI.MAX)
         if tolerance is None:
-            tolerance = 0.5 * self.comm.allreduce(self.half_length0.min(initial=np.inf), op=MPI.MIN)
+            half: np.ndarray = np.max(self.half_length0, axis=0, initial=0.0)
+            self.comm.Allreduce(MPI.IN_PLACE, half, op=MPI.MAX)
+            # a layer next to one that is hardly there is a little more than that away
+            tolerance = (1.0 - 1e-6) * float(half @ np.abs(n))
         return self._select(along >= most - tolerance)
 
     def nearest(self, position: Sequence[float], count: int = 1) -> Selection:

@@ -331,7 +331,9 @@ class QuasiStatic(Problem):
     def _interpolate(self, reference: Reference | None) -> Interpolation:
         for term in self.terms if reference is None else []:
             term.begin()
-        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, self.terms, self.boxes)
+        made = Interpolation(
+            self.grid, self.points, self.basis, self.forms, reference, self.terms, self.boxes
+        )
         self._conservation.reset(made)
         self.load_shares.built(self.points, made.nodes)
         return made
