@@ -68,6 +68,17 @@ def _check_assembly(assembly: str, basis: Basis) -> str:
     return assembly
 
 
+def _check_boxes(boxes: bool | None, basis: Basis) -> bool:
+    if boxes not in (None, True, False):
+        raise InputError(f"boxes = {boxes!r}: allowed are True, False and None")
+    if boxes and not basis.fills_boxes:
+        allowed = names(lambda b: b.fills_boxes)
+        raise InputError(
+            f"boxes = True: basis = {basis.name!r} has no second derivatives; allowed are {allowed}"
+        )
+    return basis.fills_boxes if boxes is None else boxes
+
+
 class QuasiStatic(Problem):
     """Equilibrium of material points on a grid under slowly changing loads. All methods are collective.
 
@@ -102,6 +113,8 @@ class QuasiStatic(Problem):
         solver: of linear systems: "direct" (MUMPS), "multigrid" (a Krylov method with algebraic multigrid:
             less time and memory in large problems in space), or "auto", which chooses by the number of
             unknowns.
+        boxes: points integrate the strain energy over their own boxes (docs/theory.md), so that few of them see that
+            a thin body bends; by default with all bases that have second derivatives, the splines.
 
     Raises:
         InputError: an argument is out of range; materials that don't go together.
@@ -139,7 +152,7 @@ class QuasiStatic(Problem):
                 points.materials, f"the functions of basis={self.basis.name!r}", "basis='bspline'"
             )
         self.rotation_limit = 1.0
-        self.boxes = self.basis.fills_boxes if boxes is None else boxes
+        self.boxes = _check_boxes(boxes, self.basis)
         self.box_record = BoxRecord(points, self.forms, grid.comm)
         self.load_shares = LoadShares(grid.comm, rebalance)
         self._conservation = Conservation(grid.comm)
