@@ -202,8 +202,8 @@ class PointSystem(LoadedPoints):
         return Assembled(internal - self._dead_forces(), lifted)
 
     def _begin_tangent(self, lifted: np.ndarray | None) -> None:
-        """Begin the tangent's sums with what the points' boxes add; where that is at hand from an earlier iteration, it
-        is good enough."""
+        """Begin the tangent's sums with what the points' boxes add; where that is at hand from an earlier
+        iteration, it is good enough."""
         values, boxes, step = self.pattern.values, self.interpolation.boxes, self.step
         step.tangents += 1
         later = step.tangents >= _STUBBORN or (self._factors_cost and step.tangents == _RENEWED)

@@ -83,8 +83,8 @@ class AveragedSplines(QuadraticSplines):
     def _means(
         self, grid: Grid, low: np.ndarray, high: np.ndarray, cells: np.ndarray, orders: int
     ) -> np.ndarray:
-        """Means of what `derivatives` gives over the intervals from low to high (n, d) (m), by Gauss' rule of two
-        points, which is exact."""
+        """Means of what `derivatives` gives over the intervals from low to high (n, d) (m), by Gauss' rule of
+        two points, which is exact."""
         centre, away = 0.5 * (low + high), 0.5 * _GAUSS * (high - low)
         means = self.derivatives(grid, centre - away, cells, orders)
         means += self.derivatives(grid, centre + away, cells, orders)
@@ -99,7 +99,7 @@ def _steps(grid: Grid, x: np.ndarray, half: np.ndarray, cells: np.ndarray) -> np
     """
     lower, size = grid.corners(cells), grid.sizes(cells)
     below, above = lower - (x - half), x + half - (lower + size)
-    step = np.where(above > below, 1, -1) * (np.maximum(below, above) > _REACH * size)
+    step: np.ndarray = np.where(above > below, 1, -1) * (np.maximum(below, above) > _REACH * size)
     # points that lean on another cell have its polynomials, whose continuation goes on into their own
     step[np.any(cells != grid.cells_of(x), axis=1)] = 0
     step[(cells + step < 0) | (cells + step >= np.array(grid.shape))] = 0

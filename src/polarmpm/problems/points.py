@@ -113,8 +113,8 @@ class QuasiStatic(Problem):
         solver: of linear systems: "direct" (MUMPS), "multigrid" (a Krylov method with algebraic multigrid:
             less time and memory in large problems in space), or "auto", which chooses by the number of
             unknowns.
-        boxes: points integrate the strain energy over their own boxes (docs/theory.md), so that few of them see that
-            a thin body bends; by default with all bases that have second derivatives, the splines.
+        boxes: points integrate the strain energy over their own boxes (docs/theory.md), so that few of them
+            see that a thin body bends; by default with all bases that have second derivatives, the splines.
 
     Raises:
         InputError: an argument is out of range; materials that don't go together.
@@ -237,8 +237,8 @@ class QuasiStatic(Problem):
         self.box_record.note(outcome.unresolved, self.progress.step)
 
     def trust(self) -> str:
-        """How far the run can be trusted, in a line: the largest share of a step's work that is done inside the points'
-        boxes, where neither the grid nor the points resolve it (docs/accuracy.md)."""
+        """How far the run can be trusted, in a line: the largest share of a step's work that is done inside
+        the points' boxes, where neither the grid nor the points resolve it (docs/accuracy.md)."""
         return self.box_record.summary()
 
     def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
@@ -260,7 +260,8 @@ class QuasiStatic(Problem):
                 p.rotation_factor = factor
 
     def _with_boxes(self, change: Callable[[], None]) -> None:
-        """Change what the boxes' energy depends on besides the increments; what it loses counts as carried."""
+        """Change what the boxes' energy depends on besides the increments; what it loses counts as
+        carried."""
         boxes = self.box_record
         before = boxes.energy(self._system)
         change()
