@@ -93,9 +93,10 @@ class QuasiStatic(Problem):
     Args:
         grid: background grid.
         points: the body.
-        basis: weighting functions: "bspline" (quadratic), "bspline3" (cubic), "gimpm" or "mpm" (T 2.3.2), or
-            a `Basis`. The defaults of this and of the resets are the settings with the least error for their
-            time (docs/accuracy.md); those of the papers are `pm.PUBLISHED`.
+        basis: weighting functions: "bspline" (quadratic), "bspline-averaged" (over the points' boxes),
+            "bspline3" (cubic), "gimpm" or "mpm" (T 2.3.2), or a `Basis`. The defaults of this and of the
+            resets are the settings with the least error for their time (docs/accuracy.md); those of the papers
+            are `pm.PUBLISHED`.
         assembly: how residual and tangent are summed over the points: "direct", or (with basis="mpm") as a
             "projection" on a quadrature space, assembled by dolfinx, to the same result.
         reset: when the grid is reset: a policy such as `WhenDistorted(0.2)`, every n steps (1: the papers'
