@@ -53,6 +53,8 @@ class Basis(ABC):
         sliver: largest thickness, in cells, of what fills a cell so little that its points are weighted with
             the functions of the cell behind it (`aggregation`); 0: there is no such thing.
         uses_domains: weights depend on the points' current domains, not on their positions alone.
+        thin_reach: some points reach nodes by so little of their domains that balancing forces there by
+            stresses would take stresses as large as the body's own (`assembly.carrying`).
     """
 
     name: str
@@ -63,6 +65,7 @@ class Basis(ABC):
     locks: bool = False
     sliver: float = 0.0
     uses_domains: bool = False
+    thin_reach: bool = False
 
     @property
     def functions(self) -> int:

@@ -11,7 +11,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 9,             /* raised with every change of a structure or signature; native.py reads it here */
+    INTERFACE = 10,            /* raised with every change of a structure or signature; native.py reads it here */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */
@@ -61,6 +61,9 @@ typedef struct {
     const double *before;      /* nodal values before the last correction, for the tangent's kernel; NULL: not needed */
     const int32_t *returned_of;  /* [point] row of `returned`, -1: evaluate the kernel; NULL: kernel for all points */
     const double *returned;    /* [row][nz (+ nz nz with tangent)] per volume, from the return mapping */
+    kernel_t initial;          /* (z, frame, stress) -> what an initial stress adds to `kernel`'s; NULL: there is none */
+    const double *initial_stress;  /* [point][ninitial] */
+    int32_t ninitial;          /* at most INITIAL_MAX */
 } PointKernels;
 
 INLINE int block_size(const Batch *b) { return b->dim + b->rot; }
