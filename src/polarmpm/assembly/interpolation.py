@@ -64,7 +64,7 @@ class Interpolation:
         reference: Reference | None = None,
         terms: Sequence[Term] = (),
     ):
-        self.grid, self.points, self.forms = grid, points, forms
+        self.grid, self.points, self.basis, self.forms = grid, points, basis, forms
         self.layout: Layout = forms[0].layout
         self.reference = r = reference or Reference.of(points, self.layout.block)
         cells = basis.supporting_cells(grid, r.x) if basis.sliver else None
