@@ -52,9 +52,7 @@ class InitialStress:
         if self._any:
             kernel = self.kernels.blocks if tangent else self.kernels.residual
             size = self.kernels.form.size
-            native.fill(
-                kernels, initial=kernel.address, initial_stress=self._packed[k], ninitial=size
-            )
+            native.fill(kernels, initial=kernel.address, initial_stress=self._packed[k], ninitial=size)
 
     def energy(self, x: np.ndarray) -> float:
         """Their energy (J) at nodal increments x (nodes, block), of this rank's points."""

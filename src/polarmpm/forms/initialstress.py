@@ -81,7 +81,9 @@ class InitialStressForm:
     def _symmetric(self, first: int) -> Any:
         d = self.layout.dim
         place = {pair: first + k for k, pair in enumerate(zip(*np.triu_indices(d), strict=True))}
-        return ufl.as_tensor([[self._stress[place[min(i, j), max(i, j)]] for j in range(d)] for i in range(d)])
+        return ufl.as_tensor(
+            [[self._stress[place[min(i, j), max(i, j)]] for j in range(d)] for i in range(d)]
+        )
 
     @property
     def energy(self) -> Any:

@@ -47,7 +47,9 @@ def step_work(system: NodalSystem, start: StepStart, last: np.ndarray) -> tuple[
         [
             0.5 * np.sum((start.before[own] + last[own]) * moved),
             0.5 * np.sum(reactions[held] * moved[held]),
-            np.sum(system.carried[own] * moved) + system.initial_energy(start.x) - system.initial_energy(system.x),
+            np.sum(system.carried[own] * moved)
+            + system.initial_energy(start.x)
+            - system.initial_energy(system.x),
         ]
     )
     system.comm.Allreduce(MPI.IN_PLACE, sums)
