@@ -9,8 +9,8 @@ from polarmpm.kinematics import rotations
 
 
 def in_balance(problem: pm.QuasiStatic) -> tuple[float, float]:
-    """Sum of dead loads on points and of all reactions over the loads' size, and the same of their moments over
-    the loads' size times the body's. Collective."""
+    """Sum of dead loads on points and of all reactions over the loads' size, and the same of their moments
+    over the loads' size times the body's. Collective."""
     system, p, comm = problem.system, problem.points, problem.comm
     own, d, r = system.owned, problem.layout.dim, problem.layout.rotations
     forces, couples = problem._converged_loads

@@ -1,78 +1,26 @@
 """Balanced resets: what the new basis can't balance is carried as an initial stress of the points.
 
-The out-of-balance forces r of the points' stresses in the new basis are given to a field of initial stresses
-a : grad w, where w solves K w = -r and K sums the material part a of the points' tangents. They balance in
-force and in moment for whatever the body does until the next reset (`forms.initialstress`). What no stress can
-balance stays a dead force on the nodes, which forces on prescribed unknowns close (docs/theory.md).
+The out-of-balance forces r of the points' stresses in the new basis are given to a field of initial
+stresses a : grad w, where w solves K w = -r and K sums the material part a of the points' tangents. They
+balance in force and in moment for whatever the body does until the next reset (`forms.initialstress`). What
+no stress can balance stays a dead force on the nodes, which forces on prescribed unknowns close
+(docs/theory.md).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
-from mpi4py import MPI
 
 import numpy as np
 
-from ..forms.initialstress import InitialKernels
-from ..kernels import native
 from ..solvers.linear import SingularTangent
-from .interpolation import Interpolation, PointBatch
-
-if TYPE_CHECKING:
-    from .points import LoadedPoints  # it takes initial stresses along, as it sums
+from .initialstress import frames
+from .points import LoadedPoints
 
 _SOFTEST = 1e-8  # stiffness of directions that the material has none in (turns), over that of the others
 _SOLUTIONS = 2  # the shift leaves 1e-8 of r after the first one
 _THIN = 1e-7  # shift of the matrix over its largest diagonal, where nodes are reached by too little
 _RANK = 1e-10  # of the equations for closing forces
-
-
-class InitialStress:
-    """The initial stresses of an interpolation's points (`Reference.initial_stress`), as kernels take them."""
-
-    def __init__(self, interpolation: Interpolation, kernels: InitialKernels):
-        self.interpolation, self.kernels = interpolation, kernels
-        self.pack()
-
-    def pack(self) -> None:
-        """Take over stresses, or frames, that have changed."""
-        stress = self.interpolation.reference.initial_stress
-        self._any = bool(np.any(stress))
-        pack, batches = self.kernels.form.pack, self.interpolation.batches
-        self._packed = [np.ascontiguousarray(pack(stress[b.rows], _frames(b))) for b in batches]
-
-    def active(self) -> bool:
-        """Whether there are any. Collective."""
-        return bool(self.interpolation.grid.comm.allreduce(self._any, op=MPI.LOR))
-
-    def put(self, k: int, tangent: bool, kernels: native.PointKernels) -> None:
-        """Let the sums over batch k take them along."""
-        if self._any:
-            kernel = self.kernels.blocks if tangent else self.kernels.residual
-            size = self.kernels.form.size
-            native.fill(kernels, initial=kernel.address, initial_stress=self._packed[k], ninitial=size)
-
-    def energy(self, x: np.ndarray) -> float:
-        """Their energy (J) at nodal increments x (nodes, block), of this rank's points."""
-        if not self._any:
-            return 0.0
-        total, nz = 0.0, self.interpolation.layout.unknowns
-        for b, packed in zip(self.interpolation.batches, self._packed, strict=True):
-            z = self.interpolation.kernel_inputs(b, x)[:, :nz]
-            total += float(self.kernels.energy(z, _frames(b), packed)[:, 0] @ b.batch.kept["volume"])
-        return total
-
-    def replace(self, stress: np.ndarray) -> None:
-        """Put in stresses (np, b, d)."""
-        self.interpolation.reference.initial_stress[:] = stress
-        self.pack()
-
-
-def _frames(batch: PointBatch) -> np.ndarray:
-    d = batch.batch.dim
-    return batch.batch.kept["state"][:, : d * d].reshape(-1, d, d)
 
 
 # the material part of the tangents --------------------------------------------------------------------
@@ -94,9 +42,9 @@ class Moduli:
         before = (still,) if system.interpolation.forms[k].predicts else ()
         of_material = system.kernels[k][1](inputs, *before)
         assert system.initial is not None
-        kernels, frames = system.initial.kernels, _frames(batch)
+        kernels, frame = system.initial.kernels, frames(batch)
         stress = self.stresses(of_material[:, :nz])
-        geometric = kernels.blocks(still, frames, kernels.form.pack(stress, frames))
+        geometric = kernels.blocks(still, frame, kernels.form.pack(stress, frame))
         self.blocks: np.ndarray = np.zeros((n, nz + nz * nz))
         a, upper = self._matrices, np.triu_indices(nz)
         a[:, upper[0], upper[1]] = a[:, upper[1], upper[0]] = (of_material - geometric)[:, nz:]
@@ -109,12 +57,14 @@ class Moduli:
     @property
     def _matrices(self) -> np.ndarray:
         n, nz = len(self.blocks), self._layout.unknowns
-        return self.blocks[:, nz:].reshape(n, nz, nz)
+        a: np.ndarray = self.blocks[:, nz:].reshape(n, nz, nz)
+        return a
 
     def stresses(self, work: np.ndarray) -> np.ndarray:
         """Stresses (n, b, d) that do the work (n, nz) on variations of z in the points' frames."""
         rows = [self._layout.part(work, field, 1) for field in ("displacement", "rotation")]
-        return np.concatenate(rows, axis=1) @ np.swapaxes(_frames(self._batch), 1, 2)
+        stresses: np.ndarray = np.concatenate(rows, axis=1) @ np.swapaxes(frames(self._batch), 1, 2)
+        return stresses
 
     def times(self, z: np.ndarray) -> np.ndarray:
         """Stresses a z (n, b, d) of z (n, nz)."""
@@ -189,8 +139,8 @@ def closing(system: LoadedPoints, forces: np.ndarray) -> np.ndarray:
 
 
 def _sums(system: LoadedPoints) -> np.ndarray:
-    """By what forces (owned nodes, block) are multiplied to sum up to a force and, about the body's middle and
-    over its size, a moment: (components, owned nodes, block). Collective."""
+    """By what forces (owned nodes, block) are multiplied to sum up to a force and, about the body's middle
+    and over its size, a moment: (components, owned nodes, block). Collective."""
     own, d, r = system.owned, system.layout.dim, system.layout.rotations
     x = system.positions()[:own]
     x = x - system.comm.allreduce(x.sum(axis=0)) / system.nodes.total

@@ -20,12 +20,12 @@ from ..solvers.choice import make_solver, solver_of
 from ..solvers.linear import Tangent
 from ..tools.timing import Timer
 from . import sparsity
+from .initialstress import InitialStress
 from .interpolation import Interpolation, PointBatch
 from .system import Assembled, NodalSystem
 
 if TYPE_CHECKING:
     from ..forms.returnmapping import ReturnMapping
-    from .carrying import InitialStress
 
 
 _WEAK = 0.2  # share of a cell: nodes beyond edges of the body, and beyond faces that hardly enter a cell

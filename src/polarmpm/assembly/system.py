@@ -70,8 +70,8 @@ class NodalSystem(ABC):
             terms.
         external: the same with those of terms, as of the last evaluation.
         residual: internal minus external and carried forces of the last evaluation; complete on owned rows.
-        carried: forces on the nodes that stand for what neither the basis nor initial stresses could balance at
-            the last reset.
+        carried: forces on the nodes that stand for what neither the basis nor initial stresses could balance
+            at the last reset.
         step: where the iterations of the present step stand.
         terms: what acts on the nodes besides the body's stresses and loads.
         length: size of a cell (m) in each direction, which tells what a displacement means as a strain.
@@ -207,8 +207,8 @@ class NodalSystem(ABC):
         return 0.0
 
     def imbalance(self) -> np.ndarray:
-        """Internal minus external forces (nodes, block) at free unknowns, complete on owned rows, but for terms
-        that a reset doesn't carry along or that have just been added. Collective."""
+        """Internal minus external forces (nodes, block) at free unknowns, complete on owned rows, but for
+        terms that a reset doesn't carry along or that have just been added. Collective."""
 
         def apart(piece: Piece) -> bool:
             return piece.fresh or not piece.carried

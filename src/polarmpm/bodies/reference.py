@@ -17,9 +17,9 @@ class Reference:
 
     Attributes:
         x, F, q, wryness: as of `Points`.
-        initial_stress: what a balanced reset has added to the stresses, per reference volume, (np, b, d) for b
-            unknowns of a node: S0 of a classical material; B0 (Pa) and below it M0 (N/m) of a micropolar one
-            (docs/theory.md).
+        initial_stress: what a balanced reset has added to the stresses, per reference volume, (np, b, d) for
+            b unknowns of a node: S0 of a classical material; B0 (Pa) and below it M0 (N/m) of a micropolar
+            one (docs/theory.md).
     """
 
     x: np.ndarray

@@ -72,7 +72,8 @@ class InitialStressForm:
         d)."""
         n, back = len(stress), np.linalg.inv(frame)
         if self.layout.rotations:
-            return (stress @ np.swapaxes(back, 1, 2)).reshape(n, -1)
+            packed: np.ndarray = (stress @ np.swapaxes(back, 1, 2)).reshape(n, -1)
+            return packed
         upper = np.triu_indices(self.layout.dim)
         of_square = self._weights[0] * (back @ stress @ np.swapaxes(back, 1, 2))
         of_inverse = self._weights[1] * (np.swapaxes(frame, 1, 2) @ stress @ frame)

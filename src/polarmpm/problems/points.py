@@ -11,6 +11,7 @@ from mpi4py import MPI
 import numpy as np
 
 from ..assembly import carrying
+from ..assembly.initialstress import InitialStress
 from ..assembly.interpolation import Interpolation
 from ..assembly.points import LoadedPoints, PointSystem
 from ..basis.base import Basis
@@ -285,8 +286,8 @@ class QuasiStatic(Problem):
         return system
 
     def _put_balance(self, system: LoadedPoints) -> None:
-        """Put in the loads that a reset has to balance: not the present ones, as what has been added since the
-        last step stays out of balance."""
+        """Put in the loads that a reset has to balance: not the present ones, as what has been added since
+        the last step stays out of balance."""
         system.set_loads(*(self._converged_loads or self._loads_at(self.progress.factor)))
         self._set_terms(self.progress.factor, carrying=True)
 
@@ -349,7 +350,7 @@ class QuasiStatic(Problem):
             if c.initial is None:
                 with self.timer("compile"):
                     c.initial = InitialStressForm(self.layout).compile(self.comm)
-            system.initial = carrying.InitialStress(interpolation, c.initial)
+            system.initial = InitialStress(interpolation, c.initial)
         return system
 
     def _compile(self) -> None:

@@ -28,8 +28,8 @@ class StepStart:
 
 
 def step_work(system: NodalSystem, start: StepStart, last: np.ndarray) -> tuple[float, float]:
-    """Work (J) in a step that has converged, of loads and supports, and of what resets carry along: forces, and
-    initial stresses, whose energy it takes. Collective.
+    """Work (J) in a step that has converged, of loads and supports, and of what resets carry along: forces,
+    and initial stresses, whose energy it takes. Collective.
 
     By the trapezoidal rule, so that its error falls with the square of the step. The reactions at the start
     are those in the present basis, from the internal forces of the first evaluation.
