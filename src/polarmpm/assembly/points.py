@@ -115,6 +115,8 @@ class LoadedPoints(NodalSystem):
         if self.couple_kernel is not None:
             rows, couples = self._couples[k]
             native.fill(kernels, couple=self.couple_kernel.address, couple_of=rows, couples=couples)
+        if self.interpolation.boxes is not None:
+            self.interpolation.boxes[k].put(kernels, self.kernels[k][0])
         mapping = self.mappings[k]
         if mapping is not None:
             self._put_yielding(mapping, k, tangent, kernels)
@@ -208,8 +210,8 @@ class PointSystem(LoadedPoints):
         lifted = None if lift is None else np.zeros_like(self.x)
         matrix = self.pattern.matrix
         if tangent:
-            self.pattern.values[:] = 0.0
             native.fill(matrix, lift=lift)
+            self._begin_tangent(lifted)
         for k, batch in enumerate(self.interpolation.batches):
             self._assemble(k, batch, matrix if tangent else None, internal, lifted)
         self.nodes.add_to_owners(internal)
@@ -224,6 +226,17 @@ class PointSystem(LoadedPoints):
             lifted += self.lifted_by_terms(lift)
             self.nodes.add_to_owners(lifted)
         return Assembled(internal - self._dead_forces(), lifted)
+
+    def _begin_tangent(self, lifted: np.ndarray | None) -> None:
+        """Begin the tangent's sums with what the points' boxes add: it is that of the start of the step."""
+        values, boxes = self.pattern.values, self.interpolation.boxes
+        if boxes is None or (self.step.boxes is not None and lifted is None):
+            values[:] = 0.0 if boxes is None else self.step.boxes
+            return
+        values[:] = 0.0
+        for own, form, (_, kernel) in zip(boxes, self.interpolation.forms, self.kernels, strict=True):
+            own.add_moduli(kernel, self.pattern.matrix, self.x, lifted, self.x if form.predicts else None)
+        self.step.boxes = values.copy()
 
     def _assemble(
         self,

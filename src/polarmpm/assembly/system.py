@@ -49,6 +49,7 @@ class StepState:
         correction: the last one; None before the first.
         rounding: squares of the forces that rounding makes, see `NodalSystem._rounding_squares`; None before
             the first tangent.
+        boxes: values of the matrix that the points' boxes have given; None before the first tangent.
     """
 
     lift: np.ndarray
@@ -57,6 +58,7 @@ class StepState:
     lifted: np.ndarray | None = None
     correction: np.ndarray | None = None
     rounding: np.ndarray | None = None
+    boxes: np.ndarray | None = None
 
 
 class NodalSystem(ABC):

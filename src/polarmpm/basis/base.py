@@ -20,12 +20,18 @@ class Weights:
     Attributes:
         lowest: lattice index of the lowest node (n, d).
         count: number of nodes in each direction (n, d).
-        table: values and gradients (1/m), (n, d, 2, slots); unused slots are zero.
+        table: values and gradients (1/m), and after `with_curvatures` second derivatives (1/m^2), in each
+            direction, (n, d, 2 or 3, slots); unused slots are zero.
     """
 
     lowest: np.ndarray
     count: np.ndarray
     table: np.ndarray
+
+    def with_curvatures(self, basis: Basis, grid: Grid, x: np.ndarray) -> Weights:
+        """The same of points at x (n, d) with second derivatives of the basis' functions."""
+        curvatures = basis.curvatures(grid, x, self.lowest)[:, :, None]
+        return Weights(self.lowest, self.count, np.concatenate([self.table, curvatures], axis=2))
 
     def products(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
         """Lattice numbers of each point's nodes and their weights, (n, slots^d); unused slots weigh zero."""
@@ -55,6 +61,7 @@ class Basis(ABC):
         uses_domains: weights depend on the points' current domains, not on their positions alone.
         thin_reach: some points reach nodes by so little of their domains that balancing forces there by
             stresses would take stresses as large as the body's own (`assembly.carrying`).
+        fills_boxes: second derivatives are known (`curvatures`), so that points integrate over their own boxes.
     """
 
     name: str
@@ -66,6 +73,7 @@ class Basis(ABC):
     sliver: float = 0.0
     uses_domains: bool = False
     thin_reach: bool = False
+    fills_boxes: bool = False
 
     @property
     def functions(self) -> int:
@@ -76,6 +84,11 @@ class Basis(ABC):
     def lines(self, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """Values and gradients (1/m) in each direction of the functions of cells of lattice index (n, d) at
         positions x (n, d) (m), continued beyond the cells: (n, d, 2, functions)."""
+
+    def curvatures(self, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        """Second derivatives (1/m^2) in each direction, where `lines` gives values and gradients: (n, d,
+        functions). Needed where the basis `fills_boxes`."""
+        raise NotImplementedError(f"basis {self.name!r} has no second derivatives")
 
     def positions(self, grid: Grid, numbers: np.ndarray) -> np.ndarray:
         """Positions (m), (n, d), of nodes of lattice numbers (n,): there nodal values of a linear field are

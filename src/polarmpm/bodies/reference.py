@@ -17,6 +17,7 @@ class Reference:
 
     Attributes:
         x, F, q, wryness: as of `Points`.
+        reset_wryness: wryness at the last reset.
         initial_stress: what a balanced reset has added to the stresses, per reference volume, (np, b, d) for
             b unknowns of a node: S0 of a classical material; B0 (Pa) and below it M0 (N/m) of a micropolar
             one (docs/theory.md).
@@ -26,13 +27,14 @@ class Reference:
     F: np.ndarray
     q: np.ndarray
     wryness: np.ndarray
+    reset_wryness: np.ndarray
     initial_stress: np.ndarray
 
     @classmethod
     def of(cls, points: Points, block: int) -> Reference:
         """The points' current state, without an initial stress; `block`: unknowns of a node."""
-        none = np.zeros((len(points), block, points.dim))
-        return cls(points.x.copy(), points.F.copy(), points.q.copy(), points.wryness.copy(), none)
+        x, w, none = points.x, points.wryness, np.zeros((len(points), block, points.dim))
+        return cls(x.copy(), points.F.copy(), points.q.copy(), w.copy(), w.copy(), none)
 
     def rebase_rotations(self, points: Points) -> None:
         """Count rotations from the points' current ones on; an initial stress turns with its base."""
@@ -45,7 +47,7 @@ class Reference:
 
     def moved(self, route: Route) -> Reference:
         """The same of points that have gone to other ranks. Collective."""
-        return Reference(*(route.forward(getattr(self, f.name)) for f in fields(self)))
+        return Reference(**{f.name: route.forward(getattr(self, f.name)) for f in fields(self)})
 
 
 @dataclass

@@ -67,6 +67,7 @@ void polarmpm_scalar_columns(int64_t nodes, const int64_t *offsets, const int64_
 }
 
 #include "_scatter.h"
+#include "_boxes.h"
 
 typedef struct {
     double *in, *out, *cin, *cout, *iin, *iout, *A;
@@ -74,15 +75,8 @@ typedef struct {
     Place *at;
     int sv;                            /* vectors of the nodes of the largest group */
     int64_t gathered;                  /* the group of which x and before are; -1: none */
+    BoxWork boxes;                     /* without memory where no point has a box */
 } Work;
-
-static void *vectors(size_t n)
-{
-    const size_t line = 8 * LANES;  /* what the kernels' vectors need, and no less than a vec */
-    void *p = aligned_alloc(line, (n * sizeof(double) / line + 1) * line);
-    if (p) memset(p, 0, n * sizeof(double));
-    return p;
-}
 
 INLINE void gather_group(const int nb, int n, int sv, const int32_t *nodes, const double *x, vec *out)
 {
@@ -90,24 +84,6 @@ INLINE void gather_group(const int nb, int n, int sv, const int32_t *nodes, cons
     for (int i = 0; i < nb; ++i) {
         for (int a = 0; a < n; ++a) to[i * sv * WIDTH + a] = x[(int64_t)nodes[a] * nb + i];
         for (int a = n; a < sv * WIDTH; ++a) to[i * sv * WIDTH + a] = 0.0;
-    }
-}
-
-INLINE double dot(const int nv, const vec *a, const vec *b)
-{
-    vec sum = a[0] * b[0];
-    for (int v = 1; v < nv; ++v) sum += a[v] * b[v];
-    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
-}
-
-/* z = (du/dx, w, dw/dx) of a point from its group's nodal values, written with a step. */
-INLINE void interpolate(const int dim, const int rot, int nv, int sv, const vec *s, const vec *x, double *z,
-                        const int step)
-{
-    for (int i = 0; i < dim + rot; ++i) {
-        double *gradient = z + gradient_slot(dim, rot, i) * step;
-        if (has_value(dim, i)) z[value_slot(dim, rot, i) * step] = dot(nv, x + i * sv, s);
-        for (int j = 0; j < dim; ++j) gradient[j * step] = dot(nv, x + i * sv, s + (1 + j) * sv);
     }
 }
 
@@ -149,6 +125,9 @@ INLINE int evaluate(const int dim, const int rot, const Batch *b, const PointKer
         shape(dim, b, p, b->count + *group * dim, b->state + p * ns, sv * WIDTH, (double *)s);
         interpolate(dim, rot, nv, sv, s, w->x, w->in + l, LANES);
         if (kernels->before) interpolate(dim, rot, nv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l, LANES);
+        if (kernels->box_axes)
+            gather_sides(dim, rot, b, kernels, p, b->count + *group * dim, n, sv, w->x, l, &w->boxes, w->boxes.zk + l,
+                         LANES);
         for (int k = 0; k < ns; ++k) w->in[(nz + k) * LANES + l] = b->state[p * ns + k];
         if (kernels->couple) {
             const int32_t row = kernels->couple_of[p];
@@ -164,8 +143,11 @@ INLINE int evaluate(const int dim, const int rot, const Batch *b, const PointKer
         for (int k = nz + ns + np; kernels->before && k < 2 * nz + ns + np; ++k)
             w->in[k * LANES + l] = w->in[k * LANES + lanes - 1];
         for (int k = 0; k < 2 * SPIN; ++k) w->cin[k * LANES + l] = w->cin[k * LANES + lanes - 1];
+        for (int k = 0; kernels->box_axes && k < dim * nz; ++k)
+            w->boxes.zk[k * LANES + l] = w->boxes.zk[k * LANES + lanes - 1];
     }
-    if (open) kernels->kernel(w->in, w->out);
+    if (open || kernels->box_axes) kernels->kernel(w->in, w->out);
+    if (kernels->box_kernel) evaluate_boxes(dim, rot, b, kernels->box_kernel, w->in, w->out, &w->boxes);
     if (*coupled) kernels->couple(w->cin, w->cout);
     if (kernels->initial) evaluate_initial(dim, rot, kernels, start, lanes, w);
     return lanes;
@@ -203,7 +185,7 @@ INLINE void point_terms(const int dim, const int rot, const Batch *b, const Poin
 }
 
 /* Memory for the evaluation of points and, with `scatter`, for sums of a group. Returns nonzero without memory. */
-static int create_work(const Batch *b, int tangent, int scatter, Work *w)
+static int create_work(const Batch *b, int tangent, int scatter, int boxes, Work *w)
 {
     const int nb = block_size(b), nz = unknowns_of(b->dim, b->rot), largest = largest_group(b);
     const int most = scatter ? largest : 0, outputs = nz + (tangent ? nz * (nz + 1) / 2 : 0);
@@ -219,13 +201,14 @@ static int create_work(const Batch *b, int tangent, int scatter, Work *w)
         return 1;
     for (int k = 0; k < b->nparam; ++k)
         for (int l = 0; l < LANES; ++l) w->in[(nz + b->nstate + k) * LANES + l] = b->param[k];
-    return 0;
+    return boxes && create_boxes(b, w->sv, &w->boxes);
 }
 
 static void free_work(Work *w)
 {
     free(w->in), free(w->out), free(w->cin), free(w->cout), free(w->iin), free(w->iout), free(w->A);
     free(w->shapes), free(w->x), free(w->before), free(w->f), free(w->K), free(w->at);
+    free_boxes(&w->boxes);
 }
 
 INLINE void gather(const int dim, const int rot, const Batch *b, const double *x, int32_t framed, double *z,
@@ -249,7 +232,7 @@ INLINE void gather(const int dim, const int rot, const Batch *b, const double *x
 FAST int polarmpm_gather(const Batch *b, const double *x, int32_t framed, double *z, double *value)
 {
     Work w;
-    const int failed = create_work(b, 0, 0, &w);
+    const int failed = create_work(b, 0, 0, 0, &w);
     if (!failed) SPECIALISED(gather, b, x, framed, z, value, &w);
     free_work(&w);
     return failed;
@@ -263,6 +246,10 @@ INLINE void add_points(const int dim, const int rot, const Batch *b, const Point
     for (int q = l; q < end; ++q) {
         double r[UNKNOWNS_MAX];
         point_terms(dim, rot, b, kernels, w, start + q, q, coupled, r, M ? w->A + q * nz * nz : NULL);
+        if (kernels->box_kernel) {
+            const double weight = b->volume[start + q] * kernels->box_share[start + q] / 6.0;
+            add_sides(dim, rot, nv, sv, &w->boxes, weight, q, r, w->f);
+        }
         add_residual(dim, rot, nv, sv, w->shapes + q * SHAPES * sv, r, w->f);
     }
     for (int P; M && l < end; l += P) {
@@ -304,8 +291,87 @@ FAST int polarmpm_assemble(const Batch *b, const PointKernels *kernels, const Ma
 {
     if (b->npoints == 0) return 0;
     Work w;
-    const int failed = create_work(b, M != NULL, 1, &w);
+    const int failed = create_work(b, M != NULL, 1, kernels->box_axes != NULL, &w);
     if (!failed) SPECIALISED(assemble, b, kernels, M, x, force, rhs, &w);
+    free_work(&w);
+    return failed;
+}
+
+/* Of points l .. end of these lanes, all of group g, the boxes' tangent into the group's sums: the moduli at the points
+ * alone. */
+INLINE void add_box_moduli(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const Matrix *M,
+                           const Work *w, int64_t start, int64_t g, int l, int end)
+{
+    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot), sv = w->sv;
+    for (int q = l; q < end; ++q) {
+        const double weight = b->volume[start + q] * kernels->box_share[start + q] / 3.0;
+        const double *upper = w->out + nz * LANES + q;
+        double *A = w->A + q * nz * nz;
+        for (int i = 0; i < nz; ++i)
+            for (int j = i; j < nz; ++j, upper += LANES) A[i * nz + j] = A[j * nz + i] = weight * *upper;
+    }
+    for (int P; l < end; l += P) {
+        P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
+        for (int k = 0; k < dim; ++k)
+            add_tangents(dim, rot, nv, M->half, P, start + l == b->offsets[g] && k == 0, n, w->A + l * nz * nz,
+                         w->boxes.sides + (k * LANES + l) * SHAPES * sv, sv, w->K);
+    }
+}
+
+INLINE void assemble_boxes(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const Matrix *M,
+                           const double *x, double *rhs, Work *w)
+{
+    int64_t group = 0, group_of[LANES];
+    for (int64_t start = 0; start < b->npoints; start += LANES) {
+        int coupled;
+        const int lanes = evaluate(dim, rot, b, kernels, x, start, &group, group_of, w, &coupled);
+        for (int l = 0, end; l < lanes; l = end) {
+            const int64_t g = group_of[l];
+            for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
+            add_box_moduli(dim, rot, b, kernels, M, w, start, g, l, end);
+            if (start + end < b->offsets[g + 1]) continue;
+            const int n = nodes_of(b, g);
+            flush_matrix(b, M, g, dim + rot, n, (n + WIDTH - 1) / WIDTH, (double *)w->K, w->at, rhs);
+        }
+    }
+}
+
+/* The tangent of the boxes to M: what their sides' strains add to the tangent while the moduli are those of the points.
+ * The kernel is that of the elastic energy. `rhs` as in polarmpm_assemble. Returns nonzero when memory ran out. */
+FAST int polarmpm_assemble_boxes(const Batch *b, const PointKernels *kernels, const Matrix *M, const double *x,
+                                 double *rhs)
+{
+    if (b->npoints == 0) return 0;
+    Work w;
+    const int failed = create_work(b, 1, 1, 1, &w);
+    if (!failed) SPECIALISED(assemble_boxes, b, kernels, M, x, rhs, &w);
+    free_work(&w);
+    return failed;
+}
+
+INLINE void gather_boxes(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const double *x,
+                         double *z, double *zk, Work *w)
+{
+    const int nb = dim + rot, nz = unknowns_of(dim, rot), sv = w->sv;
+    for (int64_t g = 0; g < b->ngroups; ++g) {
+        const int32_t *count = b->count + g * dim;
+        const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH;
+        gather_group(nb, n, sv, b->nodes + b->node_offsets[g], x, w->x);
+        for (int64_t p = b->offsets[g]; p < b->offsets[g + 1]; ++p) {
+            shape(dim, b, p, count, b->state + p * b->nstate, sv * WIDTH, (double *)w->shapes);
+            interpolate(dim, rot, nv, sv, w->shapes, w->x, z + p * nz, 1);
+            gather_sides(dim, rot, b, kernels, p, count, n, sv, w->x, 0, &w->boxes, zk + p * dim * nz, 1);
+        }
+    }
+}
+
+/* z [point][nz] in the frame of the state, and its derivatives along the half axes, zk [point][dim][nz]. Returns nonzero
+ * when memory ran out. */
+FAST int polarmpm_gather_boxes(const Batch *b, const PointKernels *kernels, const double *x, double *z, double *zk)
+{
+    Work w;
+    const int failed = create_work(b, 0, 0, 1, &w);
+    if (!failed) SPECIALISED(gather_boxes, b, kernels, x, z, zk, &w);
     free_work(&w);
     return failed;
 }

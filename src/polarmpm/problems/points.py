@@ -123,6 +123,7 @@ class QuasiStatic(Problem):
         rebalance: float | None = 1.1,
         controls: Controls | None = None,
         solver: str = "auto",
+        boxes: bool | None = None,
     ):
         self.grid = self.initial_grid = grid
         self._moving: list[MovingPlane] = []
@@ -140,6 +141,7 @@ class QuasiStatic(Problem):
                 points.materials, f"the functions of basis={self.basis.name!r}", "basis='bspline'"
             )
         self.rotation_limit = 1.0
+        self.boxes = self.basis.fills_boxes if boxes is None else boxes
         self.load_shares = LoadShares(grid.comm, rebalance)
         self._conservation = Conservation(grid.comm)
         self.balanced_reset = balanced_reset
@@ -332,7 +334,7 @@ class QuasiStatic(Problem):
     def _interpolate(self, reference: Reference | None) -> Interpolation:
         for term in self.terms if reference is None else []:
             term.begin()
-        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, self.terms)
+        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, self.terms, self.boxes)
         self._conservation.reset(made)
         self.load_shares.built(self.points, made.nodes)
         return made
