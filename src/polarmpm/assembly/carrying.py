@@ -18,7 +18,8 @@ from .initialstress import frames
 from .points import LoadedPoints
 
 _SOFTEST = 1e-8  # stiffness of directions that the material has none in (turns), over that of the others
-_SOLUTIONS = 2  # the shift leaves 1e-8 of r after the first one
+_SOLUTIONS = 2  # the shift leaves 1e-8 of r after the first one, an iterative solver its accuracy
+_ACCURACY = 1e-6
 _THIN = 1e-7  # shift of the matrix over its largest diagonal, where nodes are reached by too little
 _RANK = 1e-10  # of the equations for closing forces
 
@@ -85,7 +86,7 @@ def carry_stress(system: LoadedPoints) -> None:
             moduli = [Moduli(system, k) for k in range(len(i.batches))]
             system.assemble_moduli([m.blocks for m in moduli], _THIN if thin else 0.0)
             for k in range(1 if thin else _SOLUTIONS):
-                w, before = system.solve_free(-left, k == 0), i.reference.initial_stress.copy()
+                w, before = system.solve_free(-left, k == 0, _ACCURACY), i.reference.initial_stress.copy()
                 initial.replace(before + _stresses(system, moduli, w))
                 now = system.imbalance()
                 if not _norm(system, now) < size:  # rounding is reached
