@@ -364,7 +364,7 @@ class Problem(Conditions):
         """Energy balance of the run so far, in J (J per unit thickness in plane strain).
 
         - external: work of the loads, and of the supports' reactions on prescribed displacements;
-        - carried: work of the forces that balanced resets carry along;
+        - carried: work of the initial stresses and forces that balanced resets carry along;
         - stored: strain energy, with what hardening stores;
         - dissipated: by plastic flow;
         - ghost: work against the ghost penalty's forces;
