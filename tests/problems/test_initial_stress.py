@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
 import pytest
@@ -20,10 +23,15 @@ YIELDING = pm.VonMises(NEO_HOOKEAN, k=120.0, H=300.0)
 
 
 def cantilever(
-    material: pm.Material = MICROPOLAR, dim: int = 2, force: float = -30.0, per_cell: int = 4, **options: Any
+    material: pm.Material = MICROPOLAR,
+    dim: int = 2,
+    force: float = -30.0,
+    per_cell: int = 4,
+    comm: MPI.Comm = COMM,
+    **options: Any,
 ) -> pm.QuasiStatic:
     """A bar of 4 x 1.2 (x 1) cells, held at a wall of the grid, whose end is pushed down."""
-    grid = pm.Grid.box((0.0, -4.0, -2.0)[:dim], (6.0, 3.0, 3.0)[:dim], 1.0, COMM)
+    grid = pm.Grid.box((0.0, -4.0, -2.0)[:dim], (6.0, 3.0, 3.0)[:dim], 1.0, comm)
     bounds = ((0.0, 0.2, 0.0)[:dim], (4.0, 1.4, 1.0)[:dim])
     points = pm.seed(grid, bounds=bounds, material=material, points_per_cell=per_cell)
     problem = pm.QuasiStatic(grid, points, **{"reset": 1, **options})
@@ -182,6 +190,24 @@ def test_it_does_the_work_that_its_energy_loses(material, strict):
         work += weight * float(np.sum(forces * (end - x)[: system.owned]))
     carried = problem.progress.carried_work - start
     assert carried == pytest.approx(-COMM.allreduce(work), rel=1e-6)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_another_number_of_ranks_goes_on_from_a_file(folder: Path, dim):
+    """Written by one rank between two resets; initial stresses move with their points."""
+    options = {"dim": dim, "per_cell": 2, "reset": 3}
+    straight = march(cantilever(**options), 8)
+    if COMM.rank == 0:
+        first = march(cantilever(**options, comm=MPI.COMM_SELF), 5, to=5 / 8)
+        assert first.system.initial.active()
+        pm.save_restart(first, folder / "state.h5")
+    COMM.barrier()
+    second = cantilever(**options)
+    pm.load_restart(second, folder / "state.h5")
+    assert second.system.initial.active()
+    march(second, 3)
+    expected = by_id(straight.points, straight.points.x)
+    np.testing.assert_allclose(by_id(second.points, second.points.x), expected, rtol=0, atol=1e-8)
 
 
 def test_stresses_are_reported_without_it():
