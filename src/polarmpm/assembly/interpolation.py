@@ -67,9 +67,9 @@ class Interpolation:
         terms: Sequence[Term] = (),
         boxes: bool = False,
     ):
-        self.grid, self.points, self.forms = grid, points, forms
+        self.grid, self.points, self.basis, self.forms = grid, points, basis, forms
         self.layout: Layout = forms[0].layout
-        self.reference = r = reference or Reference.of(points)
+        self.reference = r = reference or Reference.of(points, self.layout.block)
         cells = basis.supporting_cells(grid, r.x) if basis.sliver else None
         half = basis.domains(r.F, points.half_length0) if basis.uses_domains else None
         filled = boxes and has_boxes(points)
@@ -148,7 +148,7 @@ class Interpolation:
 
     def rebase_rotations(self) -> None:
         """Count rotation increments from the points' current rotations on; weights and F stay."""
-        self.reference.q, self.reference.wryness = self.points.q.copy(), self.points.wryness.copy()
+        self.reference.rebase_rotations(self.points)
         self.pack()
 
     def kernel_inputs(self, batch: PointBatch, x: np.ndarray) -> np.ndarray:

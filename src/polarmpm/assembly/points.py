@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+from abc import abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
+
+from mpi4py import MPI
 
 import numpy as np
 
@@ -18,6 +21,7 @@ from ..solvers.choice import make_solver, solver_of
 from ..solvers.linear import Tangent
 from ..tools.timing import Timer
 from . import sparsity
+from .initialstress import InitialStress
 from .interpolation import Interpolation, PointBatch
 from .system import Assembled, NodalSystem
 
@@ -32,9 +36,14 @@ _WEAK = 0.2  # share of a cell: nodes beyond edges of the body, and beyond faces
 
 
 class LoadedPoints(NodalSystem):
-    """Kernels and loads of the points. How their virtual work is summed is left to subclasses."""
+    """Kernels and loads of the points. How their virtual work is summed is left to subclasses.
+
+    Attributes:
+        initial: initial stresses of the points; None: there are none.
+    """
 
     nodes: ActiveNodes
+    initial: InitialStress | None = None
 
     def __init__(
         self,
@@ -115,6 +124,25 @@ class LoadedPoints(NodalSystem):
         mapping = self.mappings[k]
         if mapping is not None:
             self._put_yielding(mapping, k, tangent, kernels)
+        if self.initial is not None:
+            self.initial.put(k, tangent, kernels)
+        return kernels
+
+    def initial_energy(self, x: np.ndarray) -> float:
+        return 0.0 if self.initial is None else self.initial.energy(x)
+
+    @abstractmethod
+    def assemble_moduli(self, blocks: Sequence[np.ndarray], shift: float) -> None:
+        """Put the sum over the points of given tangents into the matrix, without any terms. Collective.
+
+        Args:
+            blocks: of each batch (n, nz (1 + nz)), per volume, as of a return mapping.
+            shift: what is added to the diagonal, over its largest entry.
+        """
+
+    def _given(self, blocks: np.ndarray) -> native.PointKernels:
+        kernels = native.PointKernels()
+        native.fill(kernels, returned_of=np.arange(len(blocks), dtype=np.int32), returned=blocks)
         return kernels
 
     def _put_yielding(
@@ -143,6 +171,8 @@ class LoadedPoints(NodalSystem):
     def rebase_rotations(self) -> None:
         """Count rotation increments from the points' current rotations on. Collective."""
         self.interpolation.rebase_rotations()
+        if self.initial is not None:
+            self.initial.pack()
         self.forget_rotations()
 
 
@@ -242,6 +272,23 @@ class PointSystem(LoadedPoints):
         )
         if failed:
             raise MemoryError("no memory for the sums over material points")
+
+    def assemble_moduli(self, blocks: Sequence[np.ndarray], shift: float) -> None:
+        pattern, nothing = self.pattern, np.zeros_like(self.x)
+        pattern.values[:] = 0.0
+        native.fill(pattern.matrix, lift=None)
+        for batch, given in zip(self.interpolation.batches, blocks, strict=True):
+            arguments = batch.batch, self._given(given), pattern.matrix
+            if native.library().polarmpm_assemble(
+                *map(ctypes.byref, arguments), nothing, nothing.copy(), None
+            ):
+                raise MemoryError("no memory for the sums over material points")
+        pattern.mirror()
+        pattern.collect()
+        if shift:
+            most = self.diagonal().max(axis=0, initial=0.0)
+            self.comm.Allreduce(MPI.IN_PLACE, most, op=MPI.MAX)
+            pattern.values[pattern.diagonal] += shift * np.tile(most, self.nodes.owned)
 
     def diagonal(self) -> np.ndarray:
         diagonal: np.ndarray = self.pattern.values[self.pattern.diagonal].reshape(-1, self.layout.block)

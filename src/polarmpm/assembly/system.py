@@ -74,10 +74,12 @@ class NodalSystem(ABC):
             terms.
         external: the same with those of terms, as of the last evaluation.
         residual: internal minus external and carried forces of the last evaluation; complete on owned rows.
-        carried: forces on the nodes that stand for what the basis could not balance at the last reset.
+        carried: forces on the nodes that stand for what neither the basis nor initial stresses could balance
+            at the last reset.
         step: where the iterations of the present step stand.
         terms: what acts on the nodes besides the body's stresses and loads.
         length: size of a cell (m) in each direction, which tells what a displacement means as a strain.
+        as_force: factors (block,) by which forces and couples count as forces.
     """
 
     def __init__(
@@ -103,7 +105,7 @@ class NodalSystem(ABC):
         self.step = StepState(np.zeros(shape))
         # a couple counts as a force at the distance of a cell, so that measures don't depend on units
         self._cell = float(np.prod(length)) ** (1.0 / len(length))
-        self._as_force = np.array([1.0] * layout.dim + [1.0 / self._cell] * layout.rotations)
+        self.as_force = np.array([1.0] * layout.dim + [1.0 / self._cell] * layout.rotations)
 
     @property
     def dim(self) -> int:
@@ -178,7 +180,7 @@ class NodalSystem(ABC):
         own, d = slice(0, self.nodes.owned), self.layout.dim
         motions = rigid_motions(self.positions()[own], self.x[own, d:], self.comm)
         motions = np.where(self.prescribed.fixed[own], 0.0, motions)
-        return NearNullSpace(motions, self.weak_nodes(), self._as_force)
+        return NearNullSpace(motions, self.weak_nodes(), self.as_force)
 
     # terms ------------------------------------------------------------------------------------------
     def term_forces(self) -> np.ndarray:
@@ -204,9 +206,13 @@ class NodalSystem(ABC):
         """Tangents of the terms times a lift (nodes, block), on this rank."""
         return self.terms.products(self.x, lift)
 
-    def carry_imbalance(self) -> None:
-        """Take the present state as an equilibrium: carry along what is out of balance in it, but for terms
-        that forbid it or have just been added. Collective."""
+    def initial_energy(self, x: np.ndarray) -> float:
+        """Energy (J) of initial stresses at increments (nodes, block), on this rank."""
+        return 0.0
+
+    def imbalance(self) -> np.ndarray:
+        """Internal minus external forces (nodes, block) at free unknowns, complete on owned rows, but for
+        terms that a reset doesn't carry along or that have just been added. Collective."""
 
         def apart(piece: Piece) -> bool:
             return piece.fresh or not piece.carried
@@ -216,7 +222,8 @@ class NodalSystem(ABC):
             left_out = self.terms.forces(self.x, apart)
             self.nodes.add_to_owners(left_out)
             forces = forces - left_out
-        self.carried = np.where(self.prescribed.fixed, 0.0, forces)
+        free: np.ndarray = np.where(self.prescribed.fixed, 0.0, forces)
+        return free
 
     def forget_rotations(self) -> None:
         """Rotation increments count from the present rotations on: set them to zero. The equilibrium stays,
@@ -268,8 +275,8 @@ class NodalSystem(ABC):
         total = np.where(free, external, r + external)
         sums = np.array(
             [
-                np.sum((r * free * self._as_force) ** 2),
-                np.sum((total * self._as_force) ** 2),
+                np.sum((r * free * self.as_force) ** 2),
+                np.sum((total * self.as_force) ** 2),
                 0.0 if last is None else abs(np.sum((r * free) * last[own])),
                 np.sum(total * self.x[own]),
             ]

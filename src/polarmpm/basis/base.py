@@ -57,6 +57,8 @@ class Basis(ABC):
         uses_domains: weights depend on the points' current domains, not on their positions alone.
         fills_boxes: second derivatives are known (`curvatures`), so that points integrate over their own
             boxes.
+        thin_reach: some points reach nodes by so little of their domains that balancing forces there by
+            stresses would take stresses as large as the body's own (`assembly.carrying`).
     """
 
     name: str
@@ -67,6 +69,7 @@ class Basis(ABC):
     locks: bool = False
     sliver: float = 0.0
     uses_domains: bool = False
+    thin_reach: bool = False
     fills_boxes: bool = False
 
     @property

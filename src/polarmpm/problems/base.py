@@ -135,6 +135,22 @@ class Problem(Conditions):
 
     def attempt(self, factor: float) -> Outcome:
         """Try to find equilibrium at a load factor; on failure everything stays as it was."""
+        outcome = self._attempt(factor)
+        if not outcome.converged and self._fall_back():
+            tried, outcome = outcome.history, self._attempt(factor)
+            outcome.history[:0] = tried
+            self._fell_back(outcome.converged)
+        return outcome
+
+    def _fall_back(self) -> bool:
+        """After a step that has failed: whether it is worth to be tried in another way, which is then set up.
+        Collective."""
+        return False
+
+    def _fell_back(self, converged: bool) -> None:
+        """Go on in that way, or return to the one before."""
+
+    def _attempt(self, factor: float) -> Outcome:
         system = self._prepare()
         with self.timer("conditions"):
             start = self._begin(system, factor)
@@ -205,6 +221,15 @@ class Problem(Conditions):
         failure everything stays as it was. With `kink` the step may turn off its tangent. Returns the load
         factor found, too. That loads and supports are such as they have to be is checked by
         `march_arc_length`."""
+        outcome, found = self._attempt_along(length, to, kink)
+        if not outcome.converged and self._fall_back():
+            tried = outcome.history
+            outcome, found = self._attempt_along(length, to, kink)
+            outcome.history[:0] = tried
+            self._fell_back(outcome.converged)
+        return outcome, found
+
+    def _attempt_along(self, length: float, to: float | None, kink: bool) -> tuple[Outcome, float]:
         system, p = self._prepare(), self.progress
         with self.timer("conditions"):
             ends = []
@@ -349,7 +374,7 @@ class Problem(Conditions):
         """Energy balance of the run so far, in J (J per unit thickness in plane strain).
 
         - external: work of the loads, and of the supports' reactions on prescribed displacements;
-        - carried: work of the forces that balanced resets carry along;
+        - carried: work of the initial stresses and forces that balanced resets carry along;
         - stored: strain energy, with what hardening stores;
         - dissipated: by plastic flow;
         - ghost: work against the ghost penalty's forces;

@@ -10,6 +10,8 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..assembly import carrying
+from ..assembly.initialstress import InitialStress
 from ..assembly.interpolation import Interpolation
 from ..assembly.points import LoadedPoints, PointSystem
 from ..basis.base import Basis
@@ -25,6 +27,7 @@ from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.choice import make_form
 from ..forms.couples import CoupleForm
+from ..forms.initialstress import InitialKernels, InitialStressForm
 from ..forms.stresses import MaterialField
 from ..geometry.grid import Grid
 from ..geometry.planes import Plane, PlaneSpec
@@ -55,6 +58,7 @@ class _Compiled:
     kernels: list[tuple[Kernel, Kernel]] = field(default_factory=list)
     couple: Kernel | None = None
     motion: Motion | None = None
+    initial: InitialKernels | None = None
 
 
 def _check_assembly(assembly: str, basis: Basis) -> str:
@@ -95,15 +99,15 @@ class QuasiStatic(Problem):
         points: the body.
         basis: weighting functions: "bspline" (quadratic), "bspline-averaged" (over the points' boxes),
             "bspline3" (cubic), "gimpm" or "mpm" (T 2.3.2), or a `Basis`. The defaults of this and of the
-            resets are the settings with the least error for their time (docs/accuracy.md); those of the papers
-            are `pm.PUBLISHED`.
+            resets are the settings with the least error for their time (docs/accuracy.md); those of the
+            papers are `pm.PUBLISHED`.
         assembly: how residual and tangent are summed over the points: "direct", or (with basis="mpm") as a
             "projection" on a quadrature space, assembled by dolfinx, to the same result.
         reset: when the grid is reset: a policy such as `WhenDistorted(0.2)`, every n steps (1: the papers'
             method), or None for never.
         balanced_reset: a reset keeps the body in equilibrium. The new basis can't balance all of the points'
             stresses; the papers let the rest relax, which softens the body reset by reset. Here it is carried
-            along as forces on the nodes until the next reset (docs/theory.md).
+            along as an initial stress of the points until the next reset (docs/theory.md).
         ghost: stabilises cells that the body cuts slightly (T 2.3.4): None, "thesis" (a hundredth of lambda
             and of gamma, T 4.4), "light" (against the thinnest cuts only) or a `GhostPenalty`. With basis
             "gimpm" or "mpm" and assembly "direct".
@@ -162,6 +166,8 @@ class QuasiStatic(Problem):
         if self.ghost:
             self.add(Ghost(self.ghost, self.layout))
         self._compiled = _Compiled()
+        # initial stresses and forces, while a step is tried with forces alone
+        self._carried: tuple[np.ndarray, np.ndarray] | None = None
         self._system: LoadedPoints | None = None
         # forces and couples at the points of the last attempt and of the last converged step
         self._attempted: tuple[np.ndarray, np.ndarray] | None = None
@@ -312,15 +318,38 @@ class QuasiStatic(Problem):
                 self._migrate()
         with self.timer("reset"):
             interpolation = self._interpolate(None)
-        system = self._build(interpolation)
+        carry = self.balanced_reset and p.step > 0
+        system = self._build(interpolation, stressed=carry)
         p.reset_due, p.since_reset = False, 0
         p.reset_factor = p.rotation_factor = p.factor
-        if self.balanced_reset and p.step:
-            # not the present loads: what has been added since the last step stays out of balance
-            system.set_loads(*(self._converged_loads or self._loads_at(p.factor)))
-            self._set_terms(p.factor, carrying=True)
-            system.carry_imbalance()
+        if carry:
+            self._put_balance(system)
+            with self.timer("carry"):
+                carrying.carry_stress(system)
         return system
+
+    def _put_balance(self, system: LoadedPoints) -> None:
+        """Put in the loads that a reset has to balance: not the present ones, as what has been added since
+        the last step stays out of balance."""
+        system.set_loads(*(self._converged_loads or self._loads_at(self.progress.factor)))
+        self._set_terms(self.progress.factor, carrying=True)
+
+    def _fall_back(self) -> bool:
+        """The first step after a reset may fail with initial stresses: it is tried with forces instead."""
+        s = self._system
+        if s is None or s.initial is None or self.progress.since_reset or not s.initial.active():
+            return False
+        self._carried = s.interpolation.reference.initial_stress.copy(), s.carried
+        self._put_balance(s)
+        carrying.carry_forces(s)
+        return True
+
+    def _fell_back(self, converged: bool) -> None:
+        s, carried = self._system, self._carried
+        self._carried = None
+        if not converged and carried is not None and s is not None and s.initial is not None:
+            s.initial.replace(carried[0])
+            s.carried = carried[1]
 
     def _migrate(self, reference: Reference | None = None) -> Reference | None:
         """Distribute the points afresh, with all that is kept for each of them between steps; between resets
@@ -353,13 +382,21 @@ class QuasiStatic(Problem):
         self.load_shares.built(self.points, made.nodes)
         return made
 
-    def _build(self, interpolation: Interpolation) -> LoadedPoints:
+    def _build(self, interpolation: Interpolation, stressed: bool = False) -> LoadedPoints:
+        """`stressed`: initial stresses are to come."""
         prescribed, c = self._prescribed(interpolation.nodes), self._compiled
         kind: Callable[..., LoadedPoints] = PointSystem
         if self.assembly == "projection":
             # lazy import: direct sums need no assembler of dolfinx
             from ..assembly.projection import ProjectedSystem as kind
-        return kind(interpolation, c.kernels, c.couple, prescribed, self.timer, self.solver)
+        system = kind(interpolation, c.kernels, c.couple, prescribed, self.timer, self.solver)
+        there = bool(np.any(interpolation.reference.initial_stress))
+        if stressed or self.comm.allreduce(there, op=MPI.LOR):
+            if c.initial is None:
+                with self.timer("compile"):
+                    c.initial = InitialStressForm(self.layout).compile(self.comm)
+            system.initial = InitialStress(interpolation, c.initial)
+        return system
 
     def _compile(self) -> None:
         c = self._compiled
