@@ -26,7 +26,6 @@ from ..geometry.nodes import ActiveNodes
 from ..kernels import native
 from ..kinematics.layout import Layout
 from ..kinematics.motion import Motion
-from ..kinematics.stretch import domain_half_length
 from ..materials.base import parameter_values
 from ..terms.base import Boxes, Piece, Term
 from ..terms.settings import GridSetting
@@ -72,12 +71,10 @@ class Interpolation:
         self.layout: Layout = forms[0].layout
         self.reference = r = reference or Reference.of(points, self.layout.block)
         cells = basis.supporting_cells(grid, r.x) if basis.sliver else None
-        half = domain_half_length(r.F, points.half_length0) if basis.uses_domains else None
-        with errors_on_all_ranks(grid.comm):
-            w = basis.weights(grid, r.x, half, cells)
+        half = basis.domains(r.F, points.half_length0) if basis.uses_domains else None
         filled = boxes and has_boxes(points)
-        if filled:
-            w = w.with_curvatures(basis, grid, r.x)
+        with errors_on_all_ranks(grid.comm):
+            w = basis.weights(grid, r.x, half, cells, 3 if filled else 2)
         order, groups = group_points(points.material, w)
         reached = partial(reached_cells, grid, groups, basis)
         setting = GridSetting(grid, basis, self.layout, points, w, reached)

@@ -40,13 +40,20 @@ class PointBoxes:
         reference: state at the last reset.
     """
 
-    def __init__(self, batch: native.Batch, layout: Layout, points: Points, rows: np.ndarray, reference: Reference):
+    def __init__(
+        self, batch: native.Batch, layout: Layout, points: Points, rows: np.ndarray, reference: Reference
+    ):
         self.batch, self.layout, self.points, self.rows = batch, layout, points, rows
         d = layout.dim
         F, self._half_axes0 = reference.F[rows, :d, :d], points.half_axes0[rows]
         axes = np.einsum("pij,pkj->pki", F, self._half_axes0)
-        self._arrays = {"box_axes": np.ascontiguousarray(axes)}
+        self._arrays: dict[str, np.ndarray] = {"box_axes": np.ascontiguousarray(axes)}
         self.pack(reference)
+
+    @property
+    def share(self) -> np.ndarray:
+        """What counts of the boxes' energy at each point (n,)."""
+        return self._arrays["box_share"]
 
     def pack(self, reference: Reference) -> None:
         """Take in the state of the points: which of them have flowed, and the base of the rotations.
@@ -71,20 +78,28 @@ class PointBoxes:
         native.fill(kernels, box_kernel=address, **self._arrays)
 
     def add_moduli(
-        self, kernel: Kernel, matrix: native.Matrix, x: np.ndarray, lifted: np.ndarray | None, before: np.ndarray | None
+        self,
+        kernel: Kernel,
+        matrix: native.Matrix,
+        x: np.ndarray,
+        before: np.ndarray | None,
+        lifted: np.ndarray | None,
+        *,
+        whole: bool,
     ) -> None:
-        """Add the boxes' tangent at nodal increments x (nodes, block) to a matrix: the moduli at the points alone.
+        """Add the boxes' tangent at nodal increments x (nodes, block) to a matrix.
 
         Args:
             kernel: residual and tangent of the points' elastic energy, see `PointForm.compile`.
+            before: x before the last correction, where the kernel predicts stresses.
             lifted: takes what prescribed increments add through the tangent.
-            before: x, where the kernel predicts stresses.
+            whole: the tangent itself; else what the sides' strains add with the moduli at the points.
         """
         kernels = native.PointKernels()
         native.fill(kernels, kernel=kernel.address, before=before)
         self.put(kernels, None)
         add = native.library().polarmpm_assemble_boxes
-        if add(ctypes.byref(self.batch), ctypes.byref(kernels), ctypes.byref(matrix), x, lifted):
+        if add(ctypes.byref(self.batch), ctypes.byref(kernels), ctypes.byref(matrix), int(whole), x, lifted):
             raise MemoryError("no memory for the sums over the points' boxes")
 
     def gather(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -97,6 +112,38 @@ class PointBoxes:
         if gather(ctypes.byref(self.batch), ctypes.byref(kernels), x, z, zk):
             raise MemoryError("no memory for the points' boxes")
         return z, zk
+
+    def energies(self, kernel: Kernel, x: np.ndarray) -> np.ndarray:
+        """Strain energy (J) of the points (n,) that is in the variation over their boxes.
+
+        Args:
+            kernel: of the elastic energy, see `PointForm.compile_energy`.
+        """
+        z, zk = self.gather(x)
+        known = self.batch.kept["state"], np.tile(self.batch.kept["param"], (len(z), 1))
+        energy = -2.0 * self.layout.dim * kernel(z, *known)[:, 0]
+        for k in range(self.layout.dim):
+            for side in (z + zk[:, k], z - zk[:, k]):
+                energy += kernel(side, *known)[:, 0]
+        weight: np.ndarray = self.share * self.batch.kept["volume"] / 6.0
+        energy *= weight
+        return energy
+
+    def work(self, kernel: Kernel, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Work (J) of the change of the elastic stresses on the change of the strains between nodal increments (nodes,
+        block), for each point (n,): inside its box, and in all.
+
+        Args:
+            kernel: of the elastic residual.
+        """
+        inside, whole = np.zeros(len(self.rows)), np.zeros(len(self.rows))
+        kernels = native.PointKernels()
+        native.fill(kernels, kernel=kernel.address)
+        self.put(kernels, kernel)
+        work = native.library().polarmpm_box_work
+        if work(ctypes.byref(self.batch), ctypes.byref(kernels), start, end, inside, whole):
+            raise MemoryError("no memory for the work in the points' boxes")
+        return inside, whole
 
 
 def all_boxes(

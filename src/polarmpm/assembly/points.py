@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from abc import abstractmethod
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from mpi4py import MPI
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
     from ..forms.returnmapping import ReturnMapping
 
 
+_FEW = 2  # points a node
+_RENEWED = 3  # tangent of a step from which on that of the boxes is near the solution's
+_STUBBORN = 5  # tangent from which on a step needs the boxes' own each time
 _WEAK = 0.2  # share of a cell: nodes beyond edges of the body, and beyond faces that hardly enter a cell
 
 
@@ -228,15 +232,27 @@ class PointSystem(LoadedPoints):
         return Assembled(internal - self._dead_forces(), lifted)
 
     def _begin_tangent(self, lifted: np.ndarray | None) -> None:
-        """Begin the tangent's sums with what the points' boxes add: it is that of the start of the step."""
-        values, boxes = self.pattern.values, self.interpolation.boxes
-        if boxes is None or (self.step.boxes is not None and lifted is None):
-            values[:] = 0.0 if boxes is None else self.step.boxes
+        """Begin the tangent's sums with what the points' boxes add; where that is at hand from an earlier iteration, it
+        is good enough."""
+        values, boxes, step = self.pattern.values, self.interpolation.boxes, self.step
+        step.tangents += 1
+        later = step.tangents >= _STUBBORN or (self._factors_cost and step.tangents == _RENEWED)
+        due = step.boxes is None or lifted is not None or later
+        values[:] = 0.0 if boxes is None or due else step.boxes
+        if boxes is None or not due:
             return
-        values[:] = 0.0
+        bent = bool(np.any(self.x))  # right after a reset the sides have the moduli of the points
         for own, form, (_, kernel) in zip(boxes, self.interpolation.forms, self.kernels, strict=True):
-            own.add_moduli(kernel, self.pattern.matrix, self.x, lifted, self.x if form.predicts else None)
-        self.step.boxes = values.copy()
+            before = self.before if form.predicts else None
+            own.add_moduli(kernel, self.pattern.matrix, self.x, before, lifted, whole=bent)
+        step.boxes = values.copy()
+
+    @cached_property
+    def _factors_cost(self) -> bool:
+        """Whether another iteration costs more than another tangent of the boxes: in space, with few points a
+        node."""
+        few: bool = self.interpolation.points.total <= _FEW * self.nodes.total
+        return self.layout.dim == 3 and few
 
     def _assemble(
         self,

@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.grid import MARGIN, Grid, box_indices
 from ..geometry.planes import PlaneSpec
+from ..kinematics.stretch import domain_half_length
 from .aggregation import supporting_cells
 
 
@@ -20,18 +21,13 @@ class Weights:
     Attributes:
         lowest: lattice index of the lowest node (n, d).
         count: number of nodes in each direction (n, d).
-        table: values and gradients (1/m), and after `with_curvatures` second derivatives (1/m^2), in each
-            direction, (n, d, 2 or 3, slots); unused slots are zero.
+        table: values and gradients (1/m), and where asked for second derivatives (1/m^2), in each direction
+           , (n, d, 2 or 3, slots); unused slots are zero.
     """
 
     lowest: np.ndarray
     count: np.ndarray
     table: np.ndarray
-
-    def with_curvatures(self, basis: Basis, grid: Grid, x: np.ndarray) -> Weights:
-        """The same of points at x (n, d) with second derivatives of the basis' functions."""
-        curvatures = basis.curvatures(grid, x, self.lowest)[:, :, None]
-        return Weights(self.lowest, self.count, np.concatenate([self.table, curvatures], axis=2))
 
     def products(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
         """Lattice numbers of each point's nodes and their weights, (n, slots^d); unused slots weigh zero."""
@@ -90,10 +86,22 @@ class Basis(ABC):
         functions). Needed where the basis `fills_boxes`."""
         raise NotImplementedError(f"basis {self.name!r} has no second derivatives")
 
+    def derivatives(self, grid: Grid, x: np.ndarray, cells: np.ndarray, orders: int) -> np.ndarray:
+        """What `lines` gives, with `orders` 3 followed by `curvatures`: (n, d, orders, functions)."""
+        table = self.lines(grid, x, cells)
+        if orders == 2:
+            return table
+        return np.concatenate([table, self.curvatures(grid, x, cells)[:, :, None]], axis=2)
+
     def positions(self, grid: Grid, numbers: np.ndarray) -> np.ndarray:
         """Positions (m), (n, d), of nodes of lattice numbers (n,): there nodal values of a linear field are
         the field's own."""
         return grid.node_position(numbers)
+
+    def domains(self, F: np.ndarray, half_length0: np.ndarray) -> np.ndarray:
+        """Half lengths (m), (n, d), of the domains over which points are weighted, from their deformation
+        gradients (n, 3, 3) and initial half lengths (n, d) (m); asked for where `uses_domains`."""
+        return domain_half_length(F, half_length0)
 
     def weights(
         self,
@@ -101,19 +109,22 @@ class Basis(ABC):
         x: np.ndarray,
         half_length: np.ndarray | None = None,
         cells: np.ndarray | None = None,
+        orders: int = 2,
     ) -> Weights:
-        """Weights of points at x (n, d) (m).
+        """Weights of points at x (n, d) (m). Collective.
 
         Args:
-            half_length: of the domains (n, d) (m); needed where `uses_domains`.
+            half_length: of the domains (n, d) (m), from `domains`; needed where `uses_domains`.
             cells: lattice index (n, d) of the cells whose functions weight the points, from
                 `supporting_cells`. Default: those that the points are in.
+            orders: 3 for second derivatives, too, where the basis `fills_boxes`.
 
         Raises:
             InputError: domains reach too far beyond the grid.
         """
         lowest = grid.cells_of(x) if cells is None else cells
-        return Weights(lowest, np.full(x.shape, self.functions, dtype=np.int32), self.lines(grid, x, lowest))
+        table = self.derivatives(grid, x, lowest, orders)
+        return Weights(lowest, np.full(x.shape, self.functions, dtype=np.int32), table)
 
     def at(self, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """Values and gradients (1/m) at x (n, d) (m) of the functions of cells of lattice index (n, d),

@@ -13,7 +13,7 @@ class QuadraticSplines(Splines):
 
     name = "bspline"
     degree = 2
-    sliver = 0.1
+    sliver = 0.0955  # see `aggregation`
     fills_boxes = True
 
     def positions(self, grid: Grid, numbers: np.ndarray) -> np.ndarray:

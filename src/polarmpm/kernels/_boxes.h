@@ -17,26 +17,30 @@ enum {
 typedef struct {
     vec *first, *second;       /* [SIDES][sv], [PAIRS][sv]: derivatives of a point's functions */
     vec *sides;                /* [side][lane][SHAPES][sv]: a point's shapes differentiated along the half axes */
-    double *zk;                /* [side][nz][LANES] */
+    double *zk, *before;       /* [side][nz][LANES]; of the nodal values before the last correction */
     double *sums;              /* [1 + side][nz][LANES]: sum_k [R(z + z_k) + R(z - z_k) - 2 R(z)], R(z + z_k) - R(z - z_k) */
     double *z, *up, *down;     /* inputs, and outputs on both sides */
+    double *moduli;            /* [2 side + (0: up, 1: down)][outputs][LANES]: residuals and moduli on the sides */
+    vec *moved;                /* [lane][SHAPES][sv]: shapes on a side */
 } BoxWork;
 
-static int create_boxes(const Batch *b, int sv, BoxWork *w)
+static int create_boxes(const Batch *b, int sv, int whole, BoxWork *w)
 {
-    const int nz = unknowns_of(b->dim, b->rot);
-    const size_t stride = (size_t)sv * WIDTH, inputs = nz + b->nstate + b->nparam;
+    const int nz = unknowns_of(b->dim, b->rot), outputs = nz + nz * (nz + 1) / 2;
+    const size_t stride = (size_t)sv * WIDTH, inputs = 2 * nz + b->nstate + b->nparam;
     *w = (BoxWork){.first = vectors(SIDES * stride), .second = vectors(PAIRS * stride),
                    .sides = vectors(SIDES * LANES * SHAPES * stride), .zk = vectors(SIDES * nz * LANES),
-                   .sums = vectors((1 + SIDES) * nz * LANES), .z = vectors(inputs * LANES),
+                   .before = vectors(SIDES * nz * LANES), .moved = vectors(LANES * SHAPES * stride),
+                   .moduli = vectors(whole ? (size_t)2 * SIDES * outputs * LANES : 1), .sums = vectors((1 + SIDES) * nz * LANES), .z = vectors(inputs * LANES),
                    .up = vectors(nz * LANES), .down = vectors(nz * LANES)};
-    return !(w->first && w->second && w->sides && w->zk && w->sums && w->z && w->up && w->down);
+    return !(w->first && w->second && w->sides && w->zk && w->before && w->sums && w->z && w->up && w->down && w->moduli &&
+             w->moved);
 }
 
 static void free_boxes(BoxWork *w)
 {
     free(w->first), free(w->second), free(w->sides), free(w->zk);
-    free(w->sums), free(w->z), free(w->up), free(w->down);
+    free(w->sums), free(w->z), free(w->up), free(w->down), free(w->before), free(w->moduli), free(w->moved);
 }
 
 /* First and second derivatives of a point's functions: first [axis][stride], second [pair][stride], pairs in the order
@@ -95,17 +99,25 @@ INLINE void side_shapes(const int dim, int n, int nv, int sv, const double *axis
     }
 }
 
-/* Shapes of lane l, point p, differentiated along its half axes, and z_k, written with a step. */
-INLINE void gather_sides(const int dim, const int rot, const Batch *b, const PointKernels *kernels, int64_t p,
-                         const int32_t *count, int n, int sv, const vec *x, int l, BoxWork *w, double *zk, const int step)
+/* Shapes of lane l, point p, differentiated along its half axes. */
+INLINE void find_sides(const int dim, const Batch *b, const PointKernels *kernels, int64_t p, const int32_t *count, int n,
+                       int sv, int l, BoxWork *w)
 {
-    const int nz = unknowns_of(dim, rot), nv = (n + WIDTH - 1) / WIDTH;
+    const int nv = (n + WIDTH - 1) / WIDTH;
     curved_shape(dim, b, p, count, sv * WIDTH, (double *)w->first, (double *)w->second);
+    for (int k = 0; k < dim; ++k)
+        side_shapes(dim, n, nv, sv, kernels->box_axes + (p * dim + k) * dim, b->state + p * b->nstate, w,
+                    w->sides + ((int64_t)k * LANES + l) * SHAPES * sv);
+}
+
+/* z_k of lane l, point p, from its group's nodal values, written with a step. */
+INLINE void gather_sides(const int dim, const int rot, const PointKernels *kernels, int64_t p, int nv, int sv, const vec *x,
+                         int l, const BoxWork *w, double *zk, const int step)
+{
+    const int nz = unknowns_of(dim, rot);
     for (int k = 0; k < dim; ++k) {
-        vec *side = w->sides + ((int64_t)k * LANES + l) * SHAPES * sv;
         double *own = zk + k * nz * step;
-        side_shapes(dim, n, nv, sv, kernels->box_axes + (p * dim + k) * dim, b->state + p * b->nstate, w, side);
-        interpolate(dim, rot, nv, sv, side, x, own, step);
+        interpolate(dim, rot, nv, sv, w->sides + ((int64_t)k * LANES + l) * SHAPES * sv, x, own, step);
         for (int i = 0; i < rot; ++i)
             own[value_slot(dim, rot, dim + i) * step] += kernels->box_turns[(p * dim + k) * rot + i];
     }
@@ -143,4 +155,27 @@ INLINE void add_sides(const int dim, const int rot, int nv, int sv, const BoxWor
         for (int i = 0; i < nz; ++i) side[i] = weight * w->sums[((1 + k) * nz + i) * LANES + l];
         add_residual(dim, rot, nv, sv, w->sides + (k * LANES + l) * SHAPES * sv, side, f);
     }
+}
+
+/* Residuals and moduli at z + z_k and z - z_k, for all sides. */
+INLINE void evaluate_sides(const int dim, const int rot, const Batch *b, kernel_t kernel, const double *in, BoxWork *w)
+{
+    const int nz = unknowns_of(dim, rot), block = nz * LANES, outputs = nz + nz * (nz + 1) / 2;
+    const int known = (b->nstate + b->nparam) * LANES;
+    memcpy(w->z, in, sizeof(double) * (2 * block + known));
+    for (int k = 0; k < dim; ++k)
+        for (int down = 0; down < 2; ++down) {
+            const double sign = down ? -1.0 : 1.0;
+            for (int i = 0; i < block; ++i) {
+                w->z[i] = in[i] + sign * w->zk[k * block + i];
+                w->z[block + known + i] = in[block + known + i] + sign * w->before[k * block + i];
+            }
+            kernel(w->z, w->moduli + (2 * k + down) * outputs * LANES);
+        }
+}
+
+/* Shapes of lanes l .. end moved to the centre of a side, by sign times their derivatives. */
+INLINE void move_shapes(int sv, const vec *shapes, const vec *side, double sign, int l, int end, vec *out)
+{
+    for (int64_t i = (int64_t)l * SHAPES * sv; i < (int64_t)end * SHAPES * sv; ++i) out[i] = shapes[i] + sign * side[i];
 }

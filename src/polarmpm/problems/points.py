@@ -10,8 +10,6 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..assembly import carrying
-from ..assembly.initialstress import InitialStress
 from ..assembly.interpolation import Interpolation
 from ..assembly.points import LoadedPoints, PointSystem
 from ..basis.base import Basis
@@ -27,7 +25,7 @@ from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.choice import make_form
 from ..forms.couples import CoupleForm
-from ..forms.initialstress import InitialKernels, InitialStressForm
+from ..forms.stresses import MaterialField
 from ..geometry.grid import Grid
 from ..geometry.planes import Plane, PlaneSpec
 from ..geometry.surfaces import Surface
@@ -36,13 +34,15 @@ from ..kinematics import rotations
 from ..kinematics.motion import Motion
 from ..materials.base import warn_of_locking
 from ..solvers.choice import check_solver
-from ..solvers.newton import Controls
+from ..solvers.newton import Controls, Outcome
 from ..solvers.resetting import ResetPolicy, WhenDistorted, make_policy
 from ..terms.ghost import Ghost, GhostPenalty, make_penalty
 from ..tools.parallel import errors_on_all_ranks, values_by_number
+from .balancing import BalancedResets
 from .base import Problem
+from .boxes import BoxRecord
 from .conservation import Conservation, Totals
-from .state import Progress
+from .state import Fields, Progress
 from .surfaces import add_load
 
 ASSEMBLIES = ("direct", "projection")
@@ -56,7 +56,6 @@ class _Compiled:
     kernels: list[tuple[Kernel, Kernel]] = field(default_factory=list)
     couple: Kernel | None = None
     motion: Motion | None = None
-    initial: InitialKernels | None = None
 
 
 def _check_assembly(assembly: str, basis: Basis) -> str:
@@ -142,6 +141,7 @@ class QuasiStatic(Problem):
             )
         self.rotation_limit = 1.0
         self.boxes = self.basis.fills_boxes if boxes is None else boxes
+        self.box_record = BoxRecord(points, self.forms, grid.comm)
         self.load_shares = LoadShares(grid.comm, rebalance)
         self._conservation = Conservation(grid.comm)
         self.balanced_reset = balanced_reset
@@ -149,8 +149,7 @@ class QuasiStatic(Problem):
         if self.ghost:
             self.add(Ghost(self.ghost, self.layout))
         self._compiled = _Compiled()
-        # initial stresses and forces, while a step is tried with forces alone
-        self._carried: tuple[np.ndarray, np.ndarray] | None = None
+        self._resets = BalancedResets(self.layout, self.comm, self.timer)
         self._system: LoadedPoints | None = None
         # forces and couples at the points of the last attempt and of the last converged step
         self._attempted: tuple[np.ndarray, np.ndarray] | None = None
@@ -218,12 +217,25 @@ class QuasiStatic(Problem):
         inverted = self.comm.allreduce(int(np.sum(bad)))
         return f"{inverted} material point(s) turned inside out" if inverted else ""
 
+    def _trust(self, system: LoadedPoints, start: np.ndarray, outcome: Outcome) -> None:
+        outcome.unresolved = self.box_record.unresolved(system, start)
+        outcome.reason = self.box_record.refusal(outcome.unresolved)
+        outcome.converged = not outcome.reason
+
+    def _note(self, outcome: Outcome) -> None:
+        self.box_record.note(outcome.unresolved, self.progress.step)
+
+    def trust(self) -> str:
+        """How far the run can be trusted, in a line: the largest share of a step's work that is done inside the points'
+        boxes, where neither the grid nor the points resolve it (docs/accuracy.md)."""
+        return self.box_record.summary()
+
     def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
         assert self._compiled.motion is not None
         system.interpolation.update_points(increments, self._compiled.motion)
         self._conservation.check(system.interpolation, system.x)
         if self.points.plastic:
-            self._flow(system)
+            self._with_boxes(lambda: self._flow(system))
         self._converged_loads = self._attempted
         p = self.progress
         p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
@@ -231,10 +243,17 @@ class QuasiStatic(Problem):
         if not p.reset_due and self.layout.rotations:
             largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
             if self.comm.allreduce(largest, op=MPI.MAX) > self.rotation_limit:
-                system.rebase_rotations()
+                self._with_boxes(system.rebase_rotations)
                 for term in self.terms:
                     term.rebase_rotations()
                 p.rotation_factor = factor
+
+    def _with_boxes(self, change: Callable[[], None]) -> None:
+        """Change what the boxes' energy depends on besides the increments; what it loses counts as carried."""
+        boxes = self.box_record
+        before = boxes.energy(self._system)
+        change()
+        self.progress.carried_work += boxes.energy(self._system) - before
 
     def _flow(self, system: LoadedPoints) -> None:
         """Put the plastic flow of a converged step into the points' plastic state."""
@@ -269,6 +288,9 @@ class QuasiStatic(Problem):
     def _reset(self) -> LoadedPoints:
         """The system of a new grid, from whose nodes increments count."""
         p = self.progress
+        if self.balanced_reset:
+            p.carried_work -= self.box_record.energy(self._system)
+        self.box_record.kept = None
         grid = movinggrid.grid_at(self._moving, self.initial_grid, p.factor)
         check_inside(grid, self.points)
         self._put_grid(grid)
@@ -277,14 +299,12 @@ class QuasiStatic(Problem):
                 self._migrate()
         with self.timer("reset"):
             interpolation = self._interpolate(None)
-        carry = self.balanced_reset and p.step > 0
-        system = self._build(interpolation, stressed=carry)
+        system = self._build(interpolation)
         p.reset_due, p.since_reset = False, 0
         p.reset_factor = p.rotation_factor = p.factor
-        if carry:
+        if self.balanced_reset and p.step:
             self._put_balance(system)
-            with self.timer("carry"):
-                carrying.carry_stress(system)
+            self._resets.carry(system)
         return system
 
     def _put_balance(self, system: LoadedPoints) -> None:
@@ -296,19 +316,13 @@ class QuasiStatic(Problem):
     def _fall_back(self) -> bool:
         """The first step after a reset may fail with initial stresses: it is tried with forces instead."""
         s = self._system
-        if s is None or s.initial is None or self.progress.since_reset or not s.initial.active():
+        if s is None or self.progress.since_reset:
             return False
-        self._carried = s.interpolation.reference.initial_stress.copy(), s.carried
-        self._put_balance(s)
-        carrying.carry_forces(s)
-        return True
+        return self._resets.fall_back(s, lambda: self._put_balance(s))
 
     def _fell_back(self, converged: bool) -> None:
-        s, carried = self._system, self._carried
-        self._carried = None
-        if not converged and carried is not None and s is not None and s.initial is not None:
-            s.initial.replace(carried[0])
-            s.carried = carried[1]
+        if not converged and self._system is not None:
+            self._resets.return_to_stresses(self._system)
 
     def _migrate(self, reference: Reference | None = None) -> Reference | None:
         """Distribute the points afresh, with all that is kept for each of them between steps; between resets
@@ -334,26 +348,21 @@ class QuasiStatic(Problem):
     def _interpolate(self, reference: Reference | None) -> Interpolation:
         for term in self.terms if reference is None else []:
             term.begin()
-        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, self.terms, self.boxes)
+        made = Interpolation(
+            self.grid, self.points, self.basis, self.forms, reference, self.terms, self.boxes
+        )
         self._conservation.reset(made)
         self.load_shares.built(self.points, made.nodes)
         return made
 
-    def _build(self, interpolation: Interpolation, stressed: bool = False) -> LoadedPoints:
-        """`stressed`: initial stresses are to come."""
+    def _build(self, interpolation: Interpolation) -> LoadedPoints:
         prescribed, c = self._prescribed(interpolation.nodes), self._compiled
         kind: Callable[..., LoadedPoints] = PointSystem
         if self.assembly == "projection":
             # lazy import: direct sums need no assembler of dolfinx
             from ..assembly.projection import ProjectedSystem as kind
         system = kind(interpolation, c.kernels, c.couple, prescribed, self.timer, self.solver)
-        there = bool(np.any(interpolation.reference.initial_stress))
-        if stressed or self.comm.allreduce(there, op=MPI.LOR):
-            if c.initial is None:
-                with self.timer("compile"):
-                    c.initial = InitialStressForm(self.layout).compile(self.comm)
-            system.initial = InitialStress(interpolation, c.initial)
-        return system
+        return self._resets.equip(system)
 
     def _compile(self) -> None:
         c = self._compiled
@@ -382,11 +391,11 @@ class QuasiStatic(Problem):
             out["last_x"] = self._last_x
         if self._converged_loads is not None:
             out |= {"forces": self._converged_loads[0], "couples": self._converged_loads[1]}
-        return out
+        return out | {"box_energy": self.box_record.energies(self._system)}
 
     def keep(self, rows: dict[str, np.ndarray]) -> None:
         super().keep(rows)
-        self._last_x = rows.get("last_x")
+        self._last_x, self.box_record.kept = rows.get("last_x"), rows.get("box_energy")
         self._converged_loads = (rows["forces"], rows["couples"]) if "forces" in rows else None
 
     def restore(
@@ -424,6 +433,13 @@ class QuasiStatic(Problem):
         self._system, self._stale = self._build(interpolation), False
         here = values_by_number(self.comm, lattice, values, interpolation.nodes.lattice)
         self._system.x[:], self._system.carried[:] = np.hsplit(here, 2)
+
+    # results --------------------------------------------------------------------------------------
+    def fields(self, *names: str | MaterialField) -> Fields:
+        found = super().fields(*names)
+        if "energy" in found:
+            found.energy[:] += self.box_record.energies(self._system) / self.points.volume0
+        return found
 
     @property
     def system(self) -> LoadedPoints | None:
