@@ -10,8 +10,6 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..assembly import carrying
-from ..assembly.initialstress import InitialStress
 from ..assembly.interpolation import Interpolation
 from ..assembly.points import LoadedPoints, PointSystem
 from ..basis.base import Basis
@@ -27,7 +25,6 @@ from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.choice import make_form
 from ..forms.couples import CoupleForm
-from ..forms.initialstress import InitialKernels, InitialStressForm
 from ..forms.stresses import MaterialField
 from ..geometry.grid import Grid
 from ..geometry.planes import Plane, PlaneSpec
@@ -41,6 +38,7 @@ from ..solvers.newton import Controls, Outcome
 from ..solvers.resetting import ResetPolicy, WhenDistorted, make_policy
 from ..terms.ghost import Ghost, GhostPenalty, make_penalty
 from ..tools.parallel import errors_on_all_ranks, values_by_number
+from .balancing import BalancedResets
 from .base import Problem
 from .boxes import BoxRecord
 from .conservation import Conservation, Totals
@@ -58,7 +56,6 @@ class _Compiled:
     kernels: list[tuple[Kernel, Kernel]] = field(default_factory=list)
     couple: Kernel | None = None
     motion: Motion | None = None
-    initial: InitialKernels | None = None
 
 
 def _check_assembly(assembly: str, basis: Basis) -> str:
@@ -166,8 +163,7 @@ class QuasiStatic(Problem):
         if self.ghost:
             self.add(Ghost(self.ghost, self.layout))
         self._compiled = _Compiled()
-        # initial stresses and forces, while a step is tried with forces alone
-        self._carried: tuple[np.ndarray, np.ndarray] | None = None
+        self._resets = BalancedResets(self.layout, self.comm, self.timer)
         self._system: LoadedPoints | None = None
         # forces and couples at the points of the last attempt and of the last converged step
         self._attempted: tuple[np.ndarray, np.ndarray] | None = None
@@ -318,14 +314,12 @@ class QuasiStatic(Problem):
                 self._migrate()
         with self.timer("reset"):
             interpolation = self._interpolate(None)
-        carry = self.balanced_reset and p.step > 0
-        system = self._build(interpolation, stressed=carry)
+        system = self._build(interpolation)
         p.reset_due, p.since_reset = False, 0
         p.reset_factor = p.rotation_factor = p.factor
-        if carry:
+        if self.balanced_reset and p.step:
             self._put_balance(system)
-            with self.timer("carry"):
-                carrying.carry_stress(system)
+            self._resets.carry(system)
         return system
 
     def _put_balance(self, system: LoadedPoints) -> None:
@@ -337,19 +331,13 @@ class QuasiStatic(Problem):
     def _fall_back(self) -> bool:
         """The first step after a reset may fail with initial stresses: it is tried with forces instead."""
         s = self._system
-        if s is None or s.initial is None or self.progress.since_reset or not s.initial.active():
+        if s is None or self.progress.since_reset:
             return False
-        self._carried = s.interpolation.reference.initial_stress.copy(), s.carried
-        self._put_balance(s)
-        carrying.carry_forces(s)
-        return True
+        return self._resets.fall_back(s, lambda: self._put_balance(s))
 
     def _fell_back(self, converged: bool) -> None:
-        s, carried = self._system, self._carried
-        self._carried = None
-        if not converged and carried is not None and s is not None and s.initial is not None:
-            s.initial.replace(carried[0])
-            s.carried = carried[1]
+        if not converged and self._system is not None:
+            self._resets.return_to_stresses(self._system)
 
     def _migrate(self, reference: Reference | None = None) -> Reference | None:
         """Distribute the points afresh, with all that is kept for each of them between steps; between resets
@@ -382,21 +370,14 @@ class QuasiStatic(Problem):
         self.load_shares.built(self.points, made.nodes)
         return made
 
-    def _build(self, interpolation: Interpolation, stressed: bool = False) -> LoadedPoints:
-        """`stressed`: initial stresses are to come."""
+    def _build(self, interpolation: Interpolation) -> LoadedPoints:
         prescribed, c = self._prescribed(interpolation.nodes), self._compiled
         kind: Callable[..., LoadedPoints] = PointSystem
         if self.assembly == "projection":
             # lazy import: direct sums need no assembler of dolfinx
             from ..assembly.projection import ProjectedSystem as kind
         system = kind(interpolation, c.kernels, c.couple, prescribed, self.timer, self.solver)
-        there = bool(np.any(interpolation.reference.initial_stress))
-        if stressed or self.comm.allreduce(there, op=MPI.LOR):
-            if c.initial is None:
-                with self.timer("compile"):
-                    c.initial = InitialStressForm(self.layout).compile(self.comm)
-            system.initial = InitialStress(interpolation, c.initial)
-        return system
+        return self._resets.equip(system)
 
     def _compile(self) -> None:
         c = self._compiled
