@@ -9,7 +9,15 @@ from .bodies.elements import Elements
 from .bodies.facets import Facets
 from .bodies.points import Points, Selection
 from .bodies.seeding import seed, seed_mesh
-from .errors import InputError, KernelError, NotConserved, NotConverged, PointsOutsideGrid, PolarMPMError
+from .errors import (
+    InputError,
+    KernelError,
+    NotConserved,
+    NotConverged,
+    PointsOutsideGrid,
+    PolarMPMError,
+    SupportLost,
+)
 from .forms.stresses import MaterialField
 from .geometry.grid import Grid
 from .geometry.planes import plane
@@ -88,6 +96,7 @@ __all__ = [
     "Selection",
     "SmoothPart",
     "Step",
+    "SupportLost",
     "Surface",
     "SurfaceTerm",
     "Table",

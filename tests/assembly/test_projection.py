@@ -188,7 +188,7 @@ def test_prescribed_increments_load_the_free_unknowns(dim):
     randomise(*both)
     fixed = collected(direct, direct.prescribed.fixed)
     for system in both:
-        system.set_prescribed(system.prescribed.increments(1.0, 0.0, 0.0))
+        system.set_prescribed(system.prescribed.increments(1.0))
         assert system.pending()
         system.evaluate(True)
     lifts = [collected(s, s.step.lifted)[~fixed] for s in (projected, direct)]

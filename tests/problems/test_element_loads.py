@@ -7,7 +7,7 @@ import pytest
 
 import polarmpm as pm
 from polarmpm.kinematics import rotations
-from tests.conftest import MICROPOLAR, NEO_HOOKEAN, derivative_error, rotation
+from tests.conftest import MICROPOLAR, NEO_HOOKEAN, derivative_error, release_supports, rotation
 from tests.helpers.bodies import (
     DIMENSION,
     box,
@@ -216,7 +216,7 @@ def test_tangent_of_loads(cell, degree, load):
     """Loads that depend on the unknowns are differentiated, in a state that is deformed already."""
     problem, dim = block(cell, degree, distort=0.1), DIMENSION[cell]
     loads_after(problem, F_OF[dim], 0.4 * np.ones(3), steps=1)
-    problem.supports.clear()
+    release_supports(problem)
     load(problem)
     system = prepared(problem)
     x = np.random.default_rng(7).uniform(-0.1, 0.1, (1, problem.unknowns))

@@ -134,6 +134,19 @@ class NodalSystem(ABC):
         """Shares of the body's volume (nodes,), complete on owned rows. Collective."""
 
     @abstractmethod
+    def at_points(self, x: np.ndarray) -> np.ndarray:
+        """Values (np, block) at this rank's points of nodal ones (nodes, block)."""
+
+    @abstractmethod
+    def from_points(self, values: np.ndarray) -> np.ndarray:
+        """Sums (nodes, block) of point values (np, block) with the nodes' functions, complete on owned rows.
+        Collective."""
+
+    @abstractmethod
+    def point_volumes(self) -> np.ndarray:
+        """Reference volumes (np,) of this rank's points."""
+
+    @abstractmethod
     def destroy(self) -> None:
         """Release PETSc's objects."""
 
@@ -144,6 +157,11 @@ class NodalSystem(ABC):
     def working_loads(self) -> np.ndarray:
         """Forces (nodes, block) of the loads that are set, such as do work on the increments. Collective."""
         return self.with_terms(self.loads)
+
+    def spatial_loads(self) -> np.ndarray:
+        """Forces and couples (nodes, block) of the loads, those of terms apart, complete on owned rows; couples
+        do work on spins. Collective."""
+        return self.loads
 
     def start_elastic(self, on: bool) -> bool:
         """Whether points on the yield surface begin a step with their elastic tangent; False where there is
@@ -200,9 +218,10 @@ class NodalSystem(ABC):
         """Tangents of the terms times a lift (nodes, block), on this rank."""
         return self.terms.products(self.x, lift)
 
-    def carry_imbalance(self) -> None:
+    def carry_imbalance(self, leaving: np.ndarray | None = None) -> None:
         """Take the present state as an equilibrium: carry along what is out of balance in it, but for terms
-        that forbid it or have just been added. Collective."""
+        that forbid it or have just been added, and unknowns (nodes, block) that supports held in it which
+        have been released since. Collective."""
 
         def apart(piece: Piece) -> bool:
             return piece.fresh or not piece.carried
@@ -212,7 +231,8 @@ class NodalSystem(ABC):
             left_out = self.terms.forces(self.x, apart)
             self.nodes.add_to_owners(left_out)
             forces = forces - left_out
-        self.carried = np.where(self.prescribed.fixed, 0.0, forces)
+        held = self.prescribed.fixed if leaving is None else self.prescribed.fixed | leaving
+        self.carried = np.where(held, 0.0, forces)
 
     def forget_rotations(self) -> None:
         """Rotation increments count from the present rotations on: set them to zero. The equilibrium stays,

@@ -7,7 +7,7 @@ The stretched grid follows from the load factor at the last reset alone.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,8 @@ class MovingPlane:
         support: name of the support that prescribes it.
         axis, index: the plane's lattice index along its axis.
         amplitude, component: of the displacement along the axis.
+        asked: the script has said `moving=True`; otherwise it is followed where that is possible.
+        stays: its displacement (m) since its support was released; None: it hasn't been.
     """
 
     support: str
@@ -33,6 +35,22 @@ class MovingPlane:
     index: int
     amplitude: Amplitude
     component: int
+    asked: bool = True
+    stays: float | None = None
+
+    @classmethod
+    def if_possible(cls, spec: PlaneSpec, support: Support) -> MovingPlane | None:
+        """A plane for which the script hasn't said whether it moves; None where nothing is to be followed."""
+        if spec.axis not in support.columns or not isinstance(support.where, Plane):
+            return None
+        amplitude, k = support.columns[spec.axis]
+        if (
+            amplitude.field
+            or not support.where.side
+            or (not amplitude.function and not amplitude.constant[k])
+        ):
+            return None
+        return cls(support.name, spec.axis, support.where.index, amplitude, k, asked=False)
 
     @classmethod
     def of(cls, spec: PlaneSpec, support: Support) -> MovingPlane:
@@ -53,14 +71,19 @@ class MovingPlane:
         assert isinstance(support.where, Plane)
         return cls(support.name, spec.axis, support.where.index, amplitude, k)
 
+    def released(self, factor: float) -> MovingPlane:
+        """The plane once its support has been released at a load factor: it stays where it is."""
+        return replace(self, stays=self.displacement(factor))
+
     def anchor(self, grid: Grid) -> int:
         """Lattice index of the plane that stays: the lower wall, or the upper one if the lower one moves."""
         return 0 if self.index else grid.shape[self.axis]
 
     def displacement(self, factor: float) -> float:
-        """How far the plane has moved (m) since load factor 0."""
-        now, start = (float(self.amplitude.at(f, np.zeros((1, 1)))[0, self.component]) for f in (factor, 0.0))
-        return now - start
+        """How far the plane has moved (m) at a load factor that has been reached."""
+        if self.stays is not None:
+            return self.stays
+        return float(self.amplitude.at(factor, np.zeros((1, 1)))[0, self.component])
 
     def stretched(self, grid: Grid, factor: float) -> Grid:
         """The grid whose plane stands where its support has moved it at a load factor.
@@ -82,9 +105,10 @@ def check(planes: Sequence[MovingPlane], supports: Sequence[Support], grid: Grid
     """Raise InputError for planes that can't be followed together with the other supports."""
     first: dict[int, MovingPlane] = {}
     for plane in planes:
-        if first.setdefault(plane.axis, plane) is not plane:
+        other = first.setdefault(plane.axis, plane)
+        if other is not plane and {plane.index, other.index} != {0, grid.shape[plane.axis]}:
             raise InputError(
-                f"{plane.support}: moving = True: {first[plane.axis].support} moves the grid along "
+                f"{plane.support}: moving = True: {other.support} moves the grid along "
                 f"{'xyz'[plane.axis]} already"
             )
     for plane in planes:
@@ -104,9 +128,29 @@ def check(planes: Sequence[MovingPlane], supports: Sequence[Support], grid: Grid
                 )
 
 
-def grid_at(planes: Sequence[MovingPlane], initial: Grid, factor: float) -> Grid:
-    """The grid of a reset at a load factor."""
+def followed(planes: Sequence[MovingPlane], supports: Sequence[Support], grid: Grid) -> list[MovingPlane]:
+    """The planes that are followed: those that the script has asked for, and of the others those that can be.
+
+    Raises:
+        InputError: planes that were asked for can't be followed.
+    """
+    found = [plane for plane in planes if plane.asked]
+    check(found, supports, grid)
+    for axis in range(grid.dim):
+        more = [plane for plane in planes if not plane.asked and plane.axis == axis]
+        try:
+            check([*found, *more], supports, grid)
+        except InputError:
+            continue
+        found += more
+    return found
+
+
+def grid_at(planes: Sequence[MovingPlane], initial: Grid, factor: float | None) -> Grid:
+    """The grid of a reset at a load factor; None: before the first step."""
     grid = initial
+    if factor is None:
+        return grid
     for plane in planes:
         grid = plane.stretched(grid, factor)
     return grid

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..assembly.interpolation import Interpolation
 from ..assembly.points import LoadedPoints, PointSystem
+from ..assembly.transfer import nodal_values
 from ..basis.base import Basis
 from ..basis.registry import basis_of, names
 from ..bodies.partition import LoadShares, distribute
@@ -19,8 +20,11 @@ from ..bodies.points import Points, Selection
 from ..bodies.reference import Increments, Reference
 from ..bodies.seeding import check_inside
 from ..conditions import movinggrid
-from ..conditions.loads import point_loads
+from ..conditions.amplitudes import Fade
+from ..conditions.holding import check_held
+from ..conditions.loads import Applied, Load, point_loads
 from ..conditions.movinggrid import MovingPlane
+from ..conditions.prescribed import Prescribed
 from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.choice import make_form
@@ -35,10 +39,12 @@ from ..materials.base import warn_of_locking
 from ..solvers.choice import check_solver
 from ..solvers.newton import Controls
 from ..solvers.resetting import ResetPolicy, WhenDistorted, make_policy
+from ..terms.base import Term
 from ..terms.ghost import Ghost, GhostPenalty, make_penalty
 from ..tools.parallel import errors_on_all_ranks, values_by_number
 from .base import Problem
 from .conservation import Conservation, Totals
+from .release import hand_over
 from .state import Progress
 from .surfaces import add_load
 
@@ -121,7 +127,7 @@ class QuasiStatic(Problem):
         solver: str = "auto",
     ):
         self.grid = self.initial_grid = grid
-        self._moving: list[MovingPlane] = []
+        self._moving: list[MovingPlane] = []  # those that could be followed
         self.basis, self.policy = basis_of(basis), make_policy(reset)
         self.assembly, self.solver = _check_assembly(assembly, self.basis), check_solver(solver)
         if points.dim != grid.dim:
@@ -165,24 +171,62 @@ class QuasiStatic(Problem):
             if self.progress.step:
                 raise InputError(f"{support.name}: moving = True: allowed before the first load step only")
             moving.append(MovingPlane.of(where, support))
-        movinggrid.check(moving, [*self.supports, support], self.initial_grid)
+        elif isinstance(where, PlaneSpec) and where.moving is None and not self.progress.step:
+            moving += [m for m in [MovingPlane.if_possible(where, support)] if m]
+        movinggrid.followed(moving, [*self.supports, support], self.initial_grid)
         self._moving = moving
 
-    def load(self, where: Selection | Surface, *, force: Any = None, couple: Any = None) -> None:
+    @property
+    def moving_planes(self) -> list[MovingPlane]:
+        """The planes that the grid follows."""
+        return movinggrid.followed(self._moving, self.supports, self.initial_grid)
+
+    def _dismiss(self, support: Support) -> None:
+        factor = self.progress.factor
+        same = [m for m in self._moving if m.support == support.name]
+        self._moving = [m for m in self._moving if m not in same]
+        if self.progress.step:  # the grid stays as it is
+            self._moving += [m.released(factor) for m in same]
+
+    def _take_over(self, support: Support, fade: Fade) -> None:
+        if self._equilibrium is None or support not in self._equilibrium.prescribed.supports:
+            raise InputError(f"release: no load step has been solved yet with {support.name}")
+        handed = hand_over(support, self.supports, self._equilibrium, self._system, fade)
+        self._loads += handed
+        if self._converged_loads is not None:  # in the last step the support did what they do
+            for load in handed:
+                load.add_to(self._converged_loads[load.couple], self.points, fade.begin)
+
+    def load(
+        self,
+        where: Selection | Surface,
+        *,
+        force: Any = None,
+        couple: Any = None,
+        counts: str | None = None,
+    ) -> Term | Applied:
         """A dead force (N) and couple (N m) in total, shared equally by selected points, or spread evenly
         over a surface.
 
-        Values as in `fix`: numbers are ramped, functions of the load factor give the value. In plane strain
-        they count per unit thickness, and the couple is one number.
+        Numbers are ramped, functions of the load factor give the value. In plane strain they count per unit
+        thickness, and the couple is one number.
+
+        Args:
+            counts: of a load that is added in mid-run: "from now": it is what the values gain from the present
+                load factor on, so that nothing jumps; or "total": the values at the load factor. Default:
+                numbers grow from now, functions give the total.
+
+        Returns:
+            The load, for `release`.
         """
         if isinstance(where, Surface):
-            return add_load(self, where, force, couple)
+            return add_load(self, where, force, couple, counts)
         if not isinstance(where, Selection):
             raise InputError(
                 f"selection = {where!r}: use points.where, points.farthest, points.nearest, or a Surface"
             )
         share = 1.0 / max(1, len(where))
-        self._add_loads(f"load {len(self.loads) + 1}", where, force, couple, False, share)
+        return self._add_loads(f"load {self.given.next('load')}", where, (force, couple), counts, share=share)
 
     def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
         with errors_on_all_ranks(self.comm):
@@ -249,8 +293,8 @@ class QuasiStatic(Problem):
         if old is None or reset:
             self._system = self._reset()
         else:
-            self._system = self._build(old.interpolation)
-            self._system.x[:], self._system.carried[:] = old.x, old.carried
+            self._system = self._build(old.interpolation, old.x)
+            self._system.carried[:] = old.carried
         if old is not None:
             old.destroy()
         self._stale = False
@@ -261,7 +305,7 @@ class QuasiStatic(Problem):
     def _reset(self) -> LoadedPoints:
         """The system of a new grid, from whose nodes increments count."""
         p = self.progress
-        grid = movinggrid.grid_at(self._moving, self.initial_grid, p.factor)
+        grid = movinggrid.grid_at(self.moving_planes, self.initial_grid, p.factor if p.step else None)
         check_inside(grid, self.points)
         self._put_grid(grid)
         if self.load_shares.due():
@@ -276,8 +320,25 @@ class QuasiStatic(Problem):
             # not the present loads: what has been added since the last step stays out of balance
             system.set_loads(*(self._converged_loads or self._loads_at(p.factor)))
             self._set_terms(p.factor, carrying=True)
-            system.carry_imbalance()
-        return system
+            system.carry_imbalance(self._left(system))
+        return self._without_leaving_terms(system)
+
+    def _left(self, system: LoadedPoints) -> np.ndarray:
+        """Unknowns (nodes, block) of supports that have been released since the last converged step."""
+        left = [s for s in self._leaving if isinstance(s, Support)]
+        return Prescribed(system.nodes, left, self.layout, self.comm).fixed
+
+    def _without_leaving_terms(self, system: LoadedPoints) -> LoadedPoints:
+        """The system without terms that have been released since the last converged step; they were there so
+        that what they did isn't carried along."""
+        interpolation, leaving = system.interpolation, [t for t in self._leaving if isinstance(t, Term)]
+        if not leaving:
+            return system
+        interpolation.pieces = [p for p in interpolation.pieces if not any(p.of is t for t in leaving)]
+        made = self._build(interpolation)
+        made.carried[:] = system.carried
+        system.destroy()
+        return made
 
     def _migrate(self, reference: Reference | None = None) -> Reference | None:
         """Distribute the points afresh, with all that is kept for each of them between steps; between resets
@@ -301,20 +362,33 @@ class QuasiStatic(Problem):
                     support.where.follow(grid)
 
     def _interpolate(self, reference: Reference | None) -> Interpolation:
-        for term in self.terms if reference is None else []:
+        terms = self._working_terms
+        for term in terms if reference is None else []:
             term.begin()
-        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, self.terms)
+        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, terms)
         self._conservation.reset(made)
         self.load_shares.built(self.points, made.nodes)
         return made
 
-    def _build(self, interpolation: Interpolation) -> LoadedPoints:
+    def _build(self, interpolation: Interpolation, x: np.ndarray | None = None) -> LoadedPoints:
+        """The system on nodes with increments x (nodes, block) since the reset."""
         prescribed, c = self._prescribed(interpolation.nodes), self._compiled
+        volume = interpolation.spread(self.points.volume[:, None])[: interpolation.nodes.owned, 0]
+        check_held(prescribed, volume / np.prod(self.grid.smallest), self.progress.step)
         kind: Callable[..., LoadedPoints] = PointSystem
         if self.assembly == "projection":
             # lazy import: direct sums need no assembler of dolfinx
             from ..assembly.projection import ProjectedSystem as kind
-        return kind(interpolation, c.kernels, c.couple, prescribed, self.timer, self.solver)
+        interpolation.pieces = [p for p in interpolation.pieces if p.of in self._working_terms]
+        system = kind(interpolation, c.kernels, c.couple, prescribed, self.timer, self.solver)
+        if x is not None:
+            system.x[:] = x
+            prescribed.start_from(self.progress.factor, x)
+        if prescribed.needs_motion and self.progress.step:
+            p, d = self.points, self.grid.dim
+            moved = nodal_values(system, np.hstack([p.displacement, p.q]))
+            prescribed.put_motion(moved[:, :d], rotations.normalise(moved[:, d:]))
+        return system
 
     def _compile(self) -> None:
         c = self._compiled
@@ -371,7 +445,12 @@ class QuasiStatic(Problem):
             self._system.destroy()
             self._system = None
         factor = progress.factor if increments is None else progress.reset_factor
-        self._put_grid(movinggrid.grid_at(self._moving, self.initial_grid, factor))
+        for load in self._loads:
+            if isinstance(load, Load) and load.selection is not None:
+                self.points.check(load.selection)  # the saved points may be others
+        self._put_grid(
+            movinggrid.grid_at(self.moving_planes, self.initial_grid, factor if progress.step else None)
+        )
         reference, lattice, values = increments or (None, None, None)
         if shares is None:
             reference = self._migrate(reference)
@@ -382,9 +461,10 @@ class QuasiStatic(Problem):
             return
         self._compile()
         interpolation = self._interpolate(reference)
-        self._system, self._stale = self._build(interpolation), False
         here = values_by_number(self.comm, lattice, values, interpolation.nodes.lattice)
-        self._system.x[:], self._system.carried[:] = np.hsplit(here, 2)
+        x, carried = np.hsplit(here, 2)
+        self._system, self._stale = self._build(interpolation, x), False
+        self._system.carried[:] = carried
 
     @property
     def system(self) -> LoadedPoints | None:

@@ -1,0 +1,67 @@
+"""From nodes to points: the values at the points that stand for forces on the nodes, or for a motion of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .system import NodalSystem
+
+_ITERATIONS = 500
+_ACCURACY = 1e-12
+
+
+def point_values(system: NodalSystem, forces: np.ndarray) -> np.ndarray:
+    """Values (np, block) at the points, times their volumes, that spread to forces (nodes, block), complete on
+    owned rows, with the weighting functions. Collective."""
+    volume = system.point_volumes()[:, None]
+    values: np.ndarray = volume * system.at_points(_solve(system, forces))
+    return values
+
+
+def nodal_values(system: NodalSystem, values: np.ndarray) -> np.ndarray:
+    """Nodal values (nodes, c) whose interpolation comes nearest to values (np, c) at the points, weighted by
+    volume. Collective."""
+    block, volume = system.layout.block, system.point_volumes()[:, None]
+    columns = values.shape[1]
+    padded = np.pad(values, ((0, 0), (0, -columns % block)))
+    parts = [
+        _solve(system, system.from_points(np.ascontiguousarray(volume * padded[:, k : k + block])))
+        for k in range(0, padded.shape[1], block)
+    ]
+    found: np.ndarray = np.hstack(parts)[:, :columns]
+    return found
+
+
+def _solve(system: NodalSystem, right: np.ndarray) -> np.ndarray:
+    """Solve sum_p V_p N_n N_m x_m = b_n for x (nodes, block) by conjugate gradients, as far as it can be: nodes
+    that few points reach may be undetermined. Collective."""
+    own, comm, nodes = system.owned, system.comm, system.nodes
+    volume = system.point_volumes()[:, None]
+
+    def product(x: np.ndarray) -> np.ndarray:
+        return system.from_points(volume * system.at_points(x))
+
+    def dot(a: np.ndarray, b: np.ndarray) -> float:
+        return float(comm.allreduce(float(np.sum(a[:own] * b[:own]))))
+
+    lumped = np.abs(system.node_volumes())
+    most = comm.allreduce(float(lumped[:own].max(initial=0.0)))
+    inverse = (1.0 / np.maximum(lumped, 1e-6 * most))[:, None]
+    x, r = np.zeros_like(right), right.copy()
+    z = inverse * r
+    p, rz = z.copy(), dot(r, z)
+    end = _ACCURACY**2 * rz
+    for _ in range(_ITERATIONS):
+        if rz <= end:
+            break
+        nodes.update_ghosts(p)
+        q = product(p)
+        pq = dot(p, q)
+        if pq <= 0.0:
+            break
+        x, r = x + rz / pq * p, r - rz / pq * q
+        z = inverse * r
+        old, rz = rz, dot(r, z)
+        p = z + rz / old * p
+    nodes.update_ghosts(x)
+    return x
