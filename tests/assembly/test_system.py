@@ -233,7 +233,10 @@ def test_prescribed_increments_load_the_free_unknowns(dim, full, solver):
     if full and dim == 2:
         pytest.skip("couples in plane strain are nodal loads")
     points = scattered(dim, MICROPOLAR)
-    supports = [(lambda x: x[:, 0] < 0.5, {"ux": 0.1, "theta": 0.2}), (lambda x: x[:, 1] > 1.5, {"uy": -0.3})]
+    supports = [
+        (lambda x: x[:, 0] < 0.5, {"ux": 0.1, "theta": 0.2 if dim == 2 else (0.2,) * 3}),
+        (lambda x: x[:, 1] > 1.5, {"uy": -0.3}),
+    ]
     free_system = make_system(points, "gimpm", full=full)
     system = make_system(points, "gimpm", full=full, supports=supports, solver=solver)
     x = random_increment(system)

@@ -105,7 +105,8 @@ class ElementSystem(NodalSystem):
     def at_points(self, x: np.ndarray) -> np.ndarray:
         e = self.forms.elements
         of_cells = x[e.cell_nodes[: len(e.body.owned_cells)]]
-        return np.einsum("qn,cnb->cqb", self._functions, of_cells).reshape(-1, x.shape[1])
+        values: np.ndarray = np.einsum("qn,cnb->cqb", self._functions, of_cells)
+        return values.reshape(-1, x.shape[1])
 
     def from_points(self, values: np.ndarray) -> np.ndarray:
         e = self.forms.elements

@@ -159,8 +159,8 @@ class NodalSystem(ABC):
         return self.with_terms(self.loads)
 
     def spatial_loads(self) -> np.ndarray:
-        """Forces and couples (nodes, block) of the loads, those of terms apart, complete on owned rows; couples
-        do work on spins. Collective."""
+        """Forces and couples (nodes, block) of the loads, those of terms apart, complete on owned rows;
+        couples do work on spins. Collective."""
         return self.loads
 
     def start_elastic(self, on: bool) -> bool:

@@ -1,4 +1,4 @@
-"""From nodes to points: the values at the points that stand for forces on the nodes, or for a motion of them."""
+"""Between nodes and points: point values that stand for nodal forces, nodal ones for the points' motion."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ _ACCURACY = 1e-12
 
 
 def point_values(system: NodalSystem, forces: np.ndarray) -> np.ndarray:
-    """Values (np, block) at the points, times their volumes, that spread to forces (nodes, block), complete on
-    owned rows, with the weighting functions. Collective."""
+    """Values (np, block) at the points, times their volumes, that spread to forces (nodes, block), complete
+    on owned rows, with the weighting functions. Collective."""
     volume = system.point_volumes()[:, None]
     values: np.ndarray = volume * system.at_points(_solve(system, forces))
     return values
@@ -33,8 +33,8 @@ def nodal_values(system: NodalSystem, values: np.ndarray) -> np.ndarray:
 
 
 def _solve(system: NodalSystem, right: np.ndarray) -> np.ndarray:
-    """Solve sum_p V_p N_n N_m x_m = b_n for x (nodes, block) by conjugate gradients, as far as it can be: nodes
-    that few points reach may be undetermined. Collective."""
+    """Solve sum_p V_p N_n N_m x_m = b_n for x (nodes, block) by conjugate gradients, as far as it can be:
+    nodes that few points reach may be undetermined. Collective."""
     own, comm, nodes = system.owned, system.comm, system.nodes
     volume = system.point_volumes()[:, None]
 

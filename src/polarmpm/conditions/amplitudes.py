@@ -79,7 +79,7 @@ class Amplitude:
 
     def _hint(self, value: Any) -> str:
         zeros = ", 0" * (self.size - 1)
-        return f"a vector is needed, such as ({value}{zeros})"
+        return f"write {self.name.split(', ')[-1]}=({value}{zeros}) or the like"
 
     def begin(self, factor: float, counts: str | None = None) -> None:
         """Count from a load factor at which it is added: "from now", what it gains from then on, or in

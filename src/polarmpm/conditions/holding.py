@@ -60,8 +60,8 @@ def _nothing(prescribed: Prescribed, support: Support, weights: np.ndarray) -> s
         found = np.concatenate(comm.allgather(np.unique(position[:, axis].round(9))))
         places.append(f"{name} = {_listed(np.unique(found))}")
     return (
-        f"{support.name} holds nothing: there is no node of the body where it is meant to act. Its nodes are at "
-        f"{'; '.join(places)} (with splines at the middle of cells and on the grid's walls)"
+        f"{support.name} holds nothing: there is no node of the body where it is meant to act. Its nodes are "
+        f"at {'; '.join(places)} (with splines at the middle of cells and on the grid's walls)"
     )
 
 
@@ -73,13 +73,13 @@ def _listed(values: Sequence[float]) -> str:
 def _lost(support: Support, step: int, what: str) -> str:
     where = support.where
     cure = (
-        "hold a Surface, which the body carries (springs), or release the support; with fewer resets it holds "
-        "longer"
+        "hold a Surface, which the body carries (springs), or release the support; with fewer resets it "
+        "holds longer"
     )
     if isinstance(where, Plane) and where.axis in support.columns:
         name = f"{'xyz'[where.axis]}={where.value:g}"
         cure = f"let the plane follow the body from the start, plane({name}, moving=True), or {cure}"
     return (
-        f"{support.name}: at the reset of the grid after step {step} the body {what}. The last converged state "
-        f"is intact. To go on: {cure}"
+        f"{support.name}: at the reset of the grid after step {step} the body {what}. The last converged "
+        f"state is intact. To go on: {cure}"
     )

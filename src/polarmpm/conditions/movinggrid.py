@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,7 @@ class MovingPlane:
         axis, index: the plane's lattice index along its axis.
         amplitude, component: of the displacement along the axis.
         asked: the script has said `moving=True`; otherwise it is followed where that is possible.
+        total: what is prescribed counts from the undeformed body, not from load factor 0.
         stays: its displacement (m) since its support was released; None: it hasn't been.
     """
 
@@ -36,6 +38,7 @@ class MovingPlane:
     amplitude: Amplitude
     component: int
     asked: bool = True
+    total: bool = True
     stays: float | None = None
 
     @classmethod
@@ -50,7 +53,7 @@ class MovingPlane:
             or (not amplitude.function and not amplitude.constant[k])
         ):
             return None
-        return cls(support.name, spec.axis, support.where.index, amplitude, k, asked=False)
+        return cls(support.name, spec.axis, support.where.index, amplitude, k, False, support.total)
 
     @classmethod
     def of(cls, spec: PlaneSpec, support: Support) -> MovingPlane:
@@ -69,7 +72,7 @@ class MovingPlane:
                 "of the load factor alone is allowed"
             )
         assert isinstance(support.where, Plane)
-        return cls(support.name, spec.axis, support.where.index, amplitude, k)
+        return cls(support.name, spec.axis, support.where.index, amplitude, k, total=support.total)
 
     def released(self, factor: float) -> MovingPlane:
         """The plane once its support has been released at a load factor: it stays where it is."""
@@ -83,7 +86,8 @@ class MovingPlane:
         """How far the plane has moved (m) at a load factor that has been reached."""
         if self.stays is not None:
             return self.stays
-        return float(self.amplitude.at(factor, np.zeros((1, 1)))[0, self.component])
+        now, start = (float(self.amplitude.at(f, np.zeros((1, 1)))[0, self.component]) for f in (factor, 0.0))
+        return now if self.total else now - start
 
     def stretched(self, grid: Grid, factor: float) -> Grid:
         """The grid whose plane stands where its support has moved it at a load factor.
@@ -146,11 +150,45 @@ def followed(planes: Sequence[MovingPlane], supports: Sequence[Support], grid: G
     return found
 
 
-def grid_at(planes: Sequence[MovingPlane], initial: Grid, factor: float | None) -> Grid:
-    """The grid of a reset at a load factor; None: before the first step."""
-    grid = initial
-    if factor is None:
+class MovingGrid:
+    """A grid and the planes that it follows.
+
+    Attributes:
+        initial: the grid that was given.
+    """
+
+    def __init__(self, initial: Grid):
+        self.initial = initial
+        self._planes: list[MovingPlane] = []  # those that could be followed
+
+    def admit(self, spec: Any, support: Support, others: Sequence[Support], late: bool) -> None:
+        """Take note of a support on `spec`, if that is a plane; `late`: in mid-run.
+
+        Raises:
+            InputError: it can't be followed as was asked for, or goes against one that is followed.
+        """
+        planes = list(self._planes)
+        if isinstance(spec, PlaneSpec) and spec.moving:
+            if late:
+                raise InputError(f"{support.name}: moving = True: allowed before the first load step only")
+            planes.append(MovingPlane.of(spec, support))
+        elif isinstance(spec, PlaneSpec) and spec.moving is None and not late:
+            possible = MovingPlane.if_possible(spec, support)
+            planes += [] if possible is None else [possible]
+        followed(planes, [*others, support], self.initial)
+        self._planes = planes
+
+    def dismiss(self, support: Support, factor: float | None) -> None:
+        """A support has been released at a load factor (None: before the first step): its plane stays."""
+        same = [plane for plane in self._planes if plane.support == support.name]
+        self._planes = [plane for plane in self._planes if plane not in same]
+        if factor is not None:
+            self._planes += [plane.released(factor) for plane in same]
+
+    def at(self, factor: float | None, supports: Sequence[Support]) -> Grid:
+        """The grid of a reset at a load factor; None: before the first step."""
+        grid = self.initial
+        if factor is not None:
+            for plane in followed(self._planes, supports, self.initial):
+                grid = plane.stretched(grid, factor)
         return grid
-    for plane in planes:
-        grid = plane.stretched(grid, factor)
-    return grid

@@ -61,7 +61,8 @@ def make_support(
     number: int,
     total: bool = True,
 ) -> Support:
-    """Check a user's support; `where` is a predicate of node positions."""
+    """Check a user's support; `where` is a predicate of node positions. `number` 0: `label` is its name."""
+    name = f"support {number} ({label})" if number else label
     if not components:
         raise InputError("fix: names no component; for example u=0, ux=0, theta=0")
     names, columns = component_names(layout), {}
@@ -76,9 +77,9 @@ def make_support(
             raise InputError(
                 f"fix: unknown component {key!r}; allowed are u, theta, {', '.join(names)}{hint}"
             )
-        amplitude = Amplitude(f"support {number} ({label}), {key}", value, len(group))
+        amplitude = Amplitude(f"{name}, {key}", value, len(group))
         for i, g in enumerate(group):
             if names.index(g) in columns:
                 raise InputError(f"fix: component {g!r} is given twice")
             columns[names.index(g)] = (amplitude, i)
-    return Support(f"support {number} ({label})", where, columns, total)
+    return Support(name, where, columns, total)

@@ -29,8 +29,8 @@ class Table:
             for step in problem.march(10):
                 table.record(step)
 
-    `energies=problem.energies` adds the energy balance, `wall=lambda: problem.reaction(wall)` a reaction (force,
-    couple and moment), `balance=problem.balance` what loads and reactions add up to,
+    `energies=problem.energies` adds the energy balance, `wall=lambda: problem.reaction(wall)` a reaction
+    (force, couple and moment), `balance=problem.balance` what loads and reactions add up to,
     `p=lambda: points.mean(field_values(problem, "mean_pressure"), tip)` the mean of a field of `Recorder`'s.
 
     Args:

@@ -26,14 +26,14 @@ from ..solvers.stepping import Schedule, Step, march
 from ..terms.surfaces import SurfaceSupport
 from ..tools.parallel import errors_on_all_ranks
 from ..tools.timing import Timer
-from .conditions import Conditions
 from .observer import Observer
 from .reactions import Balance, Equilibrium, Reaction, point_about, surface_reaction
+from .release import Releasable
 from .state import Fields, StateFields, choose_fields
 from .work import StepStart, step_work
 
 
-class Problem(Conditions):
+class Problem(Releasable):
     """Equilibrium of a body under slowly changing loads. All methods are collective.
 
     Attributes:
@@ -51,7 +51,6 @@ class Problem(Conditions):
         self.rows: dict[str, np.ndarray] = {}
         self.steps: list[Step] = []
         self._fields = StateFields(comm)
-        self._equilibrium: Equilibrium | None = None  # the last converged step
         self._last_x: np.ndarray | None = None  # where the points were before the last step
 
     # what the methods differ in -------------------------------------------------------------------
@@ -74,11 +73,6 @@ class Problem(Conditions):
     @abstractmethod
     def _commit(self, system: Any, increments: Increments, factor: float) -> None:
         """Make a solution the body's state."""
-
-    @property
-    @abstractmethod
-    def system(self) -> NodalSystem | None:
-        """Nodes, their increments and residual as of the last step; None before the first one."""
 
     # solving --------------------------------------------------------------------------------------
     def march(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,7 +11,7 @@ from mpi4py import MPI
 import numpy as np
 
 from ..bodies.points import Points, Selection
-from ..conditions.amplitudes import Amplitude, Fade, check_counts
+from ..conditions.amplitudes import Amplitude, check_counts
 from ..conditions.loads import AnyLoad, Applied, HandedOver, Load, make_loads
 from ..conditions.supports import Support, make_support
 from ..errors import InputError
@@ -24,7 +23,6 @@ from ..terms.surfaceterms import SurfaceCondition
 from ..tools.parallel import errors_on_all_ranks
 from . import surfaces
 from .given import Given, Register
-from .release import described, fading
 from .state import Progress
 
 
@@ -100,7 +98,7 @@ class Conditions(ABC):
                 factor, or of (factor, positions), gives the displacement or rotation; positions are
                 those of the nodes at the last reset, of a surface the undeformed ones. In one step a rotation
                 in space may change by less than pi. One number for several components is zero.
-            counts: "from now" or "total": whether these values count from the body's place at present, so that
+            counts: "from now" or "total": whether these values count from the body's present place, so that
                 u=0 holds it there and it moves by what the values gain from now on; or from the undeformed
                 body, so that u=0 brings it back to it in the next step. Default: before the first load step
                 the total, later from now on. (The displacement of a grid's node is that of the material
@@ -117,13 +115,13 @@ class Conditions(ABC):
                 displacements.
 
         Returns:
-            The support, for `reaction` and `release`. Of a surface, `support.gap` (n,) tells by how much (m) the prescribed
-            displacements were missed in the last step.
+            The support, for `reaction` and `release`. Of a surface, `support.gap` (n,) tells by how much (m)
+            the prescribed displacements were missed in the last step.
 
         Raises:
             InputError: unknown component or none, plane without nodes, value that isn't finite; of a surface,
                 a stiffness that isn't positive, materials that don't name their moduli; springs elsewhere.
-                When the next step begins, also a support at whose nodes there is nothing of the body.
+                When the next step begins, a support at whose nodes there is nothing of the body.
         """
         check_counts("fix", counts)
         springs = {"stiffness": stiffness, "rotation_stiffness": rotation_stiffness, "normal": normal}
@@ -132,6 +130,9 @@ class Conditions(ABC):
         given = [name for name, value in springs.items() if value is not None] + ["augment"] * bool(augment)
         if given:
             raise InputError(f"fix: {given[0]} belongs to springs on a Surface; where = {where!r}")
+        return self._fix_nodes(where, components, counts)
+
+    def _fix_nodes(self, where: Any, components: dict[str, Any], counts: str | None) -> Support:
         predicate, label = self._place(where)
         total = not self.progress.step if counts is None else counts == "total"
         number = self.given.next("support")
@@ -139,8 +140,8 @@ class Conditions(ABC):
         turned = [c for c in support.columns if c >= self.layout.dim]
         if total and self.progress.step and 0 < len(turned) < self.layout.rotations:
             raise InputError(
-                f"{support.name}: counts = 'total': in space single components of a rotation have no total; give "
-                "theta, or counts='from now'"
+                f"{support.name}: counts = 'total': in space single components of a rotation have no total; "
+                "give theta, or counts='from now'"
             )
         self._admit(where, support)
         self._supports.append(support)
@@ -262,75 +263,6 @@ class Conditions(ABC):
         self.given.add(Given(applied.name, applied, self.progress.factor, counts), "load")
         self._stale = True
 
-    # releasing -----------------------------------------------------------------------------------------
-    def release(self, condition: Any, *, over: float | None = None, until: float | None = None) -> None:
-        """Take a condition away: a support, load, traction, pressure or term.
-
-        At once: from the next step on it does nothing any more. Or evenly over load factors: a load keeps its
-        present value and fades; the reaction of a support, or the springs' forces of a surface, become dead
-        forces (and couples) on the body, which fade. After that nothing is left of it; until then `loads` has
-        what a support has handed over.
-
-        Args:
-            condition: what `fix`, `load`, `body_load`, `traction` or `pressure` has returned, or a term.
-            over: load factors over which it fades.
-            until: load factor at which it has faded, instead of `over`.
-
-        Raises:
-            InputError: not a condition of this problem, or released already; both `over` and `until`, or no
-                time at all; a term that can't fade; nothing has been solved yet that could fade.
-        """
-        fade, given = fading(self.progress.factor, over, until), self.given.of(condition)
-        if given is None:
-            raise InputError(f"release: {described(condition)} is no condition of this problem")
-        if given.released is not None:
-            raise InputError(f"release: {given.name} was released at load factor {given.released:g} already")
-        if fade is not None and not self.progress.step:
-            raise InputError(
-                f"release: {given.name}: before the first load step there is nothing that could fade"
-            )
-        self._let_go(given, fade)
-        given.released, given.until = self.progress.factor, None if fade is None else fade.end
-
-    def _let_go(self, given: Given, fade: Fade | None) -> None:
-        self._stale = True
-        for part in getattr(given.condition, "parts", (given.condition,)):
-            if isinstance(part, Support):
-                if fade is not None:
-                    self._take_over(part, fade)
-                elif self.progress.step:
-                    self._leaving.append(part)
-                self._supports = [s for s in self._supports if s is not part]
-                self._dismiss(part)
-            elif not isinstance(part, Term):
-                if fade is None:
-                    self._remove_load(part)
-                part.amplitude.fade = fade
-            elif fade is not None:
-                part.fade(fade.begin, fade.end)
-            else:
-                if self.progress.step:
-                    self._leaving.append(part)
-                self._terms = [t for t in self._terms if t is not part]
-
-    @abstractmethod
-    def _take_over(self, support: Support, fade: Fade) -> None:
-        """Put loads that fade in the place of a support's reaction."""
-
-    def _dismiss(self, support: Support) -> None:  # noqa: B027
-        """A support has been released."""
-
-    def _remove_load(self, load: Any) -> None:
-        self._loads = [one for one in self._loads if one is not load]
-
-    def _settle(self) -> None:
-        """A step has converged."""
-        for support in self._supports:
-            support.committed = True
-        self._leaving = []
-        gone = [h for h in self._handed if not h.fade.share(self.progress.factor)]
-        self._loads = [load for load in self._loads if load not in gone]
-
     @property
     def _handed(self) -> list[HandedOver]:
         return [load for load in self._loads if isinstance(load, HandedOver)]
@@ -340,7 +272,6 @@ class Conditions(ABC):
         """Terms, with those that have been released since the last converged step."""
         return [*self._terms, *(t for t in self._leaving if isinstance(t, Term))]
 
-    # terms, restart ------------------------------------------------------------------------------------
     def _set_terms(self, factor: float, carrying: bool = False) -> None:
         with errors_on_all_ranks(self.comm):
             for term in self._terms:
@@ -389,63 +320,6 @@ class Conditions(ABC):
         """Put in rows such as those of `load_rows`, of which there may be others."""
         for k, load in enumerate(self._handed):
             load.values = rows[f"handed {k}"]
-
-    def condition_state(self) -> dict[str, str]:
-        """What a restart file holds of the conditions: which there are, since when, and what was handed
-        over."""
-        handed = [[h.name, h.couple, h.fade.begin, h.fade.end] for h in self._handed]
-        return {"given": self.given.saved(), "handed": json.dumps(handed)}
-
-    def restore_conditions(self, state: dict[str, str], factor: float) -> None:
-        """Go on with conditions as `condition_state` has told; before `restore_terms` and `restore`. New ones
-        count from the load factor of the saved state.
-
-        Raises:
-            InputError: some that were saved haven't been given.
-        """
-        known = self.given.match(state["given"]) if "given" in state else [(g, {}) for g in self.given]
-        empty = np.zeros((0, 0))
-        self._loads += [
-            HandedOver(name, couple, Fade(*ends), empty)
-            for name, couple, *ends in json.loads(state.get("handed", "[]"))
-        ]
-        for given, row in known:
-            if row is None:
-                given.begun = factor
-                self._begin_again(given)
-                continue
-            if row:
-                given.begun, given.counts = row["begun"], row["counts"]
-                self._begin_again(given, row["met"])
-            elif isinstance(given.condition, Support):
-                given.condition.committed = True
-            if row.get("released") is not None and given.released is None:
-                given.released, given.until = row["released"], row["until"]
-                self._let_go_again(given, factor)
-
-    def _begin_again(self, given: Given, met: Any = None) -> None:
-        condition = given.condition
-        if isinstance(condition, Support):
-            condition.committed, condition.met = met is not None, met and tuple(met)
-            condition.total = condition.total and (met is not None or given.counts == "total")
-        elif isinstance(condition, Term):
-            condition.begin_at(given.begun, given.counts)
-        else:
-            for part in condition.parts:
-                part.amplitude.begin(given.begun, given.counts)
-
-    def _let_go_again(self, given: Given, factor: float) -> None:
-        """Release what had been released when the state was saved."""
-        assert given.released is not None
-        if isinstance(given.condition, Support):
-            self._supports = [s for s in self._supports if s is not given.condition]
-            self._dismiss(given.condition)
-            if (
-                given.until is None and given.released == factor
-            ):  # since the last step, as far as one can tell
-                self._leaving.append(given.condition)
-            return
-        self._let_go(given, None if given.until is None else Fade(given.released, given.until))
 
     def _load_places(self) -> list[tuple[Amplitude, np.ndarray]]:
         """All loads, and the positions (n, d) of this rank where they act.

@@ -16,7 +16,7 @@ from ..assembly.elements import ElementSystem
 from ..bodies.elements import Elements
 from ..bodies.facets import Facets
 from ..bodies.reference import Increments
-from ..conditions.amplitudes import Amplitude, Fade, check_counts
+from ..conditions.amplitudes import Amplitude, check_counts
 from ..conditions.holding import check_held
 from ..conditions.loads import Applied, point_loads
 from ..conditions.prescribed import Prescribed
@@ -31,12 +31,11 @@ from ..materials.base import warn_of_locking
 from ..solvers.choice import check_solver
 from ..solvers.newton import Controls
 from ..terms.base import Piece, Term
-from ..terms.settings import MeshSetting
+from ..terms.settings import MeshNodes, MeshSetting
 from ..terms.surfaceterms import SurfaceCondition
 from ..tools import compat
 from ..tools.parallel import errors_on_all_ranks
 from .base import Problem
-from .release import hand_over
 from .state import Progress
 from .surfaces import add_load
 
@@ -141,16 +140,12 @@ class QuasiStaticFEM(Problem):
     def _carried_so_far(self, term: SurfaceCondition) -> tuple[np.ndarray, np.ndarray]:
         """Displacements (n, d) and deformation gradients (n, d, d) at a surface's points."""
         carried, n, d = MeshSetting(self.elements).carry(term), len(term.surface), self.layout.dim
-        nodal = self.elements.displacement[carried.boxes.rows(self.elements.nodes)]
+        assert isinstance(carried.boxes, MeshNodes)
+        nodal = self.elements.displacement[carried.boxes.table]
         found = np.zeros((n, 1 + d, d))
         found[carried.rows] = np.einsum("mkn,mni->mki", carried.table, nodal)
         self.comm.Allreduce(MPI.IN_PLACE, found)
         return found[:, 0], np.eye(d) + np.swapaxes(found[:, 1:], 1, 2)
-
-    def _take_over(self, support: Support, fade: Fade) -> None:
-        if self._equilibrium is None or support not in self._equilibrium.prescribed.supports:
-            raise InputError(f"release: no load step has been solved yet with {support.name}")
-        self._loads += hand_over(support, self.supports, self._equilibrium, self._system, fade)
 
     def _remove_load(self, load: Any) -> None:
         super()._remove_load(load)
@@ -166,9 +161,9 @@ class QuasiStaticFEM(Problem):
                 surface.
             force, couple: numbers are ramped, functions of the load factor give the value. In plane strain
                 they count per unit thickness, and the couple is one number.
-            counts: of a load that is added in mid-run: "from now": it is what the values gain from the present
-                load factor on, so that nothing jumps; or "total": the values at the load factor. Default:
-                numbers grow from now, functions give the total.
+            counts: of a load that is added in mid-run: "from now": what the values gain from the present load
+                factor on, so that nothing jumps; or "total": the values at the load factor. Default: numbers
+                grow from now, functions give the total.
 
         Returns:
             The load, for `release`.

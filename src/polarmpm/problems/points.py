@@ -19,11 +19,9 @@ from ..bodies.partition import LoadShares, distribute
 from ..bodies.points import Points, Selection
 from ..bodies.reference import Increments, Reference
 from ..bodies.seeding import check_inside
-from ..conditions import movinggrid
-from ..conditions.amplitudes import Fade
 from ..conditions.holding import check_held
-from ..conditions.loads import Applied, Load, point_loads
-from ..conditions.movinggrid import MovingPlane
+from ..conditions.loads import Applied, HandedOver, Load, point_loads
+from ..conditions.movinggrid import MovingGrid
 from ..conditions.prescribed import Prescribed
 from ..conditions.supports import Support
 from ..errors import InputError
@@ -44,7 +42,6 @@ from ..terms.ghost import Ghost, GhostPenalty, make_penalty
 from ..tools.parallel import errors_on_all_ranks, values_by_number
 from .base import Problem
 from .conservation import Conservation, Totals
-from .release import hand_over
 from .state import Progress
 from .surfaces import add_load
 
@@ -127,7 +124,7 @@ class QuasiStatic(Problem):
         solver: str = "auto",
     ):
         self.grid = self.initial_grid = grid
-        self._moving: list[MovingPlane] = []  # those that could be followed
+        self._moving = MovingGrid(grid)
         self.basis, self.policy = basis_of(basis), make_policy(reset)
         self.assembly, self.solver = _check_assembly(assembly, self.basis), check_solver(solver)
         if points.dim != grid.dim:
@@ -166,36 +163,15 @@ class QuasiStatic(Problem):
         raise InputError(f"where = {where!r}: a plane or a predicate of node positions")
 
     def _admit(self, where: Any, support: Support) -> None:
-        moving = list(self._moving)
-        if isinstance(where, PlaneSpec) and where.moving:
-            if self.progress.step:
-                raise InputError(f"{support.name}: moving = True: allowed before the first load step only")
-            moving.append(MovingPlane.of(where, support))
-        elif isinstance(where, PlaneSpec) and where.moving is None and not self.progress.step:
-            moving += [m for m in [MovingPlane.if_possible(where, support)] if m]
-        movinggrid.followed(moving, [*self.supports, support], self.initial_grid)
-        self._moving = moving
-
-    @property
-    def moving_planes(self) -> list[MovingPlane]:
-        """The planes that the grid follows."""
-        return movinggrid.followed(self._moving, self.supports, self.initial_grid)
+        self._moving.admit(where, support, self.supports, self.progress.step > 0)
 
     def _dismiss(self, support: Support) -> None:
-        factor = self.progress.factor
-        same = [m for m in self._moving if m.support == support.name]
-        self._moving = [m for m in self._moving if m not in same]
-        if self.progress.step:  # the grid stays as it is
-            self._moving += [m.released(factor) for m in same]
+        self._moving.dismiss(support, self.progress.factor if self.progress.step else None)
 
-    def _take_over(self, support: Support, fade: Fade) -> None:
-        if self._equilibrium is None or support not in self._equilibrium.prescribed.supports:
-            raise InputError(f"release: no load step has been solved yet with {support.name}")
-        handed = hand_over(support, self.supports, self._equilibrium, self._system, fade)
-        self._loads += handed
-        if self._converged_loads is not None:  # in the last step the support did what they do
+    def _note_handed(self, handed: list[HandedOver], factor: float) -> None:
+        if self._converged_loads is not None:
             for load in handed:
-                load.add_to(self._converged_loads[load.couple], self.points, fade.begin)
+                load.add_to(self._converged_loads[load.couple], self.points, factor)
 
     def load(
         self,
@@ -212,9 +188,9 @@ class QuasiStatic(Problem):
         thickness, and the couple is one number.
 
         Args:
-            counts: of a load that is added in mid-run: "from now": it is what the values gain from the present
-                load factor on, so that nothing jumps; or "total": the values at the load factor. Default:
-                numbers grow from now, functions give the total.
+            counts: of a load that is added in mid-run: "from now": what the values gain from the present load
+                factor on, so that nothing jumps; or "total": the values at the load factor. Default: numbers
+                grow from now, functions give the total.
 
         Returns:
             The load, for `release`.
@@ -305,7 +281,7 @@ class QuasiStatic(Problem):
     def _reset(self) -> LoadedPoints:
         """The system of a new grid, from whose nodes increments count."""
         p = self.progress
-        grid = movinggrid.grid_at(self.moving_planes, self.initial_grid, p.factor if p.step else None)
+        grid = self._moving.at(p.factor if p.step else None, self.supports)
         check_inside(grid, self.points)
         self._put_grid(grid)
         if self.load_shares.due():
@@ -448,9 +424,7 @@ class QuasiStatic(Problem):
         for load in self._loads:
             if isinstance(load, Load) and load.selection is not None:
                 self.points.check(load.selection)  # the saved points may be others
-        self._put_grid(
-            movinggrid.grid_at(self.moving_planes, self.initial_grid, factor if progress.step else None)
-        )
+        self._put_grid(self._moving.at(factor if progress.step else None, self.supports))
         reference, lattice, values = increments or (None, None, None)
         if shares is None:
             reference = self._migrate(reference)

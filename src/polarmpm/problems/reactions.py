@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from mpi4py import MPI
@@ -26,8 +28,8 @@ class Reaction(tuple[np.ndarray, np.ndarray]):
     Attributes:
         force: (N), shape (d,).
         couple: sum of the nodes' couples (N m), shape (r,).
-        moment: of forces and couples about a point in the current configuration (N m), shape (1,) in the plane
-            and (3,) in space.
+        moment: of forces and couples about a point in the current configuration (N m), shape (1,) in the
+            plane and (3,) in space.
         about: that point (m), (d,).
         shared: by name of supports that were given earlier and hold some of the same unknowns: the force (N),
             (d,), at those, which the earlier support's reaction states and this one doesn't.
@@ -66,7 +68,8 @@ class Reaction(tuple[np.ndarray, np.ndarray]):
 
     def __repr__(self) -> str:
         also = f", shared={self.shared}" if self.shared else ""
-        return f"Reaction(force={self.force}, couple={self.couple}, moment={self.moment} about {self.about}{also})"
+        of = f"force={self.force}, couple={self.couple}, moment={self.moment} about {self.about}"
+        return f"Reaction({of}{also})"
 
 
 @dataclass(frozen=True)
@@ -151,7 +154,7 @@ class Equilibrium:
         terms: dict[int, tuple[str, np.ndarray]] = {}
         for piece in system.terms.pieces:
             name, forces = terms.get(id(piece.of), (piece.name, np.zeros_like(x)))
-            terms[id(piece.of)] = name, forces - system.terms.forces(x, lambda p, one=piece: p is one)
+            terms[id(piece.of)] = name, forces - system.terms.forces(x, partial(operator.is_, piece))
         return cls(
             system.prescribed,
             system.nodes,
@@ -246,13 +249,7 @@ class Equilibrium:
         parts, carried = [s for s in shares[:-1] if s.name != "loads" or self._loaded()], shares[-1]
         force = sum((s.force for s in parts), np.zeros(d))
         moment = sum((s.moment for s in parts), np.zeros_like(carried.moment))
-        own, size = self.nodes.owned, np.zeros(2 * d + 1)
-        if own:
-            ends = self.position[:own].max(axis=0), -self.position[:own].min(axis=0)
-            size[:-1] = np.concatenate(ends)
-        else:
-            size[:-1] = -np.inf
-        length = float(np.linalg.norm((lambda e: e[:d] + e[d:])(comm.allreduce(size[:-1], op=MPI.MAX))))
+        length, own = self._length(), self.nodes.owned
         of_nodes = comm.allreduce(
             float(np.abs(self.residual[:own, :d]).sum() + np.abs(self.loads[:own]).sum())
         )
@@ -263,6 +260,13 @@ class Equilibrium:
             float(np.linalg.norm(v)) / s if s else 0.0 for v, s in ((force, scale), (moment, turning))
         )
         return Balance(about, tuple(parts), carried, force, moment, (residue[0], residue[1]))
+
+    def _length(self) -> float:
+        """Diagonal (m) of the box around all nodes. Collective."""
+        here = self.position[: self.nodes.owned]
+        ends = np.stack([here.max(axis=0, initial=-np.inf), -here.min(axis=0, initial=np.inf)])
+        self.prescribed.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
+        return float(np.linalg.norm(ends.sum(axis=0)))
 
     def _loaded(self) -> bool:
         return bool(self.prescribed.comm.allreduce(bool(np.any(self.loads)), op=MPI.LOR))
@@ -287,7 +291,8 @@ def point_about(about: Any, dim: int) -> np.ndarray:
 
 def surface_reaction(support: SurfaceSupport, about: np.ndarray) -> Reaction:
     """Reaction of springs on a surface, which have taken part in a step."""
-    assert support.reaction is not None and support.moment is not None
+    assert support.reaction is not None
+    assert support.moment is not None
     force, couple = support.reaction
     at = moments(about[None], force[None], np.zeros((1, 0)))[0]
     return Reaction(force, couple, support.moment - at, about)

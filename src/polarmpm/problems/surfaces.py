@@ -84,8 +84,12 @@ def add_support(
     late = problem.progress.step > 0
     if late and counts == "total" and not problem.knows_undeformed:
         raise InputError(
-            f"{name}: counts = 'total': a surface that is added in mid-run is given where it is now; where it was "
-            "in the undeformed body isn't known. Add it before the first load step"
+            f"{name}: counts = 'total': a surface that is added in mid-run is given where it is now; where "
+            "it was in the undeformed body isn't known. Add it before the first load step"
+        )
+    if late and counts == "total" and any(c.startswith("theta") for c in components):
+        raise InputError(
+            f"{name}: counts = 'total': how far a surface that is added in mid-run has turned isn't known"
         )
     displaced = [c for c in components if not c.startswith("theta")]
     if normal is not None and displaced:
