@@ -8,13 +8,17 @@ from .system import NodalSystem
 
 _ITERATIONS = 500
 _ACCURACY = 1e-12
+_SHIFT = 1e-7
 
 
 def point_values(system: NodalSystem, forces: np.ndarray) -> np.ndarray:
     """Values (np, block) at the points, times their volumes, that spread to forces (nodes, block), complete
     on owned rows, with the weighting functions. Collective."""
     volume = system.point_volumes()[:, None]
-    values: np.ndarray = volume * system.at_points(_solve(system, forces))
+    values = np.zeros((len(volume), forces.shape[1]))
+    for _ in range(3):  # what the small multiple leaves
+        missing = forces - system.from_points(values)
+        values = values + volume * system.at_points(_solve(system, missing))
     return values
 
 
@@ -34,21 +38,23 @@ def nodal_values(system: NodalSystem, values: np.ndarray) -> np.ndarray:
 
 def _solve(system: NodalSystem, right: np.ndarray) -> np.ndarray:
     """Solve sum_p V_p N_n N_m x_m = b_n for x (nodes, block) by conjugate gradients, as far as it can be:
-    nodes that few points reach may be undetermined. Collective."""
+    where few points reach a node it is undetermined, and a small multiple of the volumes decides. Collective.
+    """
     own, comm, nodes = system.owned, system.comm, system.nodes
     volume = system.point_volumes()[:, None]
-
-    def product(x: np.ndarray) -> np.ndarray:
-        return system.from_points(volume * system.at_points(x))
 
     def dot(a: np.ndarray, b: np.ndarray) -> float:
         return float(comm.allreduce(float(np.sum(a[:own] * b[:own]))))
 
     lumped = np.abs(system.node_volumes())
     most = comm.allreduce(float(lumped[:own].max(initial=0.0)))
-    inverse = (1.0 / np.maximum(lumped, 1e-6 * most))[:, None]
+    lumped = np.maximum(lumped, 1e-6 * most)[:, None]
+
+    def product(x: np.ndarray) -> np.ndarray:
+        return system.from_points(volume * system.at_points(x)) + _SHIFT * lumped * x
+
     x, r = np.zeros_like(right), right.copy()
-    z = inverse * r
+    z = r / lumped
     p, rz = z.copy(), dot(r, z)
     end = _ACCURACY**2 * rz
     for _ in range(_ITERATIONS):
@@ -60,7 +66,7 @@ def _solve(system: NodalSystem, right: np.ndarray) -> np.ndarray:
         if pq <= 0.0:
             break
         x, r = x + rz / pq * p, r - rz / pq * q
-        z = inverse * r
+        z = r / lumped
         old, rz = rz, dot(r, z)
         p = z + rz / old * p
     nodes.update_ghosts(x)
