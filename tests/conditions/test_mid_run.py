@@ -30,7 +30,8 @@ def bar(
     size = (LENGTH, HEIGHT, HEIGHT)[:dim]
     if options is None:
         cell = "quadrilateral" if dim == 2 else "hexahedron"
-        body = pm.Elements(box(cell, (8, 2, 2)[:dim], size), material=material, degree=2)
+        cells = (8, 2) if dim == 2 else (4, 1, 1)
+        body = pm.Elements(box(cell, cells, size), material=material, degree=2)
         return pm.QuasiStaticFEM(body, controls=STRICT)
     grid = pm.Grid.box((0.0, below, -1.0)[:dim], (8.0, 3.0, 2.0)[:dim], 0.5)
     points = pm.seed(grid, material=material, bounds=((0.0,) * dim, size))

@@ -274,7 +274,7 @@ class Conditions(ABC):
 
     def _set_terms(self, factor: float, carrying: bool = False) -> None:
         with errors_on_all_ranks(self.comm):
-            for term in self._terms:
+            for term in self._working_terms:
                 term.set_factor(factor, carrying)
 
     def term_state(self) -> dict[str, np.ndarray]:

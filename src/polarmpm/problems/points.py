@@ -269,6 +269,7 @@ class QuasiStatic(Problem):
         if old is None or reset:
             self._system = self._reset()
         else:
+            self._drop_pieces(old.interpolation)
             self._system = self._build(old.interpolation, old.x)
             self._system.carried[:] = old.carried
         if old is not None:
@@ -307,14 +308,18 @@ class QuasiStatic(Problem):
     def _without_leaving_terms(self, system: LoadedPoints) -> LoadedPoints:
         """The system without terms that have been released since the last converged step; they were there so
         that what they did isn't carried along."""
-        interpolation, leaving = system.interpolation, [t for t in self._leaving if isinstance(t, Term)]
-        if not leaving:
+        if not self._drop_pieces(system.interpolation):
             return system
-        interpolation.pieces = [p for p in interpolation.pieces if not any(p.of is t for t in leaving)]
-        made = self._build(interpolation)
+        made = self._build(system.interpolation)
         made.carried[:] = system.carried
         system.destroy()
         return made
+
+    def _drop_pieces(self, interpolation: Interpolation) -> bool:
+        """Take away what terms contribute that have been released; whether there was something."""
+        before = len(interpolation.pieces)
+        interpolation.pieces = [p for p in interpolation.pieces if p.of in self._terms]
+        return len(interpolation.pieces) < before
 
     def _migrate(self, reference: Reference | None = None) -> Reference | None:
         """Distribute the points afresh, with all that is kept for each of them between steps; between resets
@@ -355,7 +360,6 @@ class QuasiStatic(Problem):
         if self.assembly == "projection":
             # lazy import: direct sums need no assembler of dolfinx
             from ..assembly.projection import ProjectedSystem as kind
-        interpolation.pieces = [p for p in interpolation.pieces if p.of in self._working_terms]
         system = kind(interpolation, c.kernels, c.couple, prescribed, self.timer, self.solver)
         if x is not None:
             system.x[:] = x
