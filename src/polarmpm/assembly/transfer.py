@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..bodies.points import Points
+from ..kinematics import rotations
 from .system import NodalSystem
 
 _ITERATIONS = 500
@@ -36,6 +38,14 @@ def nodal_values(system: NodalSystem, values: np.ndarray) -> np.ndarray:
     return found
 
 
+def motion_of(system: NodalSystem, points: Points) -> tuple[np.ndarray, np.ndarray]:
+    """Displacements (nodes, d) and rotations (nodes, 4) of the nodes that fit those of the points. Collective."""
+    d, moved = points.dim, nodal_values(system, np.hstack([points.displacement, points.q]))
+    length = np.linalg.norm(moved[:, d:], axis=1) > 0  # a node that no point weights has none
+    q = np.where(length[:, None], moved[:, d:], rotations.identity(len(moved)))
+    return moved[:, :d], rotations.normalise(q)
+
+
 def _solve(system: NodalSystem, right: np.ndarray) -> np.ndarray:
     """Solve sum_p V_p N_n N_m x_m = b_n for x (nodes, block) by conjugate gradients, as far as it can be:
     where few points reach a node it is undetermined, and a small multiple of the volumes decides. Collective.
@@ -51,7 +61,8 @@ def _solve(system: NodalSystem, right: np.ndarray) -> np.ndarray:
     lumped = np.maximum(lumped, 1e-6 * most)[:, None]
 
     def product(x: np.ndarray) -> np.ndarray:
-        return system.from_points(volume * system.at_points(x)) + _SHIFT * lumped * x
+        out: np.ndarray = system.from_points(volume * system.at_points(x)) + _SHIFT * lumped * x
+        return out
 
     x, r = np.zeros_like(right), right.copy()
     z = r / lumped

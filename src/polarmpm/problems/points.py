@@ -12,7 +12,7 @@ import numpy as np
 
 from ..assembly.interpolation import Interpolation
 from ..assembly.points import LoadedPoints, PointSystem
-from ..assembly.transfer import nodal_values
+from ..assembly.transfer import motion_of
 from ..basis.base import Basis
 from ..basis.registry import basis_of, names
 from ..bodies.partition import LoadShares, distribute
@@ -22,7 +22,6 @@ from ..bodies.seeding import check_inside
 from ..conditions.holding import check_held
 from ..conditions.loads import Applied, HandedOver, Load, point_loads
 from ..conditions.movinggrid import MovingGrid
-from ..conditions.prescribed import Prescribed
 from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.choice import make_form
@@ -297,13 +296,8 @@ class QuasiStatic(Problem):
             # not the present loads: what has been added since the last step stays out of balance
             system.set_loads(*(self._converged_loads or self._loads_at(p.factor)))
             self._set_terms(p.factor, carrying=True)
-            system.carry_imbalance(self._left(system))
+            system.carry_imbalance(self._left(system.nodes))
         return self._without_leaving_terms(system)
-
-    def _left(self, system: LoadedPoints) -> np.ndarray:
-        """Unknowns (nodes, block) of supports that have been released since the last converged step."""
-        left = [s for s in self._leaving if isinstance(s, Support)]
-        return Prescribed(system.nodes, left, self.layout, self.comm).fixed
 
     def _without_leaving_terms(self, system: LoadedPoints) -> LoadedPoints:
         """The system without terms that have been released since the last converged step; they were there so
@@ -332,6 +326,8 @@ class QuasiStatic(Problem):
         self._conservation.moved(before, self.points, self.grid)
         self.keep({name: route.forward(rows) for name, rows in kept.items()})
         self._attempted = None
+        if self._equilibrium is not None:
+            self._equilibrium.points_moved = True
         return None if reference is None else reference.moved(route)
 
     def _put_grid(self, grid: Grid) -> None:
@@ -365,9 +361,7 @@ class QuasiStatic(Problem):
             system.x[:] = x
             prescribed.start_from(self.progress.factor, x)
         if prescribed.needs_motion and self.progress.step:
-            p, d = self.points, self.grid.dim
-            moved = nodal_values(system, np.hstack([p.displacement, p.q]))
-            prescribed.put_motion(moved[:, :d], rotations.normalise(moved[:, d:]))
+            prescribed.put_motion(*motion_of(system, self.points))
         return system
 
     def _compile(self) -> None:

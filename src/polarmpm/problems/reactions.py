@@ -136,6 +136,7 @@ class Equilibrium:
         position: current positions (m).
         loads, carried: spatial forces and couples of the loads, and carried ones, complete on owned rows.
         terms: each term, with its forces and couples on the body on this rank.
+        points_moved: points have gone to other ranks since.
     """
 
     prescribed: Prescribed
@@ -146,6 +147,7 @@ class Equilibrium:
     loads: np.ndarray
     carried: np.ndarray
     terms: list[tuple[str, np.ndarray]]
+    points_moved: bool = False
 
     @classmethod
     def of(cls, system: NodalSystem) -> Equilibrium:

@@ -13,8 +13,10 @@ from ..assembly.system import NodalSystem
 from ..assembly.transfer import point_values
 from ..conditions.amplitudes import Fade
 from ..conditions.loads import HandedOver
+from ..conditions.prescribed import Prescribed
 from ..conditions.supports import Support
 from ..errors import InputError
+from ..geometry.nodes import Nodes
 from ..kinematics import rotations
 from ..terms.base import Term
 from .conditions import Conditions
@@ -53,7 +55,7 @@ def hand_over(
     Raises:
         InputError: the support, or the state of the nodes, isn't that of the last step any more.
     """
-    if system is None or system.nodes is not equilibrium.nodes:
+    if system is None or system.nodes is not equilibrium.nodes or equilibrium.points_moved:
         raise InputError(
             f"release: {support.name}: the grid has been reset since the last converged step; release it at "
             "once, without over and until, or after another step"
@@ -143,6 +145,11 @@ class Releasable(Conditions):
     @abstractmethod
     def system(self) -> NodalSystem | None:
         """Nodes, their increments and residual as of the last step; None before the first one."""
+
+    def _left(self, nodes: Nodes) -> np.ndarray:
+        """Unknowns (nodes, block) of supports that have been released since the last converged step."""
+        left = [s for s in self._leaving if isinstance(s, Support)]
+        return Prescribed(nodes, left, self.layout, self.comm).fixed
 
     def _note_handed(self, handed: list[HandedOver], factor: float) -> None:
         """The loads of the last converged step include what was handed over then."""
