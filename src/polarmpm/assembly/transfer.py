@@ -39,7 +39,7 @@ def nodal_values(system: NodalSystem, values: np.ndarray) -> np.ndarray:
 
 
 def motion_of(system: NodalSystem, points: Points) -> tuple[np.ndarray, np.ndarray]:
-    """Displacements (nodes, d) and rotations (nodes, 4) of the nodes that fit those of the points. Collective."""
+    """Displacements (nodes, d) and rotations (nodes, 4) of the nodes that fit the points'. Collective."""
     d, moved = points.dim, nodal_values(system, np.hstack([points.displacement, points.q]))
     length = np.linalg.norm(moved[:, d:], axis=1) > 0  # a node that no point weights has none
     q = np.where(length[:, None], moved[:, d:], rotations.identity(len(moved)))

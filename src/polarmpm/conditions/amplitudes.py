@@ -85,7 +85,8 @@ class Amplitude:
         """Count from a load factor at which it is added: "from now", what it gains from then on, or in
         "total", the value at the load factor. By default numbers count from now, functions in total."""
         counts = counts or (COUNTS[0] if self.function is None else COUNTS[1])
-        self.begun, self._differs = factor, counts == COUNTS[0]
+        self.begun = factor
+        self._differs = counts == COUNTS[0] and not (self.function is None and factor == 0.0)
 
     def _check(self, values: np.ndarray, factor: float) -> None:
         if not np.all(np.isfinite(values)):

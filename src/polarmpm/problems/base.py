@@ -263,7 +263,7 @@ class Problem(Releasable):
                 outcome.reason = self._check(at_points)
                 outcome.converged = not outcome.reason
             if outcome.converged:
-                external, carried = step_work(system, start, system.working_loads())
+                external, carried = step_work(system, start, system.working_loads(), self._left(system.nodes))
                 self.progress.external_work += external
                 self.progress.carried_work += carried
                 self._equilibrium = Equilibrium.of(system)

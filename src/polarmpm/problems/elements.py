@@ -242,7 +242,6 @@ class QuasiStaticFEM(Problem):
         self._system = ElementSystem(
             self.forms, dead, varying, prescribed, self.timer, self.solver, self._pieces()
         )
-        self._last_loads = None
         self._rebase(None)
         self._stale = self.progress.reset_due = False
         return self._system
