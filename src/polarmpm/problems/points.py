@@ -12,15 +12,16 @@ import numpy as np
 
 from ..assembly.interpolation import Interpolation
 from ..assembly.points import LoadedPoints, PointSystem
+from ..assembly.transfer import motion_of
 from ..basis.base import Basis
 from ..basis.registry import basis_of, names
 from ..bodies.partition import LoadShares, distribute
 from ..bodies.points import Points, Selection
 from ..bodies.reference import Increments, Reference
 from ..bodies.seeding import check_inside
-from ..conditions import movinggrid
-from ..conditions.loads import point_loads
-from ..conditions.movinggrid import MovingPlane
+from ..conditions.holding import check_held
+from ..conditions.loads import Applied, HandedOver, Load, point_loads
+from ..conditions.movinggrid import MovingGrid
 from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.choice import make_form
@@ -36,6 +37,7 @@ from ..materials.base import warn_of_locking
 from ..solvers.choice import check_solver
 from ..solvers.newton import Controls, Outcome
 from ..solvers.resetting import ResetPolicy, WhenDistorted, make_policy
+from ..terms.base import Term
 from ..terms.ghost import Ghost, GhostPenalty, make_penalty
 from ..tools.parallel import errors_on_all_ranks, values_by_number
 from .balancing import BalancedResets
@@ -139,7 +141,7 @@ class QuasiStatic(Problem):
         boxes: bool | None = None,
     ):
         self.grid = self.initial_grid = grid
-        self._moving: list[MovingPlane] = []
+        self._moving = MovingGrid(grid)
         self.basis, self.policy = basis_of(basis), make_policy(reset)
         self.assembly, self.solver = _check_assembly(assembly, self.basis), check_solver(solver)
         if points.dim != grid.dim:
@@ -181,29 +183,46 @@ class QuasiStatic(Problem):
         raise InputError(f"where = {where!r}: a plane or a predicate of node positions")
 
     def _admit(self, where: Any, support: Support) -> None:
-        moving = list(self._moving)
-        if isinstance(where, PlaneSpec) and where.moving:
-            if self.progress.step:
-                raise InputError(f"{support.name}: moving = True: allowed before the first load step only")
-            moving.append(MovingPlane.of(where, support))
-        movinggrid.check(moving, [*self.supports, support], self.initial_grid)
-        self._moving = moving
+        self._moving.admit(where, support, self.supports, self.progress.step > 0)
 
-    def load(self, where: Selection | Surface, *, force: Any = None, couple: Any = None) -> None:
+    def _dismiss(self, support: Support) -> None:
+        self._moving.dismiss(support, self.progress.factor if self.progress.step else None)
+
+    def _note_handed(self, handed: list[HandedOver], factor: float) -> None:
+        if self._converged_loads is not None:
+            for load in handed:
+                load.add_to(self._converged_loads[load.couple], self.points, factor)
+
+    def load(
+        self,
+        where: Selection | Surface,
+        *,
+        force: Any = None,
+        couple: Any = None,
+        counts: str | None = None,
+    ) -> Term | Applied:
         """A dead force (N) and couple (N m) in total, shared equally by selected points, or spread evenly
         over a surface.
 
-        Values as in `fix`: numbers are ramped, functions of the load factor give the value. In plane strain
-        they count per unit thickness, and the couple is one number.
+        Numbers are ramped, functions of the load factor give the value. In plane strain they count per unit
+        thickness, and the couple is one number.
+
+        Args:
+            counts: of a load that is added in mid-run: "from now": what the values gain from the present load
+                factor on, so that nothing jumps; or "total": the values at the load factor. Default: numbers
+                grow from now, functions give the total.
+
+        Returns:
+            The load, for `release`.
         """
         if isinstance(where, Surface):
-            return add_load(self, where, force, couple)
+            return add_load(self, where, force, couple, counts)
         if not isinstance(where, Selection):
             raise InputError(
                 f"selection = {where!r}: use points.where, points.farthest, points.nearest, or a Surface"
             )
         share = 1.0 / max(1, len(where))
-        self._add_loads(f"load {len(self.loads) + 1}", where, force, couple, False, share)
+        return self._add_loads(f"load {self.given.next('load')}", where, (force, couple), counts, share=share)
 
     def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
         with errors_on_all_ranks(self.comm):
@@ -291,8 +310,9 @@ class QuasiStatic(Problem):
         if old is None or reset:
             self._system = self._reset()
         else:
-            self._system = self._build(old.interpolation)
-            self._system.x[:], self._system.carried[:] = old.x, old.carried
+            self._drop_pieces(old.interpolation)
+            self._system = self._build(old.interpolation, old.x)
+            self._system.carried[:] = old.carried
         if old is not None:
             old.destroy()
         self._stale = False
@@ -306,7 +326,7 @@ class QuasiStatic(Problem):
         if self.balanced_reset:
             p.carried_work -= self.box_record.energy(self._system)
         self.box_record.kept = None
-        grid = movinggrid.grid_at(self._moving, self.initial_grid, p.factor)
+        grid = self._moving.at(p.factor if p.step else None, self.supports)
         check_inside(grid, self.points)
         self._put_grid(grid)
         if self.load_shares.due():
@@ -318,9 +338,26 @@ class QuasiStatic(Problem):
         p.reset_due, p.since_reset = False, 0
         p.reset_factor = p.rotation_factor = p.factor
         if self.balanced_reset and p.step:
+            system.leaving = self._left(system.nodes)
             self._put_balance(system)
             self._resets.carry(system)
-        return system
+        return self._without_leaving_terms(system)
+
+    def _without_leaving_terms(self, system: LoadedPoints) -> LoadedPoints:
+        """The system without terms that have been released since the last converged step; they were there so
+        that what they did isn't carried along."""
+        if not self._drop_pieces(system.interpolation):
+            return system
+        made = self._build(system.interpolation)
+        made.carried[:] = system.carried
+        system.destroy()
+        return made
+
+    def _drop_pieces(self, interpolation: Interpolation) -> bool:
+        """Take away what terms contribute that have been released; whether there was something."""
+        before = len(interpolation.pieces)
+        interpolation.pieces = [p for p in interpolation.pieces if p.of in self._terms]
+        return len(interpolation.pieces) < before
 
     def _put_balance(self, system: LoadedPoints) -> None:
         """Put in the loads that a reset has to balance: not the present ones, as what has been added since
@@ -350,6 +387,8 @@ class QuasiStatic(Problem):
         self._conservation.moved(before, self.points, self.grid)
         self.keep({name: route.forward(rows) for name, rows in kept.items()})
         self._attempted = None
+        if self._equilibrium is not None:
+            self._equilibrium.points_moved = True
         return None if reference is None else reference.moved(route)
 
     def _put_grid(self, grid: Grid) -> None:
@@ -361,22 +400,29 @@ class QuasiStatic(Problem):
                     support.where.follow(grid)
 
     def _interpolate(self, reference: Reference | None) -> Interpolation:
-        for term in self.terms if reference is None else []:
+        terms = self._working_terms
+        for term in terms if reference is None else []:
             term.begin()
-        made = Interpolation(
-            self.grid, self.points, self.basis, self.forms, reference, self.terms, self.boxes
-        )
+        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, terms, self.boxes)
         self._conservation.reset(made)
         self.load_shares.built(self.points, made.nodes)
         return made
 
-    def _build(self, interpolation: Interpolation) -> LoadedPoints:
+    def _build(self, interpolation: Interpolation, x: np.ndarray | None = None) -> LoadedPoints:
+        """The system on nodes with increments x (nodes, block) since the reset."""
         prescribed, c = self._prescribed(interpolation.nodes), self._compiled
+        volume = interpolation.spread(self.points.volume[:, None])[: interpolation.nodes.owned, 0]
+        check_held(prescribed, volume / np.prod(self.grid.smallest), self.progress.step)
         kind: Callable[..., LoadedPoints] = PointSystem
         if self.assembly == "projection":
             # lazy import: direct sums need no assembler of dolfinx
             from ..assembly.projection import ProjectedSystem as kind
         system = kind(interpolation, c.kernels, c.couple, prescribed, self.timer, self.solver)
+        if x is not None:
+            system.x[:] = x
+            prescribed.start_from(self.progress.factor, x)
+        if prescribed.needs_motion and self.progress.step:
+            prescribed.put_motion(*motion_of(system, self.points))
         return self._resets.equip(system)
 
     def _compile(self) -> None:
@@ -434,7 +480,10 @@ class QuasiStatic(Problem):
             self._system.destroy()
             self._system = None
         factor = progress.factor if increments is None else progress.reset_factor
-        self._put_grid(movinggrid.grid_at(self._moving, self.initial_grid, factor))
+        for load in self._loads:
+            if isinstance(load, Load) and load.selection is not None:
+                self.points.check(load.selection)  # the saved points may be others
+        self._put_grid(self._moving.at(factor if progress.step else None, self.supports))
         reference, lattice, values = increments or (None, None, None)
         if shares is None:
             reference = self._migrate(reference)
@@ -445,9 +494,10 @@ class QuasiStatic(Problem):
             return
         self._compile()
         interpolation = self._interpolate(reference)
-        self._system, self._stale = self._build(interpolation), False
         here = values_by_number(self.comm, lattice, values, interpolation.nodes.lattice)
-        self._system.x[:], self._system.carried[:] = np.hsplit(here, 2)
+        x, carried = np.hsplit(here, 2)
+        self._system, self._stale = self._build(interpolation, x), False
+        self._system.carried[:] = carried
 
     # results --------------------------------------------------------------------------------------
     def fields(self, *names: str | MaterialField) -> Fields:
