@@ -3,36 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from ..assembly.interpolation import Interpolation
-from ..assembly.points import LoadedPoints, PointSystem
-from ..assembly.transfer import motion_of
+from ..assembly.points import LoadedPoints
 from ..basis.base import Basis
 from ..basis.registry import basis_of, names
-from ..bodies.partition import LoadShares, distribute
+from ..bodies.partition import LoadShares
 from ..bodies.points import Points, Selection
 from ..bodies.reference import Increments, Reference
 from ..bodies.seeding import check_inside
-from ..conditions.holding import check_held
 from ..conditions.loads import Applied, HandedOver, Load, point_loads
 from ..conditions.movinggrid import MovingGrid
 from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.choice import make_form
-from ..forms.couples import CoupleForm
 from ..forms.stresses import MaterialField
 from ..geometry.grid import Grid
-from ..geometry.planes import Plane, PlaneSpec
+from ..geometry.planes import PlaneSpec
 from ..geometry.surfaces import Surface
-from ..kernels.kernel import Kernel
 from ..kinematics import rotations
-from ..kinematics.motion import Motion
 from ..materials.base import warn_of_locking
 from ..solvers.choice import check_solver
 from ..solvers.newton import Controls, Outcome
@@ -41,9 +34,9 @@ from ..terms.base import Term
 from ..terms.ghost import Ghost, GhostPenalty, make_penalty
 from ..tools.parallel import errors_on_all_ranks, values_by_number
 from .balancing import BalancedResets
-from .base import Problem
 from .boxes import BoxRecord
-from .conservation import Conservation, Totals
+from .conservation import Conservation
+from .ongrid import Compiled, OnGrid
 from .state import Fields, Progress
 from .surfaces import add_load
 
@@ -51,13 +44,6 @@ ASSEMBLIES = ("direct", "projection")
 _DISTORTED = WhenDistorted()
 # The papers' method, for what they publish: `QuasiStatic(grid, points, **PUBLISHED)`.
 PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": False}
-
-
-@dataclass
-class _Compiled:
-    kernels: list[tuple[Kernel, Kernel]] = field(default_factory=list)
-    couple: Kernel | None = None
-    motion: Motion | None = None
 
 
 def _check_assembly(assembly: str, basis: Basis) -> str:
@@ -82,7 +68,7 @@ def _check_boxes(boxes: bool | None, basis: Basis) -> bool:
     return basis.fills_boxes if boxes is None else boxes
 
 
-class QuasiStatic(Problem):
+class QuasiStatic(OnGrid):
     """Equilibrium of material points on a grid under slowly changing loads. All methods are collective.
 
     Attributes:
@@ -164,7 +150,7 @@ class QuasiStatic(Problem):
         self.ghost = make_penalty(ghost, points.materials, self.layout, self.basis, assembly)
         if self.ghost:
             self.add(Ghost(self.ghost, self.layout))
-        self._compiled = _Compiled()
+        self._compiled = Compiled()
         self._resets = BalancedResets(self.layout, self.comm, self.timer)
         self._system: LoadedPoints | None = None
         # forces and couples at the points of the last attempt and of the last converged step
@@ -297,143 +283,6 @@ class QuasiStatic(Problem):
                 rows = batch.rows[mapping.yielding.rows]
                 mapping.update_plastic_state(self.points, rows, i.reference.q[rows])
         i.pack()
-
-    def _prepare(self) -> LoadedPoints:
-        """The system of the present grid; reset if that is due, renewed if conditions have changed."""
-        p, old = self.progress, self._system
-        if len(self.points.materials) != len(self.forms):
-            raise InputError("points: were given another material after the problem had been made of them")
-        if old is not None and not p.reset_due and not self._stale:
-            return old
-        self._compile()
-        reset = old is None or p.reset_due
-        if old is None or reset:
-            self._system = self._reset()
-        else:
-            self._drop_pieces(old.interpolation)
-            self._system = self._build(old.interpolation, old.x)
-            self._system.carried[:] = old.carried
-        if old is not None:
-            old.destroy()
-        self._stale = False
-        if reset:
-            self._tell_of_reset()
-        return self._system
-
-    def _reset(self) -> LoadedPoints:
-        """The system of a new grid, from whose nodes increments count."""
-        p = self.progress
-        if self.balanced_reset:
-            p.carried_work -= self.box_record.energy(self._system)
-        self.box_record.kept = None
-        grid = self._moving.at(p.factor if p.step else None, self.supports)
-        check_inside(grid, self.points)
-        self._put_grid(grid)
-        if self.load_shares.due():
-            with self.timer("migration"):
-                self._migrate()
-        with self.timer("reset"):
-            interpolation = self._interpolate(None)
-        system = self._build(interpolation)
-        p.reset_due, p.since_reset = False, 0
-        p.reset_factor = p.rotation_factor = p.factor
-        if self.balanced_reset and p.step:
-            system.leaving = self._left(system.nodes)
-            self._put_balance(system)
-            self._resets.carry(system)
-        return self._without_leaving_terms(system)
-
-    def _without_leaving_terms(self, system: LoadedPoints) -> LoadedPoints:
-        """The system without terms that have been released since the last converged step; they were there so
-        that what they did isn't carried along."""
-        if not self._drop_pieces(system.interpolation):
-            return system
-        made = self._build(system.interpolation)
-        made.carried[:] = system.carried
-        system.destroy()
-        return made
-
-    def _drop_pieces(self, interpolation: Interpolation) -> bool:
-        """Take away what terms contribute that have been released; whether there was something."""
-        before = len(interpolation.pieces)
-        interpolation.pieces = [p for p in interpolation.pieces if p.of in self._terms]
-        return len(interpolation.pieces) < before
-
-    def _put_balance(self, system: LoadedPoints) -> None:
-        """Put in the loads that a reset has to balance: not the present ones, as what has been added since
-        the last step stays out of balance."""
-        system.set_loads(*(self._converged_loads or self._loads_at(self.progress.factor)))
-        self._set_terms(self.progress.factor, carrying=True)
-
-    def _fall_back(self) -> bool:
-        """The first step after a reset may fail with initial stresses: it is tried with forces instead."""
-        s = self._system
-        if s is None or self.progress.since_reset:
-            return False
-        return self._resets.fall_back(s, lambda: self._put_balance(s))
-
-    def _fell_back(self, converged: bool) -> None:
-        if not converged and self._system is not None:
-            self._resets.return_to_stresses(self._system)
-
-    def _migrate(self, reference: Reference | None = None) -> Reference | None:
-        """Distribute the points afresh, with all that is kept for each of them between steps; between resets
-        also their reference, which is then returned for the new distribution."""
-        before, kept = Totals.numbers(self.points, self.grid), self.kept()
-        route = distribute(self.grid, self.points, None if reference is None else reference.x)
-        self.load_shares.distributed()
-        if route is None:
-            return reference
-        self._conservation.moved(before, self.points, self.grid)
-        self.keep({name: route.forward(rows) for name, rows in kept.items()})
-        self._attempted = None
-        if self._equilibrium is not None:
-            self._equilibrium.points_moved = True
-        return None if reference is None else reference.moved(route)
-
-    def _put_grid(self, grid: Grid) -> None:
-        """Make it the grid; the supports' planes follow."""
-        if grid is not self.grid:
-            self.grid = grid
-            for support in self.supports:
-                if isinstance(support.where, Plane):
-                    support.where.follow(grid)
-
-    def _interpolate(self, reference: Reference | None) -> Interpolation:
-        terms = self._working_terms
-        for term in terms if reference is None else []:
-            term.begin()
-        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, terms, self.boxes)
-        self._conservation.reset(made)
-        self.load_shares.built(self.points, made.nodes)
-        return made
-
-    def _build(self, interpolation: Interpolation, x: np.ndarray | None = None) -> LoadedPoints:
-        """The system on nodes with increments x (nodes, block) since the reset."""
-        prescribed, c = self._prescribed(interpolation.nodes), self._compiled
-        volume = interpolation.spread(self.points.volume[:, None])[: interpolation.nodes.owned, 0]
-        check_held(prescribed, volume / np.prod(self.grid.smallest), self.progress.step)
-        kind: Callable[..., LoadedPoints] = PointSystem
-        if self.assembly == "projection":
-            # lazy import: direct sums need no assembler of dolfinx
-            from ..assembly.projection import ProjectedSystem as kind
-        system = kind(interpolation, c.kernels, c.couple, prescribed, self.timer, self.solver)
-        if x is not None:
-            system.x[:] = x
-            prescribed.start_from(self.progress.factor, x)
-        if prescribed.needs_motion and self.progress.step:
-            prescribed.put_motion(*motion_of(system, self.points))
-        return self._resets.equip(system)
-
-    def _compile(self) -> None:
-        c = self._compiled
-        with self.timer("compile"):
-            if not c.kernels:
-                c.kernels = [form.compile(self.comm) for form in self.forms]
-                c.motion = Motion(self.layout, self.comm)
-            unsymmetric = self.layout.rotations == 3 and any(load.couple for load in self.loads)
-            if unsymmetric and c.couple is None:
-                c.couple = CoupleForm().compile(self.comm)
 
     # restart --------------------------------------------------------------------------------------
     def increments(self) -> tuple[Reference, np.ndarray, np.ndarray] | None:
