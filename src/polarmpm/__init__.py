@@ -7,8 +7,9 @@ from .basis.base import Basis, Weights
 from .basis.registry import register as register_basis
 from .bodies.elements import Elements
 from .bodies.facets import Facets
+from .bodies.meshseeding import seed_mesh
 from .bodies.points import Points, Selection
-from .bodies.seeding import seed, seed_mesh
+from .bodies.seeding import seed
 from .errors import (
     InputError,
     KernelError,
@@ -17,6 +18,7 @@ from .errors import (
     PointsOutsideGrid,
     PolarMPMError,
     SupportLost,
+    TrustWarning,
 )
 from .forms.stresses import MaterialField
 from .geometry.grid import Grid
@@ -101,6 +103,7 @@ __all__ = [
     "SurfaceTerm",
     "Table",
     "Term",
+    "TrustWarning",
     "UserEnergy",
     "UserPlasticity",
     "VonMises",

@@ -33,6 +33,8 @@ def test_the_lists_are_read_only():
     assert isinstance(problem.terms, tuple)
     with pytest.raises(AttributeError):
         problem.supports = []
+    with pytest.raises(pm.InputError, match="remove: .* problem.release takes one away"):
+        problem.supports.remove(prop)
 
 
 @pytest.mark.parametrize("options", KINDS)

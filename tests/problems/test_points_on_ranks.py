@@ -51,7 +51,7 @@ def kept_weights() -> pm.QuasiStatic:
 
 
 def balanced() -> pm.QuasiStatic:
-    """Resets after which nodal forces are carried along."""
+    """Resets after which initial stresses are carried along."""
     problem = body(2, balanced_reset=True)
     problem.load(problem.points.farthest((1, 0)), force=(4.0, -60.0), couple=30.0)
     return problem

@@ -29,6 +29,7 @@ class Gimpm(Tents):
         "tangent couples the parts and is no sum of integrals over cells"
     )
     uses_domains = True
+    thin_reach = True
 
     def weights(
         self,
@@ -36,6 +37,7 @@ class Gimpm(Tents):
         x: np.ndarray,
         half_length: np.ndarray | None = None,
         cells: np.ndarray | None = None,
+        orders: int = 2,
     ) -> Weights:
         assert half_length is not None
         low, high = _intervals(grid, x, half_length)

@@ -29,7 +29,7 @@ from ..problems.state import Progress
 from ..tools.parallel import raise_on_all_ranks
 from . import meshstate
 
-_FORMAT = 5
+_FORMAT = 6
 
 
 def save(problem: Problem, path: str | os.PathLike[str]) -> None:

@@ -70,6 +70,13 @@ class Problem(Releasable):
     def _check(self, increments: Increments) -> str:
         """Why a solution is not acceptable; empty when it is."""
 
+    def _trust(self, system: Any, start: np.ndarray, outcome: Outcome) -> None:
+        """Measure how far an acceptable solution, from increments `start` (nodes, block) on, can be trusted;
+        it may be refused."""
+
+    def _note(self, outcome: Outcome) -> None:
+        """Take note of what `_trust` has found, of a step that is converged and committed."""
+
     @abstractmethod
     def _commit(self, system: Any, increments: Increments, factor: float) -> None:
         """Make a solution the body's state."""
@@ -119,6 +126,22 @@ class Problem(Releasable):
 
     def attempt(self, factor: float) -> Outcome:
         """Try to find equilibrium at a load factor; on failure everything stays as it was."""
+        outcome = self._attempt(factor)
+        if not outcome.converged and self._fall_back():
+            tried, outcome = outcome.history, self._attempt(factor)
+            outcome.history[:0] = tried
+            self._fell_back(outcome.converged)
+        return outcome
+
+    def _fall_back(self) -> bool:
+        """After a step that has failed: whether it is worth to be tried in another way, which is then set up.
+        Collective."""
+        return False
+
+    def _fell_back(self, converged: bool) -> None:
+        """Go on in that way, or return to the one before."""
+
+    def _attempt(self, factor: float) -> Outcome:
         system = self._prepare()
         with self.timer("conditions"):
             start = self._begin(system, factor)
@@ -189,6 +212,15 @@ class Problem(Releasable):
         failure everything stays as it was. With `kink` the step may turn off its tangent. Returns the load
         factor found, too. That loads and supports are such as they have to be is checked by
         `march_arc_length`."""
+        outcome, found = self._attempt_along(length, to, kink)
+        if not outcome.converged and self._fall_back():
+            tried = outcome.history
+            outcome, found = self._attempt_along(length, to, kink)
+            outcome.history[:0] = tried
+            self._fell_back(outcome.converged)
+        return outcome, found
+
+    def _attempt_along(self, length: float, to: float | None, kink: bool) -> tuple[Outcome, float]:
         system, p = self._prepare(), self.progress
         with self.timer("conditions"):
             ends = []
@@ -263,6 +295,8 @@ class Problem(Releasable):
                 outcome.reason = self._check(at_points)
                 outcome.converged = not outcome.reason
             if outcome.converged:
+                self._trust(system, start.x, outcome)
+            if outcome.converged:
                 external, carried = step_work(system, start, system.working_loads(), self._left(system.nodes))
                 self.progress.external_work += external
                 self.progress.carried_work += carried
@@ -273,6 +307,7 @@ class Problem(Releasable):
                 self._commit_terms(system, start.x)
                 base = self.progress.rotation_factor
                 self._commit(system, at_points, factor)
+                self._note(outcome)
                 system.prescribed.start_from(factor, system.x)
                 self._settle()
                 for observer in self.observers:
@@ -335,7 +370,7 @@ class Problem(Releasable):
         """Energy balance of the run so far, in J (J per unit thickness in plane strain).
 
         - external: work of the loads, and of the supports' reactions on prescribed displacements;
-        - carried: work of the forces that balanced resets carry along;
+        - carried: work of the initial stresses and forces that balanced resets carry along;
         - stored: strain energy, with what hardening stores;
         - dissipated: by plastic flow;
         - ghost: work against the ghost penalty's forces;

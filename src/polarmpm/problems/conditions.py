@@ -22,7 +22,7 @@ from ..terms.surfaces import SurfaceSupport
 from ..terms.surfaceterms import SurfaceCondition
 from ..tools.parallel import errors_on_all_ranks
 from . import surfaces
-from .given import Given, Register
+from .given import Given, Present, Register
 from .state import Progress
 
 
@@ -55,17 +55,17 @@ class Conditions(ABC):
     @property
     def supports(self) -> tuple[Support, ...]:
         """Prescribed nodes; `fix` adds to them, `release` takes one away."""
-        return tuple(self._supports)
+        return Present(self._supports)
 
     @property
     def loads(self) -> tuple[AnyLoad, ...]:
         """Dead loads on points."""
-        return tuple(self._loads)
+        return Present(self._loads)
 
     @property
     def terms(self) -> tuple[Term, ...]:
         """What acts on the body besides its stresses, supports and dead loads; see `add`."""
-        return tuple(self._terms)
+        return Present(self._terms)
 
     @abstractmethod
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:

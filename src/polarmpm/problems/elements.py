@@ -36,6 +36,7 @@ from ..terms.surfaceterms import SurfaceCondition
 from ..tools import compat
 from ..tools.parallel import errors_on_all_ranks
 from .base import Problem
+from .given import Present
 from .state import Progress
 from .surfaces import add_load
 
@@ -124,7 +125,7 @@ class QuasiStaticFEM(Problem):
     @property
     def surface_loads(self) -> tuple[SurfaceLoad, ...]:
         """Tractions, couple tractions and pressures on facets."""
-        return tuple(self._surface_loads)
+        return Present(self._surface_loads)
 
     def _admit(self, where: Any, support: Support) -> None:
         with errors_on_all_ranks(self.comm):

@@ -14,6 +14,20 @@ from typing import Any
 from ..errors import InputError
 
 
+class Present(tuple[Any, ...]):
+    """The conditions that act, to look at: they come and go by the methods of the problem."""
+
+    __slots__ = ()
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("append", "clear", "extend", "insert", "pop", "remove"):
+            raise InputError(
+                f"{name}: the conditions of a problem can't be changed here; problem.fix, load, add ... put them "
+                "in, problem.release takes one away"
+            )
+        raise AttributeError(f"a tuple of conditions has no attribute {name!r}")
+
+
 @dataclass
 class Given:
     """A condition of a script's.

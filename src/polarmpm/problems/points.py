@@ -3,58 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from ..assembly.interpolation import Interpolation
-from ..assembly.points import LoadedPoints, PointSystem
-from ..assembly.transfer import motion_of
+from ..assembly.points import LoadedPoints
 from ..basis.base import Basis
 from ..basis.registry import basis_of, names
-from ..bodies.partition import LoadShares, distribute
+from ..bodies.partition import LoadShares
 from ..bodies.points import Points, Selection
 from ..bodies.reference import Increments, Reference
 from ..bodies.seeding import check_inside
-from ..conditions.holding import check_held
 from ..conditions.loads import Applied, HandedOver, Load, point_loads
 from ..conditions.movinggrid import MovingGrid
 from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.choice import make_form
-from ..forms.couples import CoupleForm
+from ..forms.stresses import MaterialField
 from ..geometry.grid import Grid
-from ..geometry.planes import Plane, PlaneSpec
+from ..geometry.planes import PlaneSpec
 from ..geometry.surfaces import Surface
-from ..kernels.kernel import Kernel
 from ..kinematics import rotations
-from ..kinematics.motion import Motion
 from ..materials.base import warn_of_locking
 from ..solvers.choice import check_solver
-from ..solvers.newton import Controls
+from ..solvers.newton import Controls, Outcome
 from ..solvers.resetting import ResetPolicy, WhenDistorted, make_policy
 from ..terms.base import Term
 from ..terms.ghost import Ghost, GhostPenalty, make_penalty
 from ..tools.parallel import errors_on_all_ranks, values_by_number
-from .base import Problem
-from .conservation import Conservation, Totals
-from .state import Progress
+from .balancing import BalancedResets
+from .boxes import BoxRecord
+from .conservation import Conservation
+from .ongrid import Compiled, OnGrid
+from .state import Fields, Progress
 from .surfaces import add_load
 
 ASSEMBLIES = ("direct", "projection")
 _DISTORTED = WhenDistorted()
 # The papers' method, for what they publish: `QuasiStatic(grid, points, **PUBLISHED)`.
 PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": False}
-
-
-@dataclass
-class _Compiled:
-    kernels: list[tuple[Kernel, Kernel]] = field(default_factory=list)
-    couple: Kernel | None = None
-    motion: Motion | None = None
 
 
 def _check_assembly(assembly: str, basis: Basis) -> str:
@@ -68,7 +57,18 @@ def _check_assembly(assembly: str, basis: Basis) -> str:
     return assembly
 
 
-class QuasiStatic(Problem):
+def _check_boxes(boxes: bool | None, basis: Basis) -> bool:
+    if boxes not in (None, True, False):
+        raise InputError(f"boxes = {boxes!r}: allowed are True, False and None")
+    if boxes and not basis.fills_boxes:
+        allowed = names(lambda b: b.fills_boxes)
+        raise InputError(
+            f"boxes = True: basis = {basis.name!r} has no second derivatives; allowed are {allowed}"
+        )
+    return basis.fills_boxes if boxes is None else boxes
+
+
+class QuasiStatic(OnGrid):
     """Equilibrium of material points on a grid under slowly changing loads. All methods are collective.
 
     Attributes:
@@ -82,16 +82,17 @@ class QuasiStatic(Problem):
     Args:
         grid: background grid.
         points: the body.
-        basis: weighting functions: "bspline" (quadratic), "bspline3" (cubic), "gimpm" or "mpm" (T 2.3.2), or
-            a `Basis`. The defaults of this and of the resets are the settings with the least error for their
-            time (docs/accuracy.md); those of the papers are `pm.PUBLISHED`.
+        basis: weighting functions: "bspline" (quadratic), "bspline-averaged" (over the points' boxes),
+            "bspline3" (cubic), "gimpm" or "mpm" (T 2.3.2), or a `Basis`. The defaults of this and of the
+            resets are the settings with the least error for their time (docs/accuracy.md); those of the
+            papers are `pm.PUBLISHED`.
         assembly: how residual and tangent are summed over the points: "direct", or (with basis="mpm") as a
             "projection" on a quadrature space, assembled by dolfinx, to the same result.
         reset: when the grid is reset: a policy such as `WhenDistorted(0.2)`, every n steps (1: the papers'
             method), or None for never.
         balanced_reset: a reset keeps the body in equilibrium. The new basis can't balance all of the points'
             stresses; the papers let the rest relax, which softens the body reset by reset. Here it is carried
-            along as forces on the nodes until the next reset (docs/theory.md).
+            along as an initial stress of the points until the next reset (docs/theory.md).
         ghost: stabilises cells that the body cuts slightly (T 2.3.4): None, "thesis" (a hundredth of lambda
             and of gamma, T 4.4), "light" (against the thinnest cuts only) or a `GhostPenalty`. With basis
             "gimpm" or "mpm" and assembly "direct".
@@ -102,6 +103,8 @@ class QuasiStatic(Problem):
         solver: of linear systems: "direct" (MUMPS), "multigrid" (a Krylov method with algebraic multigrid:
             less time and memory in large problems in space), or "auto", which chooses by the number of
             unknowns.
+        boxes: points integrate the strain energy over their own boxes (docs/theory.md), so that few of them
+            see that a thin body bends; by default with all bases that have second derivatives, the splines.
 
     Raises:
         InputError: an argument is out of range; materials that don't go together.
@@ -121,6 +124,7 @@ class QuasiStatic(Problem):
         rebalance: float | None = 1.1,
         controls: Controls | None = None,
         solver: str = "auto",
+        boxes: bool | None = None,
     ):
         self.grid = self.initial_grid = grid
         self._moving = MovingGrid(grid)
@@ -138,13 +142,16 @@ class QuasiStatic(Problem):
                 points.materials, f"the functions of basis={self.basis.name!r}", "basis='bspline'"
             )
         self.rotation_limit = 1.0
+        self.boxes = _check_boxes(boxes, self.basis)
+        self.box_record = BoxRecord(points, self.forms, grid.comm)
         self.load_shares = LoadShares(grid.comm, rebalance)
         self._conservation = Conservation(grid.comm)
         self.balanced_reset = balanced_reset
         self.ghost = make_penalty(ghost, points.materials, self.layout, self.basis, assembly)
         if self.ghost:
             self.add(Ghost(self.ghost, self.layout))
-        self._compiled = _Compiled()
+        self._compiled = Compiled()
+        self._resets = BalancedResets(self.layout, self.comm, self.timer)
         self._system: LoadedPoints | None = None
         # forces and couples at the points of the last attempt and of the last converged step
         self._attempted: tuple[np.ndarray, np.ndarray] | None = None
@@ -229,12 +236,25 @@ class QuasiStatic(Problem):
         inverted = self.comm.allreduce(int(np.sum(bad)))
         return f"{inverted} material point(s) turned inside out" if inverted else ""
 
+    def _trust(self, system: LoadedPoints, start: np.ndarray, outcome: Outcome) -> None:
+        outcome.unresolved = self.box_record.unresolved(system, start)
+        outcome.reason = self.box_record.refusal(outcome.unresolved)
+        outcome.converged = not outcome.reason
+
+    def _note(self, outcome: Outcome) -> None:
+        self.box_record.note(outcome.unresolved, self.progress.step)
+
+    def trust(self) -> str:
+        """How far the run can be trusted, in a line: the largest share of a step's work that is done inside
+        the points' boxes, where neither the grid nor the points resolve it (docs/accuracy.md)."""
+        return self.box_record.summary()
+
     def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
         assert self._compiled.motion is not None
         system.interpolation.update_points(increments, self._compiled.motion)
         self._conservation.check(system.interpolation, system.x)
         if self.points.plastic:
-            self._flow(system)
+            self._with_boxes(lambda: self._flow(system))
         self._converged_loads = self._attempted
         p = self.progress
         p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
@@ -242,10 +262,18 @@ class QuasiStatic(Problem):
         if not p.reset_due and self.layout.rotations:
             largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
             if self.comm.allreduce(largest, op=MPI.MAX) > self.rotation_limit:
-                system.rebase_rotations()
+                self._with_boxes(system.rebase_rotations)
                 for term in self.terms:
                     term.rebase_rotations()
                 p.rotation_factor = factor
+
+    def _with_boxes(self, change: Callable[[], None]) -> None:
+        """Change what the boxes' energy depends on besides the increments; what it loses counts as
+        carried."""
+        boxes = self.box_record
+        before = boxes.energy(self._system)
+        change()
+        self.progress.carried_work += boxes.energy(self._system) - before
 
     def _flow(self, system: LoadedPoints) -> None:
         """Put the plastic flow of a converged step into the points' plastic state."""
@@ -255,124 +283,6 @@ class QuasiStatic(Problem):
                 rows = batch.rows[mapping.yielding.rows]
                 mapping.update_plastic_state(self.points, rows, i.reference.q[rows])
         i.pack()
-
-    def _prepare(self) -> LoadedPoints:
-        """The system of the present grid; reset if that is due, renewed if conditions have changed."""
-        p, old = self.progress, self._system
-        if len(self.points.materials) != len(self.forms):
-            raise InputError("points: were given another material after the problem had been made of them")
-        if old is not None and not p.reset_due and not self._stale:
-            return old
-        self._compile()
-        reset = old is None or p.reset_due
-        if old is None or reset:
-            self._system = self._reset()
-        else:
-            self._drop_pieces(old.interpolation)
-            self._system = self._build(old.interpolation, old.x)
-            self._system.carried[:] = old.carried
-        if old is not None:
-            old.destroy()
-        self._stale = False
-        if reset:
-            self._tell_of_reset()
-        return self._system
-
-    def _reset(self) -> LoadedPoints:
-        """The system of a new grid, from whose nodes increments count."""
-        p = self.progress
-        grid = self._moving.at(p.factor if p.step else None, self.supports)
-        check_inside(grid, self.points)
-        self._put_grid(grid)
-        if self.load_shares.due():
-            with self.timer("migration"):
-                self._migrate()
-        with self.timer("reset"):
-            interpolation = self._interpolate(None)
-        system = self._build(interpolation)
-        p.reset_due, p.since_reset = False, 0
-        p.reset_factor = p.rotation_factor = p.factor
-        if self.balanced_reset and p.step:
-            # not the present loads: what has been added since the last step stays out of balance
-            system.set_loads(*(self._converged_loads or self._loads_at(p.factor)))
-            self._set_terms(p.factor, carrying=True)
-            system.carry_imbalance(self._left(system.nodes))
-        return self._without_leaving_terms(system)
-
-    def _without_leaving_terms(self, system: LoadedPoints) -> LoadedPoints:
-        """The system without terms that have been released since the last converged step; they were there so
-        that what they did isn't carried along."""
-        if not self._drop_pieces(system.interpolation):
-            return system
-        made = self._build(system.interpolation)
-        made.carried[:] = system.carried
-        system.destroy()
-        return made
-
-    def _drop_pieces(self, interpolation: Interpolation) -> bool:
-        """Take away what terms contribute that have been released; whether there was something."""
-        before = len(interpolation.pieces)
-        interpolation.pieces = [p for p in interpolation.pieces if p.of in self._terms]
-        return len(interpolation.pieces) < before
-
-    def _migrate(self, reference: Reference | None = None) -> Reference | None:
-        """Distribute the points afresh, with all that is kept for each of them between steps; between resets
-        also their reference, which is then returned for the new distribution."""
-        before, kept = Totals.numbers(self.points, self.grid), self.kept()
-        route = distribute(self.grid, self.points, None if reference is None else reference.x)
-        self.load_shares.distributed()
-        if route is None:
-            return reference
-        self._conservation.moved(before, self.points, self.grid)
-        self.keep({name: route.forward(rows) for name, rows in kept.items()})
-        self._attempted = None
-        if self._equilibrium is not None:
-            self._equilibrium.points_moved = True
-        return None if reference is None else reference.moved(route)
-
-    def _put_grid(self, grid: Grid) -> None:
-        """Make it the grid; the supports' planes follow."""
-        if grid is not self.grid:
-            self.grid = grid
-            for support in self.supports:
-                if isinstance(support.where, Plane):
-                    support.where.follow(grid)
-
-    def _interpolate(self, reference: Reference | None) -> Interpolation:
-        terms = self._working_terms
-        for term in terms if reference is None else []:
-            term.begin()
-        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, terms)
-        self._conservation.reset(made)
-        self.load_shares.built(self.points, made.nodes)
-        return made
-
-    def _build(self, interpolation: Interpolation, x: np.ndarray | None = None) -> LoadedPoints:
-        """The system on nodes with increments x (nodes, block) since the reset."""
-        prescribed, c = self._prescribed(interpolation.nodes), self._compiled
-        volume = interpolation.spread(self.points.volume[:, None])[: interpolation.nodes.owned, 0]
-        check_held(prescribed, volume / np.prod(self.grid.smallest), self.progress.step)
-        kind: Callable[..., LoadedPoints] = PointSystem
-        if self.assembly == "projection":
-            # lazy import: direct sums need no assembler of dolfinx
-            from ..assembly.projection import ProjectedSystem as kind
-        system = kind(interpolation, c.kernels, c.couple, prescribed, self.timer, self.solver)
-        if x is not None:
-            system.x[:] = x
-            prescribed.start_from(self.progress.factor, x)
-        if prescribed.needs_motion and self.progress.step:
-            prescribed.put_motion(*motion_of(system, self.points))
-        return system
-
-    def _compile(self) -> None:
-        c = self._compiled
-        with self.timer("compile"):
-            if not c.kernels:
-                c.kernels = [form.compile(self.comm) for form in self.forms]
-                c.motion = Motion(self.layout, self.comm)
-            unsymmetric = self.layout.rotations == 3 and any(load.couple for load in self.loads)
-            if unsymmetric and c.couple is None:
-                c.couple = CoupleForm().compile(self.comm)
 
     # restart --------------------------------------------------------------------------------------
     def increments(self) -> tuple[Reference, np.ndarray, np.ndarray] | None:
@@ -391,11 +301,11 @@ class QuasiStatic(Problem):
             out["last_x"] = self._last_x
         if self._converged_loads is not None:
             out |= {"forces": self._converged_loads[0], "couples": self._converged_loads[1]}
-        return out
+        return out | {"box_energy": self.box_record.energies(self._system)}
 
     def keep(self, rows: dict[str, np.ndarray]) -> None:
         super().keep(rows)
-        self._last_x = rows.get("last_x")
+        self._last_x, self.box_record.kept = rows.get("last_x"), rows.get("box_energy")
         self._converged_loads = (rows["forces"], rows["couples"]) if "forces" in rows else None
 
     def restore(
@@ -437,6 +347,13 @@ class QuasiStatic(Problem):
         x, carried = np.hsplit(here, 2)
         self._system, self._stale = self._build(interpolation, x), False
         self._system.carried[:] = carried
+
+    # results --------------------------------------------------------------------------------------
+    def fields(self, *names: str | MaterialField) -> Fields:
+        found = super().fields(*names)
+        if "energy" in found:
+            found.energy[:] += self.box_record.energies(self._system) / self.points.volume0
+        return found
 
     @property
     def system(self) -> LoadedPoints | None:

@@ -30,7 +30,8 @@ class StepStart:
 def step_work(
     system: NodalSystem, start: StepStart, last: np.ndarray, left: np.ndarray
 ) -> tuple[float, float]:
-    """Work (J) in a step that has converged, of loads and supports, and of carried forces. Collective.
+    """Work (J) in a step that has converged, of loads and supports, and of what resets carry along: forces,
+    and initial stresses, whose energy it takes. Collective.
 
     By the trapezoidal rule, so that its error falls with the square of the step. The reactions at the start
     are those in the present basis, from the internal forces of the first evaluation.
@@ -50,7 +51,9 @@ def step_work(
         [
             0.5 * np.sum((start.before[own] + last[own]) * moved),
             0.5 * np.sum(reactions[held] * moved[held]) + 0.5 * np.sum(at_start[free] * moved[free]),
-            np.sum(system.carried[own] * moved),
+            np.sum(system.carried[own] * moved)
+            + system.initial_energy(start.x)
+            - system.initial_energy(system.x),
         ]
     )
     system.comm.Allreduce(MPI.IN_PLACE, sums)
