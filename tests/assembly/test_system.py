@@ -64,12 +64,12 @@ def scattered(
 
 
 def make_system(
-    points: Points, basis: str, *, full: bool = False, supports=(), solver: str = "auto"
+    points: Points, basis: str, *, full: bool = False, supports=(), solver: str = "auto", boxes: bool = False
 ) -> PointSystem:
     """The system of points on a grid of unit cells; `full` asks for an unsymmetric tangent."""
     grid = pm.Grid.box((-2,) * points.dim, (4,) * points.dim, 1.0)
     forms = [PointForm(m, points.dim) for m in points.materials]
-    interpolation = Interpolation(grid, points, basis_of(basis), forms)
+    interpolation = Interpolation(grid, points, basis_of(basis), forms, boxes=boxes)
     layout = forms[0].layout
     made = [
         make_support(where, "nodes", components, layout, k) for k, (where, components) in enumerate(supports)

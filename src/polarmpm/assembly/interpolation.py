@@ -30,8 +30,8 @@ from ..materials.base import parameter_values
 from ..terms.base import Boxes, Piece, Term
 from ..terms.settings import GridSetting
 from ..tools.parallel import errors_on_all_ranks
-from .pointboxes import PointBoxes, all_boxes, has_boxes
 from .nodesets import Groups, group_points, node_sets_of, ownership_priorities, reached_cells
+from .pointboxes import PointBoxes, all_boxes, has_boxes
 
 
 @dataclass

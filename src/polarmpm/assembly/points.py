@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 _FEW = 2  # points a node
 _RENEWED = 3  # tangent of a step from which on that of the boxes is near the solution's
 _STUBBORN = 5  # tangent from which on a step needs the boxes' own each time
+_UNFELT = 1e-12  # of a tangent's diagonal, added to it
 _WEAK = 0.2  # share of a cell: nodes beyond edges of the body, and beyond faces that hardly enter a cell
 
 
@@ -232,8 +233,8 @@ class PointSystem(LoadedPoints):
         return Assembled(internal - self._dead_forces(), lifted)
 
     def _begin_tangent(self, lifted: np.ndarray | None) -> None:
-        """Begin the tangent's sums with what the points' boxes add; where that is at hand from an earlier iteration, it
-        is good enough."""
+        """Begin the tangent's sums with what the points' boxes add; where that is at hand from an earlier
+        iteration, it is good enough."""
         values, boxes, step = self.pattern.values, self.interpolation.boxes, self.step
         step.tangents += 1
         later = step.tangents >= _STUBBORN or (self._factors_cost and step.tangents == _RENEWED)
@@ -299,6 +300,8 @@ class PointSystem(LoadedPoints):
             values, diagonal = self.pattern.values, self.pattern.diagonal
             # prescribed unknowns, and nodes that points on a plane or a corner touch without any weight
             values[diagonal[values[diagonal] == 0.0]] = 1.0
+            # a body of few points has motions of nodes that no point feels: rounding must not choose them
+            values[diagonal] *= 1.0 + _UNFELT
             with self.timer("factor"):
                 self.pattern.put(self.solver.matrix)
                 self.solver.factor()

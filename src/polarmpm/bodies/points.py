@@ -66,10 +66,10 @@ class Points:
         wryness: Gamma (1/m), tensor.
         volume0: reference volume (m^3; m^2 per unit thickness in plane strain).
         half_length0: initial half-lengths of the domains (m), vector.
-        half_axes0: initial half axes of the points' boxes (m), (np, d, d), one a row: the second moment of what
-            a point stands for is the sum of their squares, a^T a, over 3. Zero: of a point alone.
-        unresolved: share of the last step's work that is done inside the point's box, scalar: what neither the grid
-            nor the points resolve.
+        half_axes0: initial half axes of the points' boxes (m), (np, d, d), one a row: the second moment of
+            what a point stands for is the sum of their squares, a^T a, over 3. Zero: of a point alone.
+        unresolved: share of the last step's work that is done inside the point's box, scalar: what neither
+            the grid nor the points resolve.
         materials: the materials that `material` counts.
         plastic_F, plastic_wryness: Fp of F = Fe Fp and Gp (1/m) of Gamma = Ge + Gp (T 4.1), tensors; like the
             following two only in bodies with plastic materials.
@@ -103,8 +103,8 @@ class Points:
         first_id: int = 0,
         half_axes: np.ndarray | None = None,
     ):
-        """Unloaded points at x (n, d) (m) with volumes (n,), domain half-lengths (n, d) and half axes (n, d, d)
-        of their boxes, by default along the grid; collective."""
+        """Unloaded points at x (n, d) (m) with volumes (n,), domain half-lengths (n, d) and half axes (n, d,
+        d) of their boxes, by default along the grid; collective."""
         self.comm, self.dim, n = comm, x.shape[1], len(x)
         self.materials: tuple[Material, ...] = (check_material(material),)
         before = comm.exscan(n) or 0

@@ -72,11 +72,11 @@ class Problem(Conditions):
     def _check(self, increments: Increments) -> str:
         """Why a solution is not acceptable; empty when it is."""
 
-    def _trust(self, system: Any, start: np.ndarray, outcome: Outcome) -> None:  # noqa: B027
-        """Measure how far an acceptable solution, from increments `start` (nodes, block) on, can be trusted; it may be
-        refused."""
+    def _trust(self, system: Any, start: np.ndarray, outcome: Outcome) -> None:
+        """Measure how far an acceptable solution, from increments `start` (nodes, block) on, can be trusted;
+        it may be refused."""
 
-    def _note(self, outcome: Outcome) -> None:  # noqa: B027
+    def _note(self, outcome: Outcome) -> None:
         """Take note of what `_trust` has found, of a step that is converged and committed."""
 
     @abstractmethod

@@ -69,6 +69,17 @@ def _check_assembly(assembly: str, basis: Basis) -> str:
     return assembly
 
 
+def _check_boxes(boxes: bool | None, basis: Basis) -> bool:
+    if boxes not in (None, True, False):
+        raise InputError(f"boxes = {boxes!r}: allowed are True, False and None")
+    if boxes and not basis.fills_boxes:
+        allowed = names(lambda b: b.fills_boxes)
+        raise InputError(
+            f"boxes = True: basis = {basis.name!r} has no second derivatives; allowed are {allowed}"
+        )
+    return basis.fills_boxes if boxes is None else boxes
+
+
 class QuasiStatic(Problem):
     """Equilibrium of material points on a grid under slowly changing loads. All methods are collective.
 
@@ -83,9 +94,10 @@ class QuasiStatic(Problem):
     Args:
         grid: background grid.
         points: the body.
-        basis: weighting functions: "bspline" (quadratic), "bspline3" (cubic), "gimpm" or "mpm" (T 2.3.2), or
-            a `Basis`. The defaults of this and of the resets are the settings with the least error for their
-            time (docs/accuracy.md); those of the papers are `pm.PUBLISHED`.
+        basis: weighting functions: "bspline" (quadratic), "bspline-averaged" (over the points' boxes),
+            "bspline3" (cubic), "gimpm" or "mpm" (T 2.3.2), or a `Basis`. The defaults of this and of the
+            resets are the settings with the least error for their time (docs/accuracy.md); those of the
+            papers are `pm.PUBLISHED`.
         assembly: how residual and tangent are summed over the points: "direct", or (with basis="mpm") as a
             "projection" on a quadrature space, assembled by dolfinx, to the same result.
         reset: when the grid is reset: a policy such as `WhenDistorted(0.2)`, every n steps (1: the papers'
@@ -103,6 +115,8 @@ class QuasiStatic(Problem):
         solver: of linear systems: "direct" (MUMPS), "multigrid" (a Krylov method with algebraic multigrid:
             less time and memory in large problems in space), or "auto", which chooses by the number of
             unknowns.
+        boxes: points integrate the strain energy over their own boxes (docs/theory.md), so that few of them
+            see that a thin body bends; by default with all bases that have second derivatives, the splines.
 
     Raises:
         InputError: an argument is out of range; materials that don't go together.
@@ -140,7 +154,7 @@ class QuasiStatic(Problem):
                 points.materials, f"the functions of basis={self.basis.name!r}", "basis='bspline'"
             )
         self.rotation_limit = 1.0
-        self.boxes = self.basis.fills_boxes if boxes is None else boxes
+        self.boxes = _check_boxes(boxes, self.basis)
         self.box_record = BoxRecord(points, self.forms, grid.comm)
         self.load_shares = LoadShares(grid.comm, rebalance)
         self._conservation = Conservation(grid.comm)
@@ -226,8 +240,8 @@ class QuasiStatic(Problem):
         self.box_record.note(outcome.unresolved, self.progress.step)
 
     def trust(self) -> str:
-        """How far the run can be trusted, in a line: the largest share of a step's work that is done inside the points'
-        boxes, where neither the grid nor the points resolve it (docs/accuracy.md)."""
+        """How far the run can be trusted, in a line: the largest share of a step's work that is done inside
+        the points' boxes, where neither the grid nor the points resolve it (docs/accuracy.md)."""
         return self.box_record.summary()
 
     def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
@@ -249,7 +263,8 @@ class QuasiStatic(Problem):
                 p.rotation_factor = factor
 
     def _with_boxes(self, change: Callable[[], None]) -> None:
-        """Change what the boxes' energy depends on besides the increments; what it loses counts as carried."""
+        """Change what the boxes' energy depends on besides the increments; what it loses counts as
+        carried."""
         boxes = self.box_record
         before = boxes.energy(self._system)
         change()
