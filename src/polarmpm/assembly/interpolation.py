@@ -81,7 +81,7 @@ class Interpolation:
         self.pieces: list[Piece] = []
         for term in terms:
             for piece in term.pieces(setting):
-                piece.fresh = not term.committed
+                piece.of, piece.fresh = term, not term.committed
                 self.pieces.append(piece)
         of_pieces = [_boxes_of(piece) for piece in self.pieces]
         more = [b.numbers(grid).ravel() for b in of_pieces]

@@ -90,6 +90,15 @@ class LoadedPoints(NodalSystem):
     def node_volumes(self) -> np.ndarray:
         return self.interpolation.spread(self.interpolation.points.volume0[:, None])[:, 0]
 
+    def at_points(self, x: np.ndarray) -> np.ndarray:
+        return self.interpolation.gather(np.ascontiguousarray(x)).value
+
+    def from_points(self, values: np.ndarray) -> np.ndarray:
+        return self.interpolation.spread(values)
+
+    def point_volumes(self) -> np.ndarray:
+        return self.interpolation.points.volume0
+
     def set_loads(self, forces: np.ndarray, couples: np.ndarray) -> None:
         """Forces (np, d) and couples (np, r) at the points. Collective."""
         self._at_points = forces, couples

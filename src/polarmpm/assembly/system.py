@@ -76,6 +76,8 @@ class NodalSystem(ABC):
         residual: internal minus external and carried forces of the last evaluation; complete on owned rows.
         carried: forces on the nodes that stand for what neither the basis nor initial stresses could balance
             at the last reset.
+        leaving: unknowns (nodes, block) that supports held in the last converged state which have been
+            released since; a reset carries nothing of their reactions along.
         step: where the iterations of the present step stand.
         terms: what acts on the nodes besides the body's stresses and loads.
         length: size of a cell (m) in each direction, which tells what a displacement means as a strain.
@@ -102,6 +104,7 @@ class NodalSystem(ABC):
         self.loads: np.ndarray = np.zeros(shape)
         self.external: np.ndarray = self.loads
         self.carried: np.ndarray = np.zeros(shape)
+        self.leaving: np.ndarray | None = None
         self.step = StepState(np.zeros(shape))
         # a couple counts as a force at the distance of a cell, so that measures don't depend on units
         self._cell = float(np.prod(length)) ** (1.0 / len(length))
@@ -140,6 +143,19 @@ class NodalSystem(ABC):
         """Shares of the body's volume (nodes,), complete on owned rows. Collective."""
 
     @abstractmethod
+    def at_points(self, x: np.ndarray) -> np.ndarray:
+        """Values (np, block) at this rank's points of nodal ones (nodes, block)."""
+
+    @abstractmethod
+    def from_points(self, values: np.ndarray) -> np.ndarray:
+        """Sums (nodes, block) of point values (np, block) with the nodes' functions, complete on owned rows.
+        Collective."""
+
+    @abstractmethod
+    def point_volumes(self) -> np.ndarray:
+        """Reference volumes (np,) of this rank's points."""
+
+    @abstractmethod
     def destroy(self) -> None:
         """Release PETSc's objects."""
 
@@ -150,6 +166,11 @@ class NodalSystem(ABC):
     def working_loads(self) -> np.ndarray:
         """Forces (nodes, block) of the loads that are set, such as do work on the increments. Collective."""
         return self.with_terms(self.loads)
+
+    def spatial_loads(self) -> np.ndarray:
+        """Forces and couples (nodes, block) of the loads, those of terms apart, complete on owned rows;
+        couples do work on spins. Collective."""
+        return self.loads
 
     def start_elastic(self, on: bool) -> bool:
         """Whether points on the yield surface begin a step with their elastic tangent; False where there is
@@ -212,7 +233,8 @@ class NodalSystem(ABC):
 
     def imbalance(self) -> np.ndarray:
         """Internal minus external forces (nodes, block) at free unknowns, complete on owned rows, but for
-        terms that a reset doesn't carry along or that have just been added. Collective."""
+        terms that a reset doesn't carry along or that have just been added, and unknowns that supports
+        held which have been released since (`leaving`). Collective."""
 
         def apart(piece: Piece) -> bool:
             return piece.fresh or not piece.carried
@@ -222,7 +244,10 @@ class NodalSystem(ABC):
             left_out = self.terms.forces(self.x, apart)
             self.nodes.add_to_owners(left_out)
             forces = forces - left_out
-        free: np.ndarray = np.where(self.prescribed.fixed, 0.0, forces)
+        held = self.prescribed.fixed
+        if self.leaving is not None:
+            held = held | self.leaving
+        free: np.ndarray = np.where(held, 0.0, forces)
         return free
 
     def forget_rotations(self) -> None:

@@ -27,7 +27,9 @@ class StepStart:
     new: np.ndarray
 
 
-def step_work(system: NodalSystem, start: StepStart, last: np.ndarray) -> tuple[float, float]:
+def step_work(
+    system: NodalSystem, start: StepStart, last: np.ndarray, left: np.ndarray
+) -> tuple[float, float]:
     """Work (J) in a step that has converged, of loads and supports, and of what resets carry along: forces,
     and initial stresses, whose energy it takes. Collective.
 
@@ -36,17 +38,19 @@ def step_work(system: NodalSystem, start: StepStart, last: np.ndarray) -> tuple[
 
     Args:
         last: forces of the loads at the end, as in `StepStart`.
+        left: unknowns (nodes, block), bool, of supports that have been released before the step.
     """
     own = slice(0, system.nodes.owned)
     held = system.prescribed.fixed[own]
     moved = system.x[own] - start.x[own]
     # the first evaluation had the new loads already
     assert system.step.initial is not None
-    reactions = (system.step.initial + start.new - start.before)[own] + system.residual[own]
+    at_start = (system.step.initial + start.new - start.before)[own]
+    reactions, free = at_start + system.residual[own], left[own] & ~held
     sums = np.array(
         [
             0.5 * np.sum((start.before[own] + last[own]) * moved),
-            0.5 * np.sum(reactions[held] * moved[held]),
+            0.5 * np.sum(reactions[held] * moved[held]) + 0.5 * np.sum(at_start[free] * moved[free]),
             np.sum(system.carried[own] * moved)
             + system.initial_energy(start.x)
             - system.initial_energy(system.x),
