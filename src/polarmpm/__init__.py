@@ -10,7 +10,15 @@ from .bodies.facets import Facets
 from .bodies.meshseeding import seed_mesh
 from .bodies.points import Points, Selection
 from .bodies.seeding import seed
-from .errors import InputError, KernelError, NotConserved, NotConverged, PointsOutsideGrid, PolarMPMError
+from .errors import (
+    InputError,
+    KernelError,
+    NotConserved,
+    NotConverged,
+    PointsOutsideGrid,
+    PolarMPMError,
+    TrustWarning,
+)
 from .forms.stresses import MaterialField
 from .geometry.grid import Grid
 from .geometry.planes import plane
@@ -93,6 +101,7 @@ __all__ = [
     "SurfaceTerm",
     "Table",
     "Term",
+    "TrustWarning",
     "UserEnergy",
     "UserPlasticity",
     "VonMises",

@@ -13,8 +13,6 @@ the own cell's polynomials, continued.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..geometry.grid import Grid, box_indices
@@ -49,6 +47,7 @@ class AveragedSplines(QuadraticSplines):
         x: np.ndarray,
         half_length: np.ndarray | None = None,
         cells: np.ndarray | None = None,
+        orders: int = 2,
     ) -> Weights:
         """Boxes longer than a cell are taken to be as long as one."""
         assert half_length is not None
@@ -59,59 +58,40 @@ class AveragedSplines(QuadraticSplines):
         plane = np.where(step < 0, lower, lower + grid.sizes(cells))
         # in its own cell, and in the one that it reaches
         begin, end = np.where(step < 0, plane, low), np.where(step > 0, plane, high)
-        mine = self._means(grid, begin, end, cells)
-        parts = Parts(cells, step, 1.0 - (end - begin) / np.where(step != 0, high - low, np.inf))
-        far = parts.far
-        begin, end = np.where(step > 0, plane, low)[far], np.where(step < 0, plane, high)[far]
-        other = self._means(grid, begin, end, (cells + step)[far])
+        mine = self._means(grid, begin, end, cells, orders)
         lowest, count = cells + np.minimum(step, 0), (self.functions + np.abs(step)).astype(np.int32)
-        return Weights(lowest, count, parts.joined(mine, other))
+        far = np.flatnonzero(np.any(step, axis=1))
+        if not len(far):
+            return Weights(lowest, count, mine)
+        share = np.where(step, 1.0 - (end - begin) / np.where(step, high - low, 1.0), 0.0)[far]
+        begin, end = np.where(step > 0, plane, low)[far], np.where(step < 0, plane, high)[far]
+        other = self._means(grid, begin, end, (cells + step)[far], orders)
+        table = np.zeros((*mine.shape[:3], self.functions + 1))
+        table[:, :, :, :-1] = mine
+        table[far] = _joined(step[far], share, mine[far], other)
+        return Weights(lowest, count, table)
 
-    def _means(self, grid: Grid, low: np.ndarray, high: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        """Means of what `lines` gives over the intervals from low to high (n, d) (m), by Gauss' rule of two
-        points, which is exact."""
+    def _means(
+        self, grid: Grid, low: np.ndarray, high: np.ndarray, cells: np.ndarray, orders: int
+    ) -> np.ndarray:
+        """Means of what `derivatives` gives over the intervals from low to high (n, d) (m), by Gauss' rule of
+        two points, which is exact."""
         centre, away = 0.5 * (low + high), 0.5 * _GAUSS * (high - low)
-        means = self.lines(grid, centre - away, cells)
-        means += self.lines(grid, centre + away, cells)
+        means = self.derivatives(grid, centre - away, cells, orders)
+        means += self.derivatives(grid, centre + away, cells, orders)
         means *= 0.5
         return means
 
 
-@dataclass
-class Parts:
-    """The parts of boxes in the cells that they are in and beside them.
-
-    Attributes:
-        cells: lattice index of the own cells (n, d).
-        step: from there to the other cell that the box reaches in a direction, -1, 0 or 1, (n, d).
-        share: of the box's length in the other cell (n, d), where there is one.
-        far: rows of the boxes that reach another cell.
-    """
-
-    cells: np.ndarray
-    step: np.ndarray
-    share: np.ndarray
-
-    @property
-    def far(self) -> np.ndarray:
-        return np.flatnonzero(np.any(self.step, axis=1))
-
-    def joined(self, mine: np.ndarray, other: np.ndarray) -> np.ndarray:
-        """Means over the boxes, from those over the parts in the own cell, (n, d, .., functions), and in the
-        other one, of the rows `far` alone: values of all functions of both, the lowest first."""
-        far, functions = self.far, mine.shape[-1]
-        if not len(far):
-            return mine
-        table = np.zeros((*mine.shape[:-1], functions + 1))
-        table[..., :-1] = mine
-        step = self.step[far].reshape(-1, mine.shape[1], *(1,) * (mine.ndim - 2))
-        share = np.where(step, self.share[far].reshape(step.shape), 0.0)
-        other, mine = share * other, (1.0 - share) * mine[far]
-        joined = np.zeros((len(far), *table.shape[1:]))
-        joined[..., :-1] = np.where(step < 0, other, mine)
-        joined[..., 1:] += np.where(step < 0, mine, other)
-        table[far] = joined
-        return table
+def _joined(step: np.ndarray, share: np.ndarray, mine: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Means over boxes from those over their parts in the own and the other cell (n, d, orders, functions),
+    for the functions of both, the lowest first: one more."""
+    below, share = (step < 0)[:, :, None, None], share[:, :, None, None]
+    mine, other = (1.0 - share) * mine, share * other
+    table = np.zeros((*mine.shape[:3], mine.shape[3] + 1))
+    table[:, :, :, :-1] = np.where(below, other, mine)
+    table[:, :, :, 1:] += np.where(below, mine, other)
+    return table
 
 
 def _steps(grid: Grid, x: np.ndarray, half: np.ndarray, cells: np.ndarray) -> np.ndarray:

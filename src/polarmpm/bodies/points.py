@@ -32,6 +32,7 @@ FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
     "volume0": ((), float),
     "half_length0": (("d",), float),
     "half_axes0": (("d", "d"), float),
+    "unresolved": ((), float),
 }
 
 # what bodies with plastic materials have beside it
@@ -67,6 +68,8 @@ class Points:
         half_length0: initial half-lengths of the domains (m), vector.
         half_axes0: initial half axes of the points' boxes (m), (np, d, d), one a row: the second moment of what
             a point stands for is the sum of their squares, a^T a, over 3. Zero: of a point alone.
+        unresolved: share of the last step's work that is done inside the point's box, scalar: what neither the grid
+            nor the points resolve.
         materials: the materials that `material` counts.
         plastic_F, plastic_wryness: Fp of F = Fe Fp and Gp (1/m) of Gamma = Ge + Gp (T 4.1), tensors; like the
             following two only in bodies with plastic materials.
@@ -84,6 +87,7 @@ class Points:
     volume0: np.ndarray
     half_length0: np.ndarray
     half_axes0: np.ndarray
+    unresolved: np.ndarray
     plastic_F: np.ndarray
     plastic_wryness: np.ndarray
     hardening: np.ndarray
@@ -113,6 +117,7 @@ class Points:
         self.volume0, self.half_length0 = volume.copy(), half_length.copy()
         along = half_length[:, None, :] * np.eye(self.dim)
         self.half_axes0 = along if half_axes is None else half_axes.copy()
+        self.unresolved = np.zeros(n)
         self._has_plastic_state = False
         self._add_plastic_state()
 
