@@ -21,7 +21,7 @@ from .base import Weights
 from .bspline import QuadraticSplines
 
 _TURNED = 0.25
-_REACH = 0.0195  # cells; unlike where boxes of fresh bodies end, a simple fraction
+_REACH = 0.0095  # cells; unlike where boxes of fresh bodies end, a simple fraction
 _GAUSS = 3.0**-0.5
 
 
