@@ -137,8 +137,9 @@ def step_costs(repeat):
 
 
 def step_cost(problem, steps=10):
-    """Of the second to the tenth part of the load: iterations, and microseconds a point of one of them."""
-    marching = problem.march(50, to=steps / 50, adaptive=True, progress=False)
+    """A fifth of the load in so many steps, the first one apart: iterations, and microseconds a point of one
+    of them."""
+    marching = problem.march(steps, to=0.2, adaptive=True, progress=False)
     next(marching)
     before, begin = dict(problem.timer.seconds), time.process_time()
     for _ in marching:
