@@ -63,7 +63,9 @@ def block(material=SOFT, steps=2, **options):
 def arch(material=None, reset=1, steps=15):
     module = demo("curved_cantilever")
     grid = pm.Grid.box((0, -40, -8), (80, 40, 64), 1.0)
-    points = pm.seed(grid, module.Arch(-100.0, 0.0), material=material or module.MATERIAL, points_per_cell=4)
+    points = pm.seed(
+        grid, module.Arch(-100.0, 0.0), material=material or module.MATERIAL, points_per_cell=4, cut=False
+    )
     problem = pm.QuasiStatic(grid, points, basis="mpm", reset=reset, balanced_reset=False)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     problem.load(points.farthest((1, -1, 0)), force=(0, 0, module.FORCE))

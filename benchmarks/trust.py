@@ -35,7 +35,8 @@ def uniform(basis, cell=1.0, number=4, centre=-100.0, bottom=0.0, steps=15, rese
     """As published: points on the grid's own lattice, those outside the arch discarded."""
     arch = demo("curved_cantilever")
     grid = pm.Grid.box((0, -40, -8), (80, 40, 64), cell)
-    points = pm.seed(grid, arch.Arch(centre, bottom), material=arch.MATERIAL, points_per_cell=number)
+    body = arch.Arch(centre, bottom)
+    points = pm.seed(grid, body, material=arch.MATERIAL, points_per_cell=number, cut=False)
     reset = policy(steps, resets)
     problem = pm.QuasiStatic(grid, points, basis=basis, reset=reset, balanced_reset=balanced)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)

@@ -41,7 +41,11 @@ def build(args):
     """The problem, and the points at the free end."""
     grid = pm.Grid.box((0, -40, -8), (80, 40, 64), args.cell)
     points = pm.seed(
-        grid, Arch(args.centre, args.bottom), material=MATERIAL, points_per_cell=args.points_per_cell
+        grid,
+        Arch(args.centre, args.bottom),
+        material=MATERIAL,
+        points_per_cell=args.points_per_cell,
+        cut=False,  # as published
     )
     problem = pm.QuasiStatic(grid, points, basis=args.basis, reset=1, balanced_reset=False)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)

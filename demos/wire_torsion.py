@@ -43,6 +43,7 @@ def build(diameter, args, solid=None):
         inside=lambda x: (np.hypot(x[:, 0], x[:, 1]) <= radius) & (x[:, 2] <= diameter),
         material=solid,
         points_per_cell=args.points_per_cell,
+        cut=False,  # as published
     )
     # forces of 1e-9 relative to those of the step are reached first, whatever the unit of energy
     controls = pm.Controls(energy_tolerance=1e-20)

@@ -7,9 +7,18 @@ from .basis.base import Basis, Weights
 from .basis.registry import register as register_basis
 from .bodies.elements import Elements
 from .bodies.facets import Facets
+from .bodies.meshseeding import seed_mesh
 from .bodies.points import Points, Selection
-from .bodies.seeding import seed, seed_mesh
-from .errors import InputError, KernelError, NotConserved, NotConverged, PointsOutsideGrid, PolarMPMError
+from .bodies.seeding import seed
+from .errors import (
+    InputError,
+    KernelError,
+    NotConserved,
+    NotConverged,
+    PointsOutsideGrid,
+    PolarMPMError,
+    TrustWarning,
+)
 from .forms.stresses import MaterialField
 from .geometry.grid import Grid
 from .geometry.planes import plane
@@ -92,6 +101,7 @@ __all__ = [
     "SurfaceTerm",
     "Table",
     "Term",
+    "TrustWarning",
     "UserEnergy",
     "UserPlasticity",
     "VonMises",

@@ -56,3 +56,7 @@ class NotConserved(PolarMPMError, RuntimeError):
 
 class KernelError(PolarMPMError, RuntimeError):
     """An expression could not be turned into compiled code."""
+
+
+class TrustWarning(UserWarning):
+    """An answer that may be far off for a reason that the solver sees; the message says what to change."""

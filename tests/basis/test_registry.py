@@ -39,7 +39,9 @@ def test_a_basis_of_the_users_own(known):
     np.testing.assert_allclose(pulled(Hats()), expected, rtol=0, atol=1e-12)
     pm.register_basis(Hats())
     np.testing.assert_allclose(pulled("hats"), expected, rtol=0, atol=1e-12)
-    with pytest.raises(pm.InputError, match="allowed are gimpm, mpm, bspline, bspline3, hats"):
+    with pytest.raises(
+        pm.InputError, match="allowed are gimpm, mpm, bspline, bspline3, bspline-averaged, hats"
+    ):
         basis_of("hat")
     with pytest.raises(pm.InputError, match="Allowed are 'gimpm', 'mpm' and 'hats'"):
         pm.QuasiStatic(

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import itertools
+from functools import partial
+
+from mpi4py import MPI
 
 import numpy as np
 import pytest
@@ -12,6 +15,7 @@ import polarmpm as pm
 from polarmpm.geometry.cells import cell_mesh, occupied_cells
 from polarmpm.geometry.grid import MARGIN
 from polarmpm.tools import compat
+from tests.bodies.test_cut_boxes import in_block
 from tests.conftest import COMM, HENCKY, MICROPOLAR, by_id, rotation
 
 
@@ -115,6 +119,8 @@ def test_a_full_grid(dim, per_cell, layout):
     assert points.total == np.prod(grid.shape) * np.prod(number)
     assert COMM.allreduce(points.volume0.sum()) == pytest.approx(np.prod(grid.shape) * 0.5**dim, rel=1e-13)
     np.testing.assert_allclose(points.half_length0, np.tile(0.25 / number, (len(points), 1)))
+    along = np.diag(0.25 / number) if layout == "uniform" else np.zeros((dim, dim))
+    np.testing.assert_allclose(points.half_axes0, np.tile(along, (len(points), 1, 1)))
     np.testing.assert_array_equal(by_id(points, points.id), np.arange(points.total))
     np.testing.assert_array_equal(points.X, points.x)
     np.testing.assert_array_equal(points.F, np.tile(np.eye(3), (len(points), 1, 1)))
@@ -154,24 +160,24 @@ def test_predicates_and_bounds():
     ]
     x = by_id(made[0], made[0].x)
     assert np.all(disc(x))
-    assert COMM.allreduce(made[0].volume0.sum()) == pytest.approx(np.pi * 0.64, rel=0.03)
+    assert COMM.allreduce(made[0].volume0.sum()) == pytest.approx(np.pi * 0.64, rel=2e-3)
     for other in made[1:]:
         # which axis runs slowest depends on the box searched, so compare the sets
         np.testing.assert_allclose(np.unique(by_id(other, other.x), axis=0), np.unique(x, axis=0))
 
 
-def test_bounds_alone_cut_the_body():
-    """Without a predicate the box itself is the body, whether or not it ends on grid planes."""
-    points = pm.seed(block(2), material=MICROPOLAR, bounds=((0.1, 0.1), (1.3, 0.6)))
+def test_whole_boxes_by_their_centres():
+    """The papers' seeding, also of boxes cut by bounds."""
+    points = pm.seed(block(2), material=MICROPOLAR, bounds=((0.1, 0.1), (1.3, 0.6)), cut=False)
     x = by_id(points, points.x)
     assert np.all((x >= 0.1) & (x <= [1.3, 0.6]))
     assert len(x) == 5 * 2
+    np.testing.assert_array_equal(points.volume0, 0.0625)
+    np.testing.assert_array_equal(points.half_axes0, np.tile(0.125 * np.eye(2), (len(points), 1, 1)))
 
 
 def test_ids_do_not_depend_on_the_ranks():
     """Positions by id are those of a run on one rank (every rank seeds alone for comparison)."""
-    from mpi4py import MPI
-
     shared = pm.seed(block(3), disc, material=MICROPOLAR, points_per_cell=(2, 1, 3))
     lower, upper = (-1.0, -0.5, 2.0), (3.0, 1.5, 4.0)
     alone = pm.seed(
@@ -197,6 +203,7 @@ def test_ranks_get_equal_shares():
         ({"points_per_cell": 0}, "points_per_cell = 0"),
         ({"points_per_cell": 1.5}, "points_per_cell = 1.5"),
         ({"points_per_cell": (2, 2, 2)}, r"points_per_cell = \(2, 2, 2\)"),
+        ({"cut": 1}, "cut = 1: True or False"),
         ({"layout": "random"}, "layout = 'random': allowed are uniform, gauss"),
         ({"bounds": ((0, 0), (0, 1))}, "bounds = "),
         ({"bounds": ((0, 0), (1, 7))}, "bounds = .* outside the grid"),
@@ -314,6 +321,36 @@ def test_selections():
         points.mean_displacement(points.where(lambda x: x[:, 0] > 99))
 
 
+@pytest.mark.parametrize("number", [1, 2, 3, 5])
+@pytest.mark.parametrize("end", [3.5, 3.51, 3.6, 3.99, 4.0])
+def test_the_end_layer_of_a_body_along_the_grid(number, end):
+    """Whole, and alone, wherever the body ends in its last boxes, and however slightly those are cut."""
+    grid = pm.Grid.box((0, 0), (5, 5), 1.0)
+    points = pm.seed(grid, material=MICROPOLAR, points_per_cell=number, bounds=((0.0, 0.23), (end, 2.4)))
+    chosen = points.rows(points.farthest((1.0, 0.0)))
+    most = COMM.allreduce(points.x[:, 0].max(initial=-np.inf), op=MPI.MAX)
+    np.testing.assert_array_equal(chosen, np.flatnonzero(points.x[:, 0] > most - 1e-9))
+
+
+@pytest.mark.parametrize("angle", [0.3, 0.6, np.pi / 4])
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_the_end_layer_of_a_body_across_the_grid(number, angle):
+    """All points whose boxes the end face cuts, none that is more than a box away from it."""
+    grid, axis = pm.Grid.box((-4, -4), (4, 4), 1.0), np.array([np.cos(angle), np.sin(angle)])
+    body = partial(in_block, size=(5.0, 2.0), centre=(0.1, 0.2), angle=angle)
+    points = pm.seed(grid, body, material=MICROPOLAR, points_per_cell=number)
+    depth = 2.5 - (points.x - [0.1, 0.2]) @ axis
+    half, reach = 0.5 / number, 0.5 / number * np.abs(axis).sum()
+    chosen = np.isin(np.arange(len(points)), points.rows(points.farthest(axis)))
+    nominal = np.all(points.half_length0 > half * (1 - 1e-9), axis=1)
+    assert np.all(depth[chosen] < 2 * reach)
+    assert np.all(chosen[nominal & (depth < reach * (1 - 1e-5))])
+    across = (points.x - [0.1, 0.2]) @ [-axis[1], axis[0]]
+    found = np.concatenate(COMM.allgather(across[chosen]))
+    assert found.min() < -0.5
+    assert found.max() > 0.5
+
+
 # meshes -------------------------------------------------------------------------------------------
 def disc_mesh(dim: int, quads: bool = False):
     """A mesh of a box in the grid, of simplices or of boxes."""
@@ -324,6 +361,68 @@ def disc_mesh(dim: int, quads: bool = False):
         return mesh.create_rectangle(COMM, [[0.0, 0.0], [2.0, 1.0]], [5, 3], kind)
     kind = mesh.CellType.hexahedron if quads else mesh.CellType.tetrahedron
     return mesh.create_box(COMM, [[0.0, 0.0, 2.0], [2.0, 1.0, 3.0]], [4, 3, 2], kind)
+
+
+def distorted(dim: int, quads: bool):
+    """The same with its nodes moved, boundary ones too, and its volume, centroid and second moments."""
+    made = disc_mesh(dim, quads)
+    x = made.geometry.x
+    x[:, 0] += 0.2 * x[:, 0] * x[:, 1] + 0.03 * np.sin(9 * x[:, 1])
+    x[:, 1] += 0.04 * np.cos(7 * x[:, 0]) + 0.1 * x[:, 0] * (x[:, 2] - 2.0)
+    points, volume = compat.mesh_quadrature(made, 6)
+    return made, moments(points, volume)
+
+
+def moments(x: np.ndarray, volume: np.ndarray, spread: np.ndarray | float = 0.0):
+    """Volume, centroid and second moments about it, over the volume, of points with moments of their own."""
+    total = COMM.allreduce(volume.sum())
+    centre = COMM.allreduce(volume @ x) / total
+    y = x - centre
+    square = volume[:, None, None] * (y[:, :, None] * y[:, None, :] + spread)
+    return total, centre, COMM.allreduce(square.sum(axis=0)) / total
+
+
+def body_moments(points: pm.Points):
+    a = points.half_axes0
+    return moments(points.x, points.volume0, np.swapaxes(a, 1, 2) @ a / 3.0)
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+@pytest.mark.parametrize("quads", [False, True])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_parts_of_the_cells_of_a_mesh(dim, quads, number):
+    """As many of each cell; a mesh's volume, centroid and second moments, exact but for the latter of parts
+    that are no parallelepipeds."""
+    grid, (made, expected) = pm.Grid.box((-1,) * dim, (5,) * dim, 1.0), distorted(dim, quads)
+    points = pm.seed_mesh(grid, made, material=MICROPOLAR, points_per_cell=number)
+    assert points.total == number**dim * made.topology.index_map(dim).size_global
+    found = body_moments(points)
+    assert found[0] == pytest.approx(expected[0], rel=1e-13)
+    np.testing.assert_allclose(found[1], expected[1], rtol=1e-13)
+    error = np.abs(found[2] - expected[2]).max() / np.abs(expected[2]).max()
+    assert error < (2e-3 / number**2 if quads else 1e-13)
+    square = np.einsum("nki,nki->ni", points.half_axes0, points.half_axes0)
+    np.testing.assert_allclose(points.half_length0**2, square)
+
+
+def test_parts_of_boxes_are_boxes():
+    """Half axes of parts of cells along the grid are those that seeding the grid gives."""
+    from dolfinx import mesh
+
+    made = mesh.create_box(COMM, [[0, 0, 2], [2, 1, 3]], [4, 2, 2], mesh.CellType.hexahedron)
+    points = pm.seed_mesh(block(3), made, material=MICROPOLAR, points_per_cell=2)
+    np.testing.assert_allclose(
+        np.abs(points.half_axes0), np.tile(0.125 * np.eye(3), (len(points), 1, 1)), atol=1e-15
+    )
+    same = pm.seed(block(3), material=MICROPOLAR, bounds=((0, 0, 2), (2, 1, 3)))
+    found, expected = (np.round(by_id(p, p.x), 9) for p in (points, same))
+    np.testing.assert_allclose(np.unique(found, axis=0), np.unique(expected, axis=0))
+
+
+@pytest.mark.parametrize("number", [0, 1.5, (2, 2), True])
+def test_bad_numbers_of_parts(number):
+    with pytest.raises(pm.InputError, match="points_per_cell = "):
+        pm.seed_mesh(block(2), disc_mesh(2), material=MICROPOLAR, points_per_cell=number)
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
@@ -338,6 +437,7 @@ def test_points_of_a_mesh(dim, quads, degree):
     moment = COMM.allreduce(float(points.volume0 @ points.x[:, 0] ** degree))
     assert moment == pytest.approx(2.0 ** (degree + 1) / (degree + 1), rel=1e-12)
     np.testing.assert_allclose(np.prod(2 * points.half_length0, axis=1), points.volume0)
+    assert not np.any(points.half_axes0)  # the rule integrates squares itself
     assert np.all(points.volume0 > 0)
     ids = by_id(points, points.id)
     np.testing.assert_array_equal(ids, np.arange(len(ids)))

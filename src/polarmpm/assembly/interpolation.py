@@ -26,11 +26,11 @@ from ..geometry.nodes import ActiveNodes
 from ..kernels import native
 from ..kinematics.layout import Layout
 from ..kinematics.motion import Motion
-from ..kinematics.stretch import domain_half_length
 from ..materials.base import parameter_values
 from ..terms.base import Boxes, Piece, Term
 from ..terms.settings import GridSetting
 from ..tools.parallel import errors_on_all_ranks
+from .pointboxes import PointBoxes, all_boxes, has_boxes
 from .nodesets import Groups, group_points, node_sets_of, ownership_priorities, reached_cells
 
 
@@ -50,9 +50,11 @@ class Interpolation:
         forms: point form of each of the points' materials.
         reference: state at the last reset; default: the points' current state, which makes it a reset.
         terms: contributions to the nodal system besides the points' stresses.
+        boxes: the points integrate over their own boxes.
 
     Attributes:
         pieces: what the terms have made of this reset.
+        boxes: of each batch; None: points stand for themselves alone.
     """
 
     def __init__(
@@ -63,14 +65,16 @@ class Interpolation:
         forms: Sequence[PointForm],
         reference: Reference | None = None,
         terms: Sequence[Term] = (),
+        boxes: bool = False,
     ):
         self.grid, self.points, self.forms = grid, points, forms
         self.layout: Layout = forms[0].layout
         self.reference = r = reference or Reference.of(points)
         cells = basis.supporting_cells(grid, r.x) if basis.sliver else None
-        half = domain_half_length(r.F, points.half_length0) if basis.uses_domains else None
+        half = basis.domains(r.F, points.half_length0) if basis.uses_domains else None
+        filled = boxes and has_boxes(points)
         with errors_on_all_ranks(grid.comm):
-            w = basis.weights(grid, r.x, half, cells)
+            w = basis.weights(grid, r.x, half, cells, 3 if filled else 2)
         order, groups = group_points(points.material, w)
         reached = partial(reached_cells, grid, groups, basis)
         setting = GridSetting(grid, basis, self.layout, points, w, reached)
@@ -79,8 +83,8 @@ class Interpolation:
             for piece in term.pieces(setting):
                 piece.fresh = not term.committed
                 self.pieces.append(piece)
-        boxes = [_boxes_of(piece) for piece in self.pieces]
-        more = [b.numbers(grid).ravel() for b in boxes]
+        of_pieces = [_boxes_of(piece) for piece in self.pieces]
+        more = [b.numbers(grid).ravel() for b in of_pieces]
         touched, node_sets, node_offsets = node_sets_of(grid, groups, more)
         priorities = ownership_priorities(grid, groups, touched) if grid.comm.size > 1 else None
         self.nodes = ActiveNodes.build(grid, touched, partial(basis.positions, grid), priorities)
@@ -88,8 +92,12 @@ class Interpolation:
         self.batches = [
             self._batch(form, m, w, order, groups, (node_sets, node_offsets)) for m, form in enumerate(forms)
         ]
-        sides = [int(groups.count.max(initial=2)), *(max(b.count) for b in boxes)]
+        sides = [int(groups.count.max(initial=2)), *(max(b.count) for b in of_pieces)]
         self.reach = int(grid.comm.allreduce(max(sides) - 1, op=MPI.MAX))
+        self.boxes: list[PointBoxes] | None = None
+        if filled:
+            pairs = [(b.batch, b.rows) for b in self.batches]
+            self.boxes = all_boxes(pairs, self.layout, points, r)
         self.pack()
 
     def _batch(
@@ -113,6 +121,7 @@ class Interpolation:
             dim=self.layout.dim,
             rot=self.layout.rotations,
             slots=w.table.shape[-1],
+            orders=w.table.shape[-2],
             nstate=form.state_size,
             nparam=len(parameters),
             npoints=len(rows),
@@ -134,6 +143,8 @@ class Interpolation:
         for b in self.batches:
             state = b.form.pack(r.F[b.rows], r.q[b.rows], r.wryness[b.rows], p.plastic_state(b.rows))
             native.fill(b.batch, state=np.ascontiguousarray(state))
+        for boxes in self.boxes or ():
+            boxes.pack(r)
 
     def rebase_rotations(self) -> None:
         """Count rotation increments from the points' current rotations on; weights and F stay."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
     from ..forms.returnmapping import ReturnMapping
 
 
+_FEW = 2  # points a node
+_RENEWED = 3  # tangent of a step from which on that of the boxes is near the solution's
+_STUBBORN = 5  # tangent from which on a step needs the boxes' own each time
 _WEAK = 0.2  # share of a cell: nodes beyond edges of the body, and beyond faces that hardly enter a cell
 
 
@@ -106,6 +110,8 @@ class LoadedPoints(NodalSystem):
         if self.couple_kernel is not None:
             rows, couples = self._couples[k]
             native.fill(kernels, couple=self.couple_kernel.address, couple_of=rows, couples=couples)
+        if self.interpolation.boxes is not None:
+            self.interpolation.boxes[k].put(kernels, self.kernels[k][0])
         mapping = self.mappings[k]
         if mapping is not None:
             self._put_yielding(mapping, k, tangent, kernels)
@@ -178,8 +184,8 @@ class PointSystem(LoadedPoints):
         lifted = None if lift is None else np.zeros_like(self.x)
         matrix = self.pattern.matrix
         if tangent:
-            self.pattern.values[:] = 0.0
             native.fill(matrix, lift=lift)
+            self._begin_tangent(lifted)
         for k, batch in enumerate(self.interpolation.batches):
             self._assemble(k, batch, matrix if tangent else None, internal, lifted)
         self.nodes.add_to_owners(internal)
@@ -194,6 +200,29 @@ class PointSystem(LoadedPoints):
             lifted += self.lifted_by_terms(lift)
             self.nodes.add_to_owners(lifted)
         return Assembled(internal - self._dead_forces(), lifted)
+
+    def _begin_tangent(self, lifted: np.ndarray | None) -> None:
+        """Begin the tangent's sums with what the points' boxes add; where that is at hand from an earlier iteration, it
+        is good enough."""
+        values, boxes, step = self.pattern.values, self.interpolation.boxes, self.step
+        step.tangents += 1
+        later = step.tangents >= _STUBBORN or (self._factors_cost and step.tangents == _RENEWED)
+        due = step.boxes is None or lifted is not None or later
+        values[:] = 0.0 if boxes is None or due else step.boxes
+        if boxes is None or not due:
+            return
+        bent = bool(np.any(self.x))  # right after a reset the sides have the moduli of the points
+        for own, form, (_, kernel) in zip(boxes, self.interpolation.forms, self.kernels, strict=True):
+            before = self.before if form.predicts else None
+            own.add_moduli(kernel, self.pattern.matrix, self.x, before, lifted, whole=bent)
+        step.boxes = values.copy()
+
+    @cached_property
+    def _factors_cost(self) -> bool:
+        """Whether another iteration costs more than another tangent of the boxes: in space, with few points a
+        node."""
+        few: bool = self.interpolation.points.total <= _FEW * self.nodes.total
+        return self.layout.dim == 3 and few
 
     def _assemble(
         self,

@@ -49,6 +49,8 @@ class StepState:
         correction: the last one; None before the first.
         rounding: squares of the forces that rounding makes, see `NodalSystem._rounding_squares`; None before
             the first tangent.
+        tangents: how many there have been.
+        boxes: values of the matrix that the points' boxes have given; None before the first tangent.
     """
 
     lift: np.ndarray
@@ -57,6 +59,8 @@ class StepState:
     lifted: np.ndarray | None = None
     correction: np.ndarray | None = None
     rounding: np.ndarray | None = None
+    tangents: int = 0
+    boxes: np.ndarray | None = None
 
 
 class NodalSystem(ABC):

@@ -4,6 +4,11 @@ A B-spline of which the body fills only the tail has hardly any stiffness: its w
 layer's thickness, in each direction. The points of such a layer are weighted instead with the polynomials of
 the cell behind the face, continued through it (cell aggregation). Then every function that is left reaches
 well into the body. Polynomials of the splines' degree are still represented exactly.
+
+How thin a sliver is must not be decided by rounding, or a body that is moved by whole cells has another
+answer. So the limits are as far as can be (.0045 and .006 cells) from where points of fresh bodies lie: at
+the centres and faces of up to twelve equal boxes a cell, at Gauss positions, at multiples of a fortieth,
+where the centroids of boxes cut at simple places are.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.grid import MARGIN, Grid, box_indices
 from ..geometry.planes import PlaneSpec
+from ..kinematics.stretch import domain_half_length
 from .aggregation import supporting_cells
 
 
@@ -20,7 +21,8 @@ class Weights:
     Attributes:
         lowest: lattice index of the lowest node (n, d).
         count: number of nodes in each direction (n, d).
-        table: values and gradients (1/m), (n, d, 2, slots); unused slots are zero.
+        table: values and gradients (1/m), and where asked for second derivatives (1/m^2), in each direction
+           , (n, d, 2 or 3, slots); unused slots are zero.
     """
 
     lowest: np.ndarray
@@ -53,6 +55,7 @@ class Basis(ABC):
         sliver: largest thickness, in cells, of what fills a cell so little that its points are weighted with
             the functions of the cell behind it (`aggregation`); 0: there is no such thing.
         uses_domains: weights depend on the points' current domains, not on their positions alone.
+        fills_boxes: second derivatives are known (`curvatures`), so that points integrate over their own boxes.
     """
 
     name: str
@@ -63,6 +66,7 @@ class Basis(ABC):
     locks: bool = False
     sliver: float = 0.0
     uses_domains: bool = False
+    fills_boxes: bool = False
 
     @property
     def functions(self) -> int:
@@ -74,10 +78,27 @@ class Basis(ABC):
         """Values and gradients (1/m) in each direction of the functions of cells of lattice index (n, d) at
         positions x (n, d) (m), continued beyond the cells: (n, d, 2, functions)."""
 
+    def curvatures(self, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        """Second derivatives (1/m^2) in each direction, where `lines` gives values and gradients: (n, d,
+        functions). Needed where the basis `fills_boxes`."""
+        raise NotImplementedError(f"basis {self.name!r} has no second derivatives")
+
+    def derivatives(self, grid: Grid, x: np.ndarray, cells: np.ndarray, orders: int) -> np.ndarray:
+        """What `lines` gives, with `orders` 3 followed by `curvatures`: (n, d, orders, functions)."""
+        table = self.lines(grid, x, cells)
+        if orders == 2:
+            return table
+        return np.concatenate([table, self.curvatures(grid, x, cells)[:, :, None]], axis=2)
+
     def positions(self, grid: Grid, numbers: np.ndarray) -> np.ndarray:
         """Positions (m), (n, d), of nodes of lattice numbers (n,): there nodal values of a linear field are
         the field's own."""
         return grid.node_position(numbers)
+
+    def domains(self, F: np.ndarray, half_length0: np.ndarray) -> np.ndarray:
+        """Half lengths (m), (n, d), of the domains over which points are weighted, from their deformation
+        gradients (n, 3, 3) and initial half lengths (n, d) (m); asked for where `uses_domains`."""
+        return domain_half_length(F, half_length0)
 
     def weights(
         self,
@@ -85,19 +106,22 @@ class Basis(ABC):
         x: np.ndarray,
         half_length: np.ndarray | None = None,
         cells: np.ndarray | None = None,
+        orders: int = 2,
     ) -> Weights:
-        """Weights of points at x (n, d) (m).
+        """Weights of points at x (n, d) (m). Collective.
 
         Args:
-            half_length: of the domains (n, d) (m); needed where `uses_domains`.
+            half_length: of the domains (n, d) (m), from `domains`; needed where `uses_domains`.
             cells: lattice index (n, d) of the cells whose functions weight the points, from
                 `supporting_cells`. Default: those that the points are in.
+            orders: 3 for second derivatives, too, where the basis `fills_boxes`.
 
         Raises:
             InputError: domains reach too far beyond the grid.
         """
         lowest = grid.cells_of(x) if cells is None else cells
-        return Weights(lowest, np.full(x.shape, self.functions, dtype=np.int32), self.lines(grid, x, lowest))
+        table = self.derivatives(grid, x, lowest, orders)
+        return Weights(lowest, np.full(x.shape, self.functions, dtype=np.int32), table)
 
     def at(self, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """Values and gradients (1/m) at x (n, d) (m) of the functions of cells of lattice index (n, d),

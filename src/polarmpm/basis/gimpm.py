@@ -36,6 +36,7 @@ class Gimpm(Tents):
         x: np.ndarray,
         half_length: np.ndarray | None = None,
         cells: np.ndarray | None = None,
+        orders: int = 2,
     ) -> Weights:
         assert half_length is not None
         low, high = _intervals(grid, x, half_length)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ..errors import InputError
+from .averaged import AveragedSplines
 from .base import Basis
 from .bspline import QuadraticSplines
 from .bspline3 import CubicSplines
@@ -51,3 +52,4 @@ register(Gimpm())
 register(Tents())
 register(QuadraticSplines())
 register(CubicSplines())
+register(AveragedSplines())

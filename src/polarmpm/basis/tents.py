@@ -25,6 +25,7 @@ class Tents(Basis):
         x: np.ndarray,
         half_length: np.ndarray | None = None,
         cells: np.ndarray | None = None,
+        orders: int = 2,
     ) -> Weights:
         """A point on a plane is in the cell above, but for the grid's last plane."""
         xi = snap(grid.local(x))

@@ -32,6 +32,7 @@ FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
     "volume0": ((), float),
     "half_length0": (("d",), float),
     "half_axes0": (("d", "d"), float),
+    "unresolved": ((), float),
 }
 
 # what bodies with plastic materials have beside it
@@ -67,6 +68,8 @@ class Points:
         half_length0: initial half-lengths of the domains (m), vector.
         half_axes0: initial half axes of the points' boxes (m), (np, d, d), one a row: the second moment of what
             a point stands for is the sum of their squares, a^T a, over 3. Zero: of a point alone.
+        unresolved: share of the last step's work that is done inside the point's box, scalar: what neither the grid
+            nor the points resolve.
         materials: the materials that `material` counts.
         plastic_F, plastic_wryness: Fp of F = Fe Fp and Gp (1/m) of Gamma = Ge + Gp (T 4.1), tensors; like the
             following two only in bodies with plastic materials.
@@ -84,6 +87,7 @@ class Points:
     volume0: np.ndarray
     half_length0: np.ndarray
     half_axes0: np.ndarray
+    unresolved: np.ndarray
     plastic_F: np.ndarray
     plastic_wryness: np.ndarray
     hardening: np.ndarray
@@ -113,6 +117,7 @@ class Points:
         self.volume0, self.half_length0 = volume.copy(), half_length.copy()
         along = half_length[:, None, :] * np.eye(self.dim)
         self.half_axes0 = along if half_axes is None else half_axes.copy()
+        self.unresolved = np.zeros(n)
         self._has_plastic_state = False
         self._add_plastic_state()
 
@@ -257,17 +262,23 @@ class Points:
         return self._select(mask)
 
     def farthest(self, direction: Sequence[float], tolerance: float | None = None) -> Selection:
-        """The plane of points farthest in a direction, within `tolerance` (m). Collective.
+        """The layer of points farthest in a direction, within `tolerance` (m). Collective.
 
-        Default tolerance: half of the smallest domain half-length.
+        Default tolerance: what a whole box, with the largest half lengths that the points were seeded with,
+        reaches from its centre in this direction. That takes all points whose boxes an end face across the
+        direction touches or cuts, and no second layer of a body along the grid.
         """
         n = np.asarray(direction, float)
         if n.shape != (self.dim,) or not np.linalg.norm(n) > 0:
             raise InputError(f"direction = {direction!r}: {self.dim} numbers, not all zero")
-        along = self.x @ (n / np.linalg.norm(n))
+        n = n / np.linalg.norm(n)
+        along = self.x @ n
         most = self.comm.allreduce(along.max(initial=-np.inf), op=MPI.MAX)
         if tolerance is None:
-            tolerance = 0.5 * self.comm.allreduce(self.half_length0.min(initial=np.inf), op=MPI.MIN)
+            half: np.ndarray = np.max(self.half_length0, axis=0, initial=0.0)
+            self.comm.Allreduce(MPI.IN_PLACE, half, op=MPI.MAX)
+            # a layer next to one that is hardly there is a little more than that away
+            tolerance = (1.0 - 1e-6) * float(half @ np.abs(n))
         return self._select(along >= most - tolerance)
 
     def nearest(self, position: Sequence[float], count: int = 1) -> Selection:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -12,21 +12,27 @@ from .points import Points
 
 @dataclass
 class Reference:
-    """State of the points from which increments count: F at the last reset, rotations at their last base."""
+    """State of the points from which increments count: F at the last reset, rotations at their last base.
+
+    Attributes:
+        reset_wryness: wryness at the last reset.
+    """
 
     x: np.ndarray
     F: np.ndarray
     q: np.ndarray
     wryness: np.ndarray
+    reset_wryness: np.ndarray
 
     @classmethod
     def of(cls, points: Points) -> Reference:
         """The points' current state."""
-        return cls(points.x.copy(), points.F.copy(), points.q.copy(), points.wryness.copy())
+        w = points.wryness
+        return cls(points.x.copy(), points.F.copy(), points.q.copy(), w.copy(), w.copy())
 
     def moved(self, route: Route) -> Reference:
         """The same of points that have gone to other ranks. Collective."""
-        return Reference(*(route.forward(a) for a in (self.x, self.F, self.q, self.wryness)))
+        return Reference(**{f.name: route.forward(getattr(self, f.name)) for f in fields(self)})
 
 
 @dataclass

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
+from dataclasses import astuple, dataclass
 from typing import Any
-
-from mpi4py import MPI
 
 import numpy as np
 
@@ -14,10 +12,12 @@ from ..errors import InputError, PointsOutsideGrid
 from ..geometry.grid import Grid
 from ..materials.base import Material
 from ..tools.parallel import raise_on_all_ranks
+from .cutboxes import half_axes, inside_parts
 from .partition import distribute
 from .points import Points
 
-_CHUNK = 200_000  # candidate points tested at once
+_CHUNK = 1_000_000  # positions tested at once
+_ROUNDING = 1e-9  # of a box's half lengths: bounds that near to its faces are on them
 
 Inside = Callable[[np.ndarray], np.ndarray]
 
@@ -30,17 +30,27 @@ def seed(
     points_per_cell: int | Sequence[int] = 2,
     bounds: tuple[Sequence[float], Sequence[float]] | None = None,
     layout: str = "uniform",
+    cut: bool = True,
 ) -> Points:
-    """Seed lattice cells with points and keep those inside the body. Collective.
+    """Seed lattice cells with points and keep what is inside the body. Collective.
+
+    Each cell is divided into boxes, one a point. A box that the body's surface cuts becomes a point at the
+    centroid of its part inside, with the volume and the second moments of that part: the points have the
+    body's volume, centroid and second moments, those of `bounds` exactly. Details of the body thinner than a
+    third of a box may be missed.
 
     Args:
         grid: background grid.
-        inside: predicate of positions (n, d) -> (n,) bool; None keeps all points within `bounds`.
+        inside: predicate of positions (n, d) -> (n,) bool; None keeps all within `bounds`.
         material: of all these points.
         points_per_cell: points in each direction of a cell, one number or one for each axis.
-        bounds: lower and upper corner (m) of a box around the body; only its cells are searched. Default: the
-            attribute `bounds` of `inside` where it has one, else the whole grid.
-        layout: "uniform" (equally spaced) or "gauss" (Gauss-Legendre positions and volumes).
+        bounds: lower and upper corner (m) of a box around the body, or without `inside` of the body itself;
+            only its cells are searched. Default: the attribute `bounds` of `inside` where it has one, else
+            the whole grid.
+        layout: "uniform" (equal boxes) or "gauss" (Gauss-Legendre positions and volumes, which integrate
+            squares already: the boxes have no half axes, and aren't cut).
+        cut: False keeps whole boxes whose centres are inside, as in the papers; the body's volume is then
+            only met on average.
 
     Raises:
         InputError: an argument is out of range, or no point lies inside the body.
@@ -49,38 +59,103 @@ def seed(
     xi, share = _cell_layout(layout, per_cell)
     if inside is not None and not callable(inside):
         raise InputError(f"inside = {inside!r} is not a predicate of positions")
+    if not isinstance(cut, bool):
+        raise InputError(f"cut = {cut!r}: True or False")
     lower, upper = _bounds(grid, bounds if bounds is not None else getattr(inside, "bounds", None))
     searched = grid.part(lower, np.maximum(upper, lower))
-    span = np.array(searched.shape)
-    axes = np.argsort(-span, kind="stable")  # the longest axis varies slowest: ranks get slices of it
-    cells = int(np.prod(span))
-    start, stop = (cells * r // grid.comm.size for r in (grid.comm.rank, grid.comm.rank + 1))
-    step = max(1, _CHUNK // len(xi))
-    found, volumes, halves, error = [], [], [], None
-    try:
-        for begin in range(start, stop, step):
-            number = np.arange(begin, min(begin + step, stop))
-            index = np.stack(np.unravel_index(number, span[axes]), axis=1)[:, np.argsort(axes)]
-            x = searched.position(index[:, None, :] + xi[None]).reshape(-1, grid.dim)
-            keep = np.flatnonzero(_keep(x, inside, bounds))
-            cell, place = np.divmod(keep, len(xi))
-            sizes = searched.sizes(index[cell])
-            found.append(x[keep])
-            volumes.append(share[place] * np.prod(sizes, axis=1))
-            halves.append(0.5 * sizes / per_cell)
-    except InputError as e:
-        error = e
-    raise_on_all_ranks(grid.comm, error)
-    none = np.zeros((0, grid.dim))
-    x, half = np.concatenate([none, *found]), np.concatenate([none, *halves])
-    volume = np.concatenate([none[:, 0], *volumes])
-    points = Points(x, volume, half, material, grid.comm)
+    body = _Body(inside, bounds, cut and layout == "uniform")
+    made = _found(searched, body, per_cell, xi, share)
+    axes0 = made.axes if layout == "uniform" else np.zeros_like(made.axes)
+    points = Points(made.x, made.volume, made.half, material, grid.comm, half_axes=axes0)
     if points.total == 0:
         raise InputError(
             f"inside: none of the candidate points between {grid.lower} and {grid.upper} is in the body"
         )
     distribute(grid, points)
     return points
+
+
+@dataclass
+class _Boxes:
+    """Points to be: positions (n, d), volumes (n,), half lengths (n, d) and half axes (n, d, d)."""
+
+    x: np.ndarray
+    volume: np.ndarray
+    half: np.ndarray
+    axes: np.ndarray
+
+    @classmethod
+    def none(cls, dim: int) -> _Boxes:
+        return cls(np.zeros((0, dim)), np.zeros(0), np.zeros((0, dim)), np.zeros((0, dim, dim)))
+
+    @classmethod
+    def along_grid(cls, x: np.ndarray, volume: np.ndarray, half: np.ndarray) -> _Boxes:
+        return cls(x, volume, half, half[:, None, :] * np.eye(x.shape[1]))
+
+
+@dataclass
+class _Body:
+    """What is to be filled: a predicate, or bounds, or neither."""
+
+    inside: Inside | None
+    bounds: Any
+    cut: bool
+
+    def chunk(self, dim: int) -> int:
+        """Boxes to be treated at once."""
+        return _CHUNK // (4**dim if self.cut and self.inside is not None else 1)
+
+    def boxes(self, x: np.ndarray, half: np.ndarray, volume: np.ndarray) -> _Boxes:
+        """What is inside of boxes around x (n, d) with half lengths (n, d) and volumes (n,)."""
+        if not self.cut:
+            keep = _keep(x, self.inside, self.bounds)
+            return _Boxes.along_grid(x[keep], volume[keep], half[keep])
+        if self.inside is None:
+            if self.bounds is None:
+                return _Boxes.along_grid(x, volume, half)
+            return _clipped(x, half, volume, self.bounds)
+        part = inside_parts(x, half, lambda y: _keep(y, self.inside, None))
+        made = _Boxes.along_grid(part.centre, volume[part.kept] * part.share, half[part.kept])
+        covariance = part.covariance[part.cut]
+        made.axes[part.cut] = half_axes(covariance)
+        made.half[part.cut] = np.sqrt(3.0 * np.einsum("nii->ni", covariance))
+        return made
+
+
+def _clipped(x: np.ndarray, half: np.ndarray, volume: np.ndarray, bounds: Any) -> _Boxes:
+    """Boxes cut by bounds that are the body itself; sides that rounding would move stay."""
+    least = _ROUNDING * half
+    low, high = np.maximum(x - half, np.asarray(bounds[0])), np.minimum(x + half, np.asarray(bounds[1]))
+    keep = np.all(high - low > least, axis=1)
+    x, half, volume, low, high, least = (a[keep] for a in (x, half, volume, low, high, least))
+    clipped = 2.0 * half - (high - low) > least
+    length = np.where(clipped, 0.5 * (high - low), half)
+    return _Boxes.along_grid(
+        np.where(clipped, 0.5 * (low + high), x), volume * np.prod(length / half, axis=1), length
+    )
+
+
+def _found(searched: Grid, body: _Body, per_cell: np.ndarray, xi: np.ndarray, share: np.ndarray) -> _Boxes:
+    """What is inside of this rank's share of the cells searched, in the order of the ids. Collective."""
+    dim, comm = searched.dim, searched.comm
+    span = np.array(searched.shape)
+    axes = np.argsort(-span, kind="stable")  # the longest axis varies slowest: ranks get slices of it
+    cells = int(np.prod(span))
+    start, stop = (cells * r // comm.size for r in (comm.rank, comm.rank + 1))
+    step = max(1, body.chunk(dim) // len(xi))
+    found, error = [_Boxes.none(dim)], None
+    try:
+        for begin in range(start, stop, step):
+            number = np.arange(begin, min(begin + step, stop))
+            index = np.stack(np.unravel_index(number, span[axes]), axis=1)[:, np.argsort(axes)]
+            x = searched.position(index[:, None, :] + xi[None]).reshape(-1, dim)
+            sizes = np.repeat(searched.sizes(index), len(xi), axis=0)
+            volume = np.tile(share, len(index)) * np.prod(sizes, axis=1)
+            found.append(body.boxes(x, 0.5 * sizes / per_cell, volume))
+    except InputError as e:
+        error = e
+    raise_on_all_ranks(comm, error)
+    return _Boxes(*(np.concatenate(column) for column in zip(*map(astuple, found), strict=True)))
 
 
 def _points_per_cell(value: int | Sequence[int], dim: int) -> np.ndarray:
@@ -133,43 +208,6 @@ def _keep(x: np.ndarray, inside: Inside | None, bounds: Any) -> np.ndarray:
     if mask.shape != (len(x),) or mask.dtype != bool:
         raise InputError(f"inside: returned {mask.dtype} {mask.shape}; a bool for each point is needed")
     return mask
-
-
-def seed_mesh(grid: Grid, mesh: Any, *, material: Material, degree: int = 2) -> Points:
-    """Put points at the quadrature positions of a mesh's cells. Collective.
-
-    The points' volumes add up to the mesh's volume exactly; domains are boxes of equal volume. Ids follow the
-    mesh's partition, so they depend on the number of ranks.
-
-    Args:
-        mesh: dolfinx mesh of simplices, quadrilaterals or hexahedra, in as many dimensions as the grid; or
-            the path of a gmsh file (.msh) whose cells are in a physical group.
-        degree: of the quadrature rule; 2 gives 3 points in a triangle, 4 in a tetrahedron.
-
-    Raises:
-        InputError: the mesh's dimension is not the grid's; the file can't be read; the rule of this degree
-            has weights that are not positive.
-        PointsOutsideGrid: points lie outside the grid.
-    """
-    from ..geometry.gmsh import read_gmsh
-    from ..tools.compat import mesh_quadrature
-
-    if isinstance(mesh, str | os.PathLike):
-        mesh = read_gmsh(os.fspath(mesh), grid.dim, grid.comm)
-    if mesh.topology.dim != grid.dim:
-        raise InputError(f"mesh: its cells have {mesh.topology.dim} dimensions, the grid has {grid.dim}")
-    x, volume = mesh_quadrature(mesh, degree)
-    lowest = grid.comm.allreduce(float(volume.min(initial=np.inf)), op=MPI.MIN)
-    if not lowest > 0:
-        raise InputError(
-            f"degree = {degree}: the quadrature rule gives a point the volume {lowest:g}; "
-            "points need positive ones, take another degree"
-        )
-    side = volume ** (1.0 / grid.dim)
-    points = Points(x, volume, np.tile(0.5 * side[:, None], (1, grid.dim)), material, grid.comm)
-    check_inside(grid, points)
-    distribute(grid, points)
-    return points
 
 
 def check_inside(grid: Grid, points: Points) -> None:

@@ -45,6 +45,7 @@ OF_POINTS: dict[str, Field] = {
         Field("stretch", lambda p: p.stretch),
         Field("wryness", lambda p: p.wryness, "1/m"),
         Field("volume", lambda p: p.volume, "m^3"),
+        Field("unresolved", lambda p: p.unresolved),
         Field("id", lambda p: p.id),
         Field("material", lambda p: p.material),
         Field("hardening", lambda p: p.hardening, plastic=True),

@@ -25,7 +25,7 @@ FAST int polarmpm_moments(const Batch *b, const PointKernels *kernels, const dou
     if (b->npoints == 0) return 0;
     const int nz = unknowns_of(b->dim, b->rot), size = symmetric ? nz * (nz + 1) / 2 : nz * nz;
     Work w;
-    const int failed = create_work(b, tangent != NULL, 0, &w);
+    const int failed = create_work(b, tangent != NULL, 0, 0, &w);
     int64_t group = 0, group_of[LANES];
     for (int64_t start = 0; start < b->npoints && !failed; start += LANES) {
         int coupled;

@@ -67,6 +67,7 @@ void polarmpm_scalar_columns(int64_t nodes, const int64_t *offsets, const int64_
 }
 
 #include "_scatter.h"
+#include "_boxes.h"
 
 typedef struct {
     double *in, *out, *cin, *cout, *A;
@@ -74,15 +75,8 @@ typedef struct {
     Place *at;
     int sv;                            /* vectors of the nodes of the largest group */
     int64_t gathered;                  /* the group of which x and before are; -1: none */
+    BoxWork boxes;                     /* without memory where no point has a box */
 } Work;
-
-static void *vectors(size_t n)
-{
-    const size_t line = 8 * LANES;  /* what the kernels' vectors need, and no less than a vec */
-    void *p = aligned_alloc(line, (n * sizeof(double) / line + 1) * line);
-    if (p) memset(p, 0, n * sizeof(double));
-    return p;
-}
 
 INLINE void gather_group(const int nb, int n, int sv, const int32_t *nodes, const double *x, vec *out)
 {
@@ -90,24 +84,6 @@ INLINE void gather_group(const int nb, int n, int sv, const int32_t *nodes, cons
     for (int i = 0; i < nb; ++i) {
         for (int a = 0; a < n; ++a) to[i * sv * WIDTH + a] = x[(int64_t)nodes[a] * nb + i];
         for (int a = n; a < sv * WIDTH; ++a) to[i * sv * WIDTH + a] = 0.0;
-    }
-}
-
-INLINE double dot(const int nv, const vec *a, const vec *b)
-{
-    vec sum = a[0] * b[0];
-    for (int v = 1; v < nv; ++v) sum += a[v] * b[v];
-    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
-}
-
-/* z = (du/dx, w, dw/dx) of a point from its group's nodal values, written with a step. */
-INLINE void interpolate(const int dim, const int rot, int nv, int sv, const vec *s, const vec *x, double *z,
-                        const int step)
-{
-    for (int i = 0; i < dim + rot; ++i) {
-        double *gradient = z + gradient_slot(dim, rot, i) * step;
-        if (has_value(dim, i)) z[value_slot(dim, rot, i) * step] = dot(nv, x + i * sv, s);
-        for (int j = 0; j < dim; ++j) gradient[j * step] = dot(nv, x + i * sv, s + (1 + j) * sv);
     }
 }
 
@@ -136,6 +112,12 @@ INLINE int evaluate(const int dim, const int rot, const Batch *b, const PointKer
         shape(dim, b, p, b->count + *group * dim, b->state + p * ns, sv * WIDTH, (double *)s);
         interpolate(dim, rot, nv, sv, s, w->x, w->in + l, LANES);
         if (kernels->before) interpolate(dim, rot, nv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l, LANES);
+        if (kernels->box_axes) {
+            BoxWork *boxes = &w->boxes;
+            find_sides(dim, b, kernels, p, b->count + *group * dim, n, sv, l, boxes);
+            gather_sides(dim, rot, kernels, p, nv, sv, w->x, l, boxes, boxes->zk + l, LANES);
+            if (kernels->before) gather_sides(dim, rot, kernels, p, nv, sv, w->before, l, boxes, boxes->before + l, LANES);
+        }
         for (int k = 0; k < ns; ++k) w->in[(nz + k) * LANES + l] = b->state[p * ns + k];
         if (kernels->couple) {
             const int32_t row = kernels->couple_of[p];
@@ -151,8 +133,13 @@ INLINE int evaluate(const int dim, const int rot, const Batch *b, const PointKer
         for (int k = nz + ns + np; kernels->before && k < 2 * nz + ns + np; ++k)
             w->in[k * LANES + l] = w->in[k * LANES + lanes - 1];
         for (int k = 0; k < 2 * SPIN; ++k) w->cin[k * LANES + l] = w->cin[k * LANES + lanes - 1];
+        for (int k = 0; kernels->box_axes && k < dim * nz; ++k) {
+            w->boxes.zk[k * LANES + l] = w->boxes.zk[k * LANES + lanes - 1];
+            w->boxes.before[k * LANES + l] = w->boxes.before[k * LANES + lanes - 1];
+        }
     }
-    if (open) kernels->kernel(w->in, w->out);
+    if (open || kernels->box_axes) kernels->kernel(w->in, w->out);
+    if (kernels->box_kernel) evaluate_boxes(dim, rot, b, kernels->box_kernel, w->in, w->out, &w->boxes);
     if (*coupled) kernels->couple(w->cin, w->cout);
     return lanes;
 }
@@ -181,8 +168,9 @@ INLINE void point_terms(const int dim, const int rot, const Batch *b, const Poin
                 A[(turn + i) * nz + turn + j] += w->cout[(SPIN * (1 + i) + j) * LANES + l];
 }
 
-/* Memory for the evaluation of points and, with `scatter`, for sums of a group. Returns nonzero without memory. */
-static int create_work(const Batch *b, int tangent, int scatter, Work *w)
+/* Memory for the evaluation of points, with `scatter` for sums of a group, with `boxes` (2: for their whole tangent) for
+ * the points' boxes. Returns nonzero without memory. */
+static int create_work(const Batch *b, int tangent, int scatter, int boxes, Work *w)
 {
     const int nb = block_size(b), nz = unknowns_of(b->dim, b->rot), largest = largest_group(b);
     const int most = scatter ? largest : 0, outputs = nz + (tangent ? nz * (nz + 1) / 2 : 0);
@@ -197,13 +185,14 @@ static int create_work(const Batch *b, int tangent, int scatter, Work *w)
         return 1;
     for (int k = 0; k < b->nparam; ++k)
         for (int l = 0; l < LANES; ++l) w->in[(nz + b->nstate + k) * LANES + l] = b->param[k];
-    return 0;
+    return boxes && create_boxes(b, w->sv, boxes > 1, &w->boxes);
 }
 
 static void free_work(Work *w)
 {
     free(w->in), free(w->out), free(w->cin), free(w->cout), free(w->A);
     free(w->shapes), free(w->x), free(w->before), free(w->f), free(w->K), free(w->at);
+    free_boxes(&w->boxes);
 }
 
 INLINE void gather(const int dim, const int rot, const Batch *b, const double *x, int32_t framed, double *z,
@@ -227,7 +216,7 @@ INLINE void gather(const int dim, const int rot, const Batch *b, const double *x
 FAST int polarmpm_gather(const Batch *b, const double *x, int32_t framed, double *z, double *value)
 {
     Work w;
-    const int failed = create_work(b, 0, 0, &w);
+    const int failed = create_work(b, 0, 0, 0, &w);
     if (!failed) SPECIALISED(gather, b, x, framed, z, value, &w);
     free_work(&w);
     return failed;
@@ -241,6 +230,10 @@ INLINE void add_points(const int dim, const int rot, const Batch *b, const Point
     for (int q = l; q < end; ++q) {
         double r[UNKNOWNS_MAX];
         point_terms(dim, rot, b, kernels, w, start + q, q, coupled, r, M ? w->A + q * nz * nz : NULL);
+        if (kernels->box_kernel) {
+            const double weight = b->volume[start + q] * kernels->box_share[start + q] / 6.0;
+            add_sides(dim, rot, nv, sv, &w->boxes, weight, q, r, w->f);
+        }
         add_residual(dim, rot, nv, sv, w->shapes + q * SHAPES * sv, r, w->f);
     }
     for (int P; M && l < end; l += P) {
@@ -282,9 +275,158 @@ FAST int polarmpm_assemble(const Batch *b, const PointKernels *kernels, const Ma
 {
     if (b->npoints == 0) return 0;
     Work w;
-    const int failed = create_work(b, M != NULL, 1, &w);
+    const int failed = create_work(b, M != NULL, 1, kernels->box_axes != NULL, &w);
     if (!failed) SPECIALISED(assemble, b, kernels, M, x, force, rhs, &w);
     free_work(&w);
+    return failed;
+}
+
+/* scale B^T A B of points l .. end of these lanes, all of group g, with the moduli of `out` and shapes [lane]. */
+INLINE void add_box_moduli(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const Matrix *M,
+                           const Work *w, const double *out, const vec *shapes, double scale, int first, int64_t start,
+                           int64_t g, int l, int end)
+{
+    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot), sv = w->sv;
+    for (int q = l; q < end; ++q) {
+        const double weight = scale * b->volume[start + q] * kernels->box_share[start + q];
+        const double *upper = out + nz * LANES + q;
+        double *A = w->A + q * nz * nz;
+        for (int i = 0; i < nz; ++i)
+            for (int j = i; j < nz; ++j, upper += LANES) A[i * nz + j] = A[j * nz + i] = weight * *upper;
+    }
+    for (int P; l < end; l += P) {
+        P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
+        add_tangents(dim, rot, nv, M->half, P, first && start + l == b->offsets[g], n, w->A + l * nz * nz,
+                     shapes + l * SHAPES * sv, sv, w->K);
+    }
+}
+
+/* The tangent of the boxes of points l .. end of these lanes into their group's sums; see polarmpm_assemble_boxes. */
+INLINE void add_boxes(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const Matrix *M,
+                      int32_t whole, const Work *w, int64_t start, int64_t g, int l, int end)
+{
+    const BoxWork *boxes = &w->boxes;
+    const int sv = w->sv, nz = unknowns_of(dim, rot), outputs = nz + nz * (nz + 1) / 2;
+    if (whole)
+        add_box_moduli(dim, rot, b, kernels, M, w, w->out, w->shapes, -dim / 3.0, 1, start, g, l, end);
+    for (int k = 0; k < dim; ++k) {
+        const vec *side = boxes->sides + (int64_t)k * LANES * SHAPES * sv;
+        if (!whole) {
+            add_box_moduli(dim, rot, b, kernels, M, w, w->out, side, 1.0 / 3.0, k == 0, start, g, l, end);
+            continue;
+        }
+        for (int down = 0; down < 2; ++down) {
+            move_shapes(sv, w->shapes, side, down ? -1.0 : 1.0, l, end, boxes->moved);
+            add_box_moduli(dim, rot, b, kernels, M, w, boxes->moduli + (2 * k + down) * outputs * LANES, boxes->moved,
+                           1.0 / 6.0, 0, start, g, l, end);
+        }
+    }
+}
+
+INLINE void assemble_boxes(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const Matrix *M,
+                           int32_t whole, const double *x, double *rhs, Work *w)
+{
+    int64_t group = 0, group_of[LANES];
+    for (int64_t start = 0; start < b->npoints; start += LANES) {
+        int coupled;
+        const int lanes = evaluate(dim, rot, b, kernels, x, start, &group, group_of, w, &coupled);
+        if (whole) evaluate_sides(dim, rot, b, kernels->kernel, w->in, &w->boxes);
+        for (int l = 0, end; l < lanes; l = end) {
+            const int64_t g = group_of[l];
+            for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
+            add_boxes(dim, rot, b, kernels, M, whole, w, start, g, l, end);
+            if (start + end < b->offsets[g + 1]) continue;
+            const int n = nodes_of(b, g);
+            flush_matrix(b, M, g, dim + rot, n, (n + WIDTH - 1) / WIDTH, (double *)w->K, w->at, rhs);
+        }
+    }
+}
+
+/* The tangent of the boxes to M: `whole`, or what their sides' strains add while the moduli are those of the points. The
+ * kernel is that of the elastic energy. `rhs` as in polarmpm_assemble. Returns nonzero when memory ran out. */
+FAST int polarmpm_assemble_boxes(const Batch *b, const PointKernels *kernels, const Matrix *M, int32_t whole,
+                                 const double *x, double *rhs)
+{
+    if (b->npoints == 0) return 0;
+    Work w;
+    const int failed = create_work(b, 1, 1, 1 + whole, &w);
+    if (!failed) SPECIALISED(assemble_boxes, b, kernels, M, whole, x, rhs, &w);
+    free_work(&w);
+    return failed;
+}
+
+INLINE void gather_boxes(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const double *x,
+                         double *z, double *zk, Work *w)
+{
+    const int nb = dim + rot, nz = unknowns_of(dim, rot), sv = w->sv;
+    for (int64_t g = 0; g < b->ngroups; ++g) {
+        const int32_t *count = b->count + g * dim;
+        const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH;
+        gather_group(nb, n, sv, b->nodes + b->node_offsets[g], x, w->x);
+        for (int64_t p = b->offsets[g]; p < b->offsets[g + 1]; ++p) {
+            shape(dim, b, p, count, b->state + p * b->nstate, sv * WIDTH, (double *)w->shapes);
+            interpolate(dim, rot, nv, sv, w->shapes, w->x, z + p * nz, 1);
+            find_sides(dim, b, kernels, p, count, n, sv, 0, &w->boxes);
+            gather_sides(dim, rot, kernels, p, nv, sv, w->x, 0, &w->boxes, zk + p * dim * nz, 1);
+        }
+    }
+}
+
+/* z [point][nz] in the frame of the state, and its derivatives along the half axes, zk [point][dim][nz]. Returns nonzero
+ * when memory ran out. */
+FAST int polarmpm_gather_boxes(const Batch *b, const PointKernels *kernels, const double *x, double *z, double *zk)
+{
+    Work w;
+    const int failed = create_work(b, 0, 0, 1, &w);
+    if (!failed) SPECIALISED(gather_boxes, b, kernels, x, z, zk, &w);
+    free_work(&w);
+    return failed;
+}
+
+INLINE void box_work(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const double *from,
+                     const double *to, double *inside, double *whole, Work *w, double *old)
+{
+    const int nz = unknowns_of(dim, rot), block = nz * LANES, sides = (1 + dim) * block;
+    double *z = old, *r = z + block, *zk = r + block, *sums = zk + dim * block;
+    const BoxWork *boxes = &w->boxes;
+    int64_t group = 0, group_of[LANES];
+    for (int64_t start = 0; start < b->npoints; start += LANES) {
+        int coupled;
+        int64_t first = group;
+        evaluate(dim, rot, b, kernels, from, start, &first, group_of, w, &coupled);
+        memcpy(z, w->in, sizeof(double) * block), memcpy(r, w->out, sizeof(double) * block);
+        memcpy(zk, boxes->zk, sizeof(double) * dim * block), memcpy(sums, boxes->sums, sizeof(double) * sides);
+        w->gathered = -1;  /* the same group at other nodal values */
+        const int lanes = evaluate(dim, rot, b, kernels, to, start, &group, group_of, w, &coupled);
+        w->gathered = -1;
+        for (int l = 0; l < lanes; ++l) {
+            const double volume = b->volume[start + l], weight = volume * kernels->box_share[start + l] / 6.0;
+            double at_point = 0.0, in_box = 0.0;
+            for (int i = l; i < block; i += LANES) {
+                at_point += (w->in[i] - z[i]) * (w->out[i] - r[i]);
+                in_box += (w->in[i] - z[i]) * (boxes->sums[i] - sums[i]);
+            }
+            for (int i = l; i < dim * block; i += LANES)
+                in_box += (boxes->zk[i] - zk[i]) * (boxes->sums[block + i] - sums[block + i]);
+            inside[start + l] = weight * in_box;
+            whole[start + l] = volume * at_point + weight * in_box;
+        }
+    }
+}
+
+/* Of each point, the work of the change of its elastic stresses on the increments between two nodal states, and what of
+ * it is done inside its box: (z' - z)(R' - R), twice the energy of the change where that is linear. Returns nonzero when
+ * memory ran out. */
+FAST int polarmpm_box_work(const Batch *b, const PointKernels *kernels, const double *from, const double *to,
+                           double *inside, double *whole)
+{
+    if (b->npoints == 0) return 0;
+    Work w;
+    double *old = vectors((size_t)(3 + 2 * SIDES) * unknowns_of(b->dim, b->rot) * LANES);
+    const int failed = create_work(b, 0, 0, 1, &w) || !old;
+    if (!failed) SPECIALISED(box_work, b, kernels, from, to, inside, whole, &w, old);
+    free_work(&w);
+    free(old);
     return failed;
 }
 

@@ -11,7 +11,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 9,             /* raised with every change of a structure or signature; native.py reads it here */
+    INTERFACE = 10,             /* raised with every change of a structure or signature; native.py reads it here */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */
@@ -29,9 +29,10 @@ typedef void (*kernel_t)(const double *in, double *out);
 typedef struct {
     int32_t dim, rot;          /* space dimension, rotation components of a node */
     int32_t slots;             /* stored weights in each direction */
+    int32_t orders;            /* of stored derivatives: 2, values and gradients; 3, second derivatives, too */
     int32_t nstate, nparam;
     int64_t npoints, ngroups;
-    const double *weights;     /* [point][dim][value, gradient][slots] */
+    const double *weights;     /* [point][dim][value, gradient, ...][slots] */
     const int32_t *count;      /* [group][dim] nodes in each direction */
     const double *state;       /* [point][nstate]; starts with the dim x dim frame */
     const double *param;       /* [nparam], the same for all points of a batch */
@@ -61,7 +62,20 @@ typedef struct {
     const double *before;      /* nodal values before the last correction, for the tangent's kernel; NULL: not needed */
     const int32_t *returned_of;  /* [point] row of `returned`, -1: evaluate the kernel; NULL: kernel for all points */
     const double *returned;    /* [row][nz (+ nz nz with tangent)] per volume, from the return mapping */
+    kernel_t box_kernel;       /* residual of the elastic energy, for the points' boxes; NULL without boxes */
+    const double *box_axes;    /* [point][dim][dim] half axes, one a row */
+    const double *box_turns;   /* [point][dim][rot] what the rotations' derivatives along them begin with */
+    const double *box_share;   /* [point] share of the boxes' energy */
 } PointKernels;
+
+/* Memory for n zeros, aligned for vectors; NULL where there is none. */
+static void *vectors(size_t n)
+{
+    const size_t line = 8 * LANES;  /* what the kernels' vectors need, and no less than a vec */
+    void *p = aligned_alloc(line, (n * sizeof(double) / line + 1) * line);
+    if (p) memset(p, 0, n * sizeof(double));
+    return p;
+}
 
 INLINE int block_size(const Batch *b) { return b->dim + b->rot; }
 
@@ -86,22 +100,21 @@ static int largest_group(const Batch *b)
 INLINE void shape(const int dim, const Batch *b, int64_t p, const int32_t *count, const double *frame, int stride,
                   double *s)
 {
-    const int m = b->slots;
-    const double *w = b->weights + p * dim * 2 * m;
+    const int m = b->slots, next = b->orders * m;
+    const double *w = b->weights + p * dim * next, *wy = w + next, *wz = wy + next;
     const int n2 = dim == 3 ? count[2] : 1;
     int a = 0;
     for (int i = 0; i < count[0]; ++i)
         for (int j = 0; j < count[1]; ++j) {
-            const double v = w[i] * w[2 * m + j];
-            const double dx = w[m + i] * w[2 * m + j], dy = w[i] * w[3 * m + j];
+            const double v = w[i] * wy[j];
+            const double dx = w[m + i] * wy[j], dy = w[i] * wy[m + j];
             for (int k = 0; k < n2; ++k, ++a) {
                 double g[3];
                 if (dim == 3) {
-                    const double wz = w[4 * m + k];
-                    s[a] = v * wz;
-                    g[0] = dx * wz;
-                    g[1] = dy * wz;
-                    g[2] = v * w[5 * m + k];
+                    s[a] = v * wz[k];
+                    g[0] = dx * wz[k];
+                    g[1] = dy * wz[k];
+                    g[2] = v * wz[m + k];
                 } else {
                     s[a] = v;
                     g[0] = dx;
@@ -117,6 +130,24 @@ INLINE void shape(const int dim, const Batch *b, int64_t p, const int32_t *count
         }
     for (int c = 0; c <= dim; ++c)
         for (int q = a; q < stride; ++q) s[c * stride + q] = 0.0;
+}
+
+INLINE double dot(const int nv, const vec *a, const vec *b)
+{
+    vec sum = a[0] * b[0];
+    for (int v = 1; v < nv; ++v) sum += a[v] * b[v];
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+/* z = (du/dx, w, dw/dx) of a point from its group's nodal values, written with a step. */
+INLINE void interpolate(const int dim, const int rot, int nv, int sv, const vec *s, const vec *x, double *z,
+                        const int step)
+{
+    for (int i = 0; i < dim + rot; ++i) {
+        double *gradient = z + gradient_slot(dim, rot, i) * step;
+        if (has_value(dim, i)) z[value_slot(dim, rot, i) * step] = dot(nv, x + i * sv, s);
+        for (int j = 0; j < dim; ++j) gradient[j * step] = dot(nv, x + i * sv, s + (1 + j) * sv);
+    }
 }
 
 #endif

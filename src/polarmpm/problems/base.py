@@ -72,6 +72,13 @@ class Problem(Conditions):
     def _check(self, increments: Increments) -> str:
         """Why a solution is not acceptable; empty when it is."""
 
+    def _trust(self, system: Any, start: np.ndarray, outcome: Outcome) -> None:  # noqa: B027
+        """Measure how far an acceptable solution, from increments `start` (nodes, block) on, can be trusted; it may be
+        refused."""
+
+    def _note(self, outcome: Outcome) -> None:  # noqa: B027
+        """Take note of what `_trust` has found, of a step that is converged and committed."""
+
     @abstractmethod
     def _commit(self, system: Any, increments: Increments, factor: float) -> None:
         """Make a solution the body's state."""
@@ -272,6 +279,8 @@ class Problem(Conditions):
                 outcome.reason = self._check(at_points)
                 outcome.converged = not outcome.reason
             if outcome.converged:
+                self._trust(system, start.x, outcome)
+            if outcome.converged:
                 external, carried = step_work(system, start, system.working_loads())
                 self.progress.external_work += external
                 self.progress.carried_work += carried
@@ -282,6 +291,7 @@ class Problem(Conditions):
                 self._commit_terms(system, start.x)
                 base = self.progress.rotation_factor
                 self._commit(system, at_points, factor)
+                self._note(outcome)
                 for observer in self.observers:
                     observer.after_commit(self, self.progress.rotation_factor != base)
             else:

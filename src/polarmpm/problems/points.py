@@ -25,6 +25,7 @@ from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.choice import make_form
 from ..forms.couples import CoupleForm
+from ..forms.stresses import MaterialField
 from ..geometry.grid import Grid
 from ..geometry.planes import Plane, PlaneSpec
 from ..geometry.surfaces import Surface
@@ -33,13 +34,14 @@ from ..kinematics import rotations
 from ..kinematics.motion import Motion
 from ..materials.base import warn_of_locking
 from ..solvers.choice import check_solver
-from ..solvers.newton import Controls
+from ..solvers.newton import Controls, Outcome
 from ..solvers.resetting import ResetPolicy, WhenDistorted, make_policy
 from ..terms.ghost import Ghost, GhostPenalty, make_penalty
 from ..tools.parallel import errors_on_all_ranks, values_by_number
 from .base import Problem
+from .boxes import BoxRecord
 from .conservation import Conservation, Totals
-from .state import Progress
+from .state import Fields, Progress
 from .surfaces import add_load
 
 ASSEMBLIES = ("direct", "projection")
@@ -119,6 +121,7 @@ class QuasiStatic(Problem):
         rebalance: float | None = 1.1,
         controls: Controls | None = None,
         solver: str = "auto",
+        boxes: bool | None = None,
     ):
         self.grid = self.initial_grid = grid
         self._moving: list[MovingPlane] = []
@@ -136,6 +139,8 @@ class QuasiStatic(Problem):
                 points.materials, f"the functions of basis={self.basis.name!r}", "basis='bspline'"
             )
         self.rotation_limit = 1.0
+        self.boxes = self.basis.fills_boxes if boxes is None else boxes
+        self.box_record = BoxRecord(points, self.forms, grid.comm)
         self.load_shares = LoadShares(grid.comm, rebalance)
         self._conservation = Conservation(grid.comm)
         self.balanced_reset = balanced_reset
@@ -210,12 +215,25 @@ class QuasiStatic(Problem):
         inverted = self.comm.allreduce(int(np.sum(bad)))
         return f"{inverted} material point(s) turned inside out" if inverted else ""
 
+    def _trust(self, system: LoadedPoints, start: np.ndarray, outcome: Outcome) -> None:
+        outcome.unresolved = self.box_record.unresolved(system, start)
+        outcome.reason = self.box_record.refusal(outcome.unresolved)
+        outcome.converged = not outcome.reason
+
+    def _note(self, outcome: Outcome) -> None:
+        self.box_record.note(outcome.unresolved, self.progress.step)
+
+    def trust(self) -> str:
+        """How far the run can be trusted, in a line: the largest share of a step's work that is done inside the points'
+        boxes, where neither the grid nor the points resolve it (docs/accuracy.md)."""
+        return self.box_record.summary()
+
     def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
         assert self._compiled.motion is not None
         system.interpolation.update_points(increments, self._compiled.motion)
         self._conservation.check(system.interpolation, system.x)
         if self.points.plastic:
-            self._flow(system)
+            self._with_boxes(lambda: self._flow(system))
         self._converged_loads = self._attempted
         p = self.progress
         p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
@@ -223,10 +241,17 @@ class QuasiStatic(Problem):
         if not p.reset_due and self.layout.rotations:
             largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
             if self.comm.allreduce(largest, op=MPI.MAX) > self.rotation_limit:
-                system.rebase_rotations()
+                self._with_boxes(system.rebase_rotations)
                 for term in self.terms:
                     term.rebase_rotations()
                 p.rotation_factor = factor
+
+    def _with_boxes(self, change: Callable[[], None]) -> None:
+        """Change what the boxes' energy depends on besides the increments; what it loses counts as carried."""
+        boxes = self.box_record
+        before = boxes.energy(self._system)
+        change()
+        self.progress.carried_work += boxes.energy(self._system) - before
 
     def _flow(self, system: LoadedPoints) -> None:
         """Put the plastic flow of a converged step into the points' plastic state."""
@@ -261,6 +286,9 @@ class QuasiStatic(Problem):
     def _reset(self) -> LoadedPoints:
         """The system of a new grid, from whose nodes increments count."""
         p = self.progress
+        if self.balanced_reset:
+            p.carried_work -= self.box_record.energy(self._system)
+        self.box_record.kept = None
         grid = movinggrid.grid_at(self._moving, self.initial_grid, p.factor)
         check_inside(grid, self.points)
         self._put_grid(grid)
@@ -303,7 +331,9 @@ class QuasiStatic(Problem):
     def _interpolate(self, reference: Reference | None) -> Interpolation:
         for term in self.terms if reference is None else []:
             term.begin()
-        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, self.terms)
+        made = Interpolation(
+            self.grid, self.points, self.basis, self.forms, reference, self.terms, self.boxes
+        )
         self._conservation.reset(made)
         self.load_shares.built(self.points, made.nodes)
         return made
@@ -343,11 +373,11 @@ class QuasiStatic(Problem):
             out["last_x"] = self._last_x
         if self._converged_loads is not None:
             out |= {"forces": self._converged_loads[0], "couples": self._converged_loads[1]}
-        return out
+        return out | {"box_energy": self.box_record.energies(self._system)}
 
     def keep(self, rows: dict[str, np.ndarray]) -> None:
         super().keep(rows)
-        self._last_x = rows.get("last_x")
+        self._last_x, self.box_record.kept = rows.get("last_x"), rows.get("box_energy")
         self._converged_loads = (rows["forces"], rows["couples"]) if "forces" in rows else None
 
     def restore(
@@ -385,6 +415,13 @@ class QuasiStatic(Problem):
         self._system, self._stale = self._build(interpolation), False
         here = values_by_number(self.comm, lattice, values, interpolation.nodes.lattice)
         self._system.x[:], self._system.carried[:] = np.hsplit(here, 2)
+
+    # results --------------------------------------------------------------------------------------
+    def fields(self, *names: str | MaterialField) -> Fields:
+        found = super().fields(*names)
+        if "energy" in found:
+            found.energy[:] += self.box_record.energies(self._system) / self.points.volume0
+        return found
 
     @property
     def system(self) -> LoadedPoints | None:

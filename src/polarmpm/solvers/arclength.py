@@ -325,4 +325,10 @@ def _steps(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
                 raise NotConverged(aim, outcome.history, tried)
         if outcome.iterations <= _EASY:
             length = min(1.5 * length, largest)
-        yield Step(problem.progress.step, problem.progress.factor, tuple(outcome.history), len(tried))
+        yield Step(
+            problem.progress.step,
+            problem.progress.factor,
+            tuple(outcome.history),
+            len(tried),
+            outcome.unresolved,
+        )

@@ -68,11 +68,13 @@ class Outcome:
         converged: success.
         history: (force, energy) before the first and after every iteration.
         reason: why it failed, in words.
+        unresolved: see `Step`.
     """
 
     converged: bool = False
     history: list[tuple[float, float]] = field(default_factory=list)
     reason: str = ""
+    unresolved: float | None = None
 
     @property
     def iterations(self) -> int:

@@ -36,12 +36,15 @@ class Step:
         factor: load factor reached.
         history: (force, energy) measures before the first and after every iteration, T (2.53)-(2.54).
         cuts: failed attempts before this one.
+        unresolved: share of the step's work that is done inside the points' boxes, where neither the grid nor the
+            points resolve it; None where points have no boxes.
     """
 
     number: int
     factor: float
     history: tuple[tuple[float, float], ...]
     cuts: int
+    unresolved: float | None = None
 
     @property
     def iterations(self) -> int:
@@ -119,7 +122,7 @@ def _attempt(problem: Marching, factor: float, tried: list[str]) -> Step | Outco
     if not outcome.converged:
         tried.append(f"load factor {factor:.6g}: {outcome.reason} after {outcome.iterations} iterations")
         return outcome
-    return Step(problem.progress.step, factor, tuple(outcome.history), len(tried))
+    return Step(problem.progress.step, factor, tuple(outcome.history), len(tried), outcome.unresolved)
 
 
 def _equal(problem: Marching, schedule: Schedule) -> Iterator[Step]:

@@ -95,6 +95,15 @@ def values_by_number(
     return ask.backward(np.where((known[at] == asked)[:, None], rows[at], 0.0))
 
 
+def known_anywhere(comm: MPI.Comm, numbers: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Which of the wanted numbers (m,) any rank has among its own (n,). Collective."""
+    if comm.size == 1:
+        return np.isin(wanted, numbers)
+    held = np.unique(Route(comm, numbers % comm.size).forward(numbers))
+    ask = Route(comm, wanted % comm.size)
+    return ask.backward(np.isin(ask.forward(wanted), held).astype(float)) > 0
+
+
 def lowest_ranks(comm: MPI.Comm, numbers: np.ndarray, priorities: np.ndarray | None = None) -> np.ndarray:
     """The lowest rank that holds each of the numbers (n,), all different on a rank. Collective.
 

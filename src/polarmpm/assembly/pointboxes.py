@@ -1,0 +1,153 @@
+"""The points' boxes: the strain energy varies over them, and the points see it (docs/theory.md).
+
+A point stands for a box with half axes d_k, which the deformation at the last reset has stretched and turned. With z
+the unknowns at the point and z_k their derivatives along d_k, the energy of the box is that of the rule of degree 3
+with its centre and the centres of its faces,
+
+    W(z) + share / 6 sum_k [W(z + z_k) + W(z - z_k) - 2 W(z)].
+
+The sums over points hold the first term; what the others add is here. Plastic points take their elastic energy at
+frozen flow, with a small share once they have flowed: the energy of points that flow on hardly grows.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..bodies.points import Points
+from ..bodies.reference import Reference
+from ..kernels import native
+from ..kernels.kernel import Kernel
+from ..kinematics import rotations
+from ..kinematics.layout import Layout
+
+FLOWED = 0.01  # share of points that have flowed: what keeps cells from deforming for nothing
+
+
+def has_boxes(points: Points) -> bool:
+    """Whether some point stands for more than itself. Collective."""
+    return bool(points.comm.allreduce(int(np.any(points.half_axes0))))
+
+
+class PointBoxes:
+    """The boxes of a batch between two resets.
+
+    Args:
+        rows: the batch's points, in their order.
+        reference: state at the last reset.
+    """
+
+    def __init__(
+        self, batch: native.Batch, layout: Layout, points: Points, rows: np.ndarray, reference: Reference
+    ):
+        self.batch, self.layout, self.points, self.rows = batch, layout, points, rows
+        d = layout.dim
+        F, self._half_axes0 = reference.F[rows, :d, :d], points.half_axes0[rows]
+        axes = np.einsum("pij,pkj->pki", F, self._half_axes0)
+        self._arrays: dict[str, np.ndarray] = {"box_axes": np.ascontiguousarray(axes)}
+        self.pack(reference)
+
+    @property
+    def share(self) -> np.ndarray:
+        """What counts of the boxes' energy at each point (n,)."""
+        return self._arrays["box_share"]
+
+    def pack(self, reference: Reference) -> None:
+        """Take in the state of the points: which of them have flowed, and the base of the rotations.
+
+        Nodal rotations count from their base on. Of those before it the points know the derivative along their half axes
+        from what their wryness has grown by since the reset.
+        """
+        r, d, rows, p = self.layout.rotations, self.layout.dim, self.rows, self.points
+        share = np.ones(len(rows))
+        if p.plastic:
+            share[p.hardening[rows] > 0.0] = FLOWED
+        turns: np.ndarray = np.zeros((len(rows), d, r))
+        if r:
+            grown = (reference.wryness - reference.reset_wryness)[rows]
+            along = np.einsum("pij,pkj->pki", grown[:, :, :d], self._half_axes0)
+            turns = np.einsum("pij,pkj->pki", rotations.to_tensor(reference.q[rows]), along)[:, :, 3 - r :]
+        self._arrays |= {"box_share": share, "box_turns": np.ascontiguousarray(turns)}
+
+    def put(self, kernels: native.PointKernels, kernel: Kernel | None) -> None:
+        """Put the boxes into the kernels of the batch; without a kernel of the elastic residual there are z_k only."""
+        address = None if kernel is None else kernel.address
+        native.fill(kernels, box_kernel=address, **self._arrays)
+
+    def add_moduli(
+        self,
+        kernel: Kernel,
+        matrix: native.Matrix,
+        x: np.ndarray,
+        before: np.ndarray | None,
+        lifted: np.ndarray | None,
+        *,
+        whole: bool,
+    ) -> None:
+        """Add the boxes' tangent at nodal increments x (nodes, block) to a matrix.
+
+        Args:
+            kernel: residual and tangent of the points' elastic energy, see `PointForm.compile`.
+            before: x before the last correction, where the kernel predicts stresses.
+            lifted: takes what prescribed increments add through the tangent.
+            whole: the tangent itself; else what the sides' strains add with the moduli at the points.
+        """
+        kernels = native.PointKernels()
+        native.fill(kernels, kernel=kernel.address, before=before)
+        self.put(kernels, None)
+        add = native.library().polarmpm_assemble_boxes
+        if add(ctypes.byref(self.batch), ctypes.byref(kernels), ctypes.byref(matrix), int(whole), x, lifted):
+            raise MemoryError("no memory for the sums over the points' boxes")
+
+    def gather(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """z (n, unknowns), gradients in the frame of the state, and z_k (n, d, unknowns) at nodal increments."""
+        n, nz = len(self.rows), self.layout.unknowns
+        z, zk = np.empty((n, nz)), np.empty((n, self.layout.dim, nz))
+        kernels = native.PointKernels()
+        self.put(kernels, None)
+        gather = native.library().polarmpm_gather_boxes
+        if gather(ctypes.byref(self.batch), ctypes.byref(kernels), x, z, zk):
+            raise MemoryError("no memory for the points' boxes")
+        return z, zk
+
+    def energies(self, kernel: Kernel, x: np.ndarray) -> np.ndarray:
+        """Strain energy (J) of the points (n,) that is in the variation over their boxes.
+
+        Args:
+            kernel: of the elastic energy, see `PointForm.compile_energy`.
+        """
+        z, zk = self.gather(x)
+        known = self.batch.kept["state"], np.tile(self.batch.kept["param"], (len(z), 1))
+        energy = -2.0 * self.layout.dim * kernel(z, *known)[:, 0]
+        for k in range(self.layout.dim):
+            for side in (z + zk[:, k], z - zk[:, k]):
+                energy += kernel(side, *known)[:, 0]
+        weight: np.ndarray = self.share * self.batch.kept["volume"] / 6.0
+        energy *= weight
+        return energy
+
+    def work(self, kernel: Kernel, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Work (J) of the change of the elastic stresses on the change of the strains between nodal increments (nodes,
+        block), for each point (n,): inside its box, and in all.
+
+        Args:
+            kernel: of the elastic residual.
+        """
+        inside, whole = np.zeros(len(self.rows)), np.zeros(len(self.rows))
+        kernels = native.PointKernels()
+        native.fill(kernels, kernel=kernel.address)
+        self.put(kernels, kernel)
+        work = native.library().polarmpm_box_work
+        if work(ctypes.byref(self.batch), ctypes.byref(kernels), start, end, inside, whole):
+            raise MemoryError("no memory for the work in the points' boxes")
+        return inside, whole
+
+
+def all_boxes(
+    batches: Sequence[tuple[native.Batch, np.ndarray]], layout: Layout, points: Points, reference: Reference
+) -> list[PointBoxes]:
+    """The boxes of batches with the rows of their points."""
+    return [PointBoxes(batch, layout, points, rows, reference) for batch, rows in batches]

@@ -1,0 +1,120 @@
+"""Quadratic B-splines averaged over the points' boxes.
+
+A point that crosses a plane of the grid sees the splines' second derivatives jump; a sum over points then
+has an error that no finer grid makes smaller. Means over boxes, of half length l_i along the grid, change
+smoothly. But a box that has turned isn't along the grid, and means over one that is spoil bodies that turn:
+the half lengths fade out with the off-diagonal entries of F, and reach zero, which is the splines themselves,
+at `_TURNED`.
+
+A box may reach into one cell more in each direction. Where that cell supports no point its functions have no
+stiffness to speak of, and where the box hardly reaches it, it isn't worth its nodes: the mean is then that of
+the own cell's polynomials, continued.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..geometry.grid import Grid, box_indices
+from ..tools.parallel import known_anywhere
+from .base import Weights
+from .bspline import QuadraticSplines
+
+_TURNED = 0.25
+_REACH = 0.0195  # cells; unlike where boxes of fresh bodies end, a simple fraction
+_GAUSS = 3.0**-0.5
+
+
+class AveragedSplines(QuadraticSplines):
+    """Quadratic B-splines for points, averaged over boxes along the grid; surfaces, which have none, take the
+    splines themselves."""
+
+    name = "bspline-averaged"
+    uses_domains = True
+
+    def domains(self, F: np.ndarray, half_length0: np.ndarray) -> np.ndarray:
+        """l_i = |F_ii| l_i0 max(0, 1 - max_(j /= i) |F_ij| / 0.25)."""
+        dim = half_length0.shape[1]
+        size = np.abs(F[:, :dim, :dim])
+        stretch = np.einsum("nii->ni", size).copy()
+        size[:, np.arange(dim), np.arange(dim)] = 0.0
+        half: np.ndarray = stretch * half_length0 * np.maximum(0.0, 1.0 - size.max(axis=2) / _TURNED)
+        return half
+
+    def weights(
+        self,
+        grid: Grid,
+        x: np.ndarray,
+        half_length: np.ndarray | None = None,
+        cells: np.ndarray | None = None,
+        orders: int = 2,
+    ) -> Weights:
+        """Boxes longer than a cell are taken to be as long as one."""
+        assert half_length is not None
+        cells = grid.cells_of(x) if cells is None else cells
+        half = np.minimum(half_length, 0.5 * grid.sizes(cells))
+        step = _steps(grid, x, half, cells)
+        low, high, lower = x - half, x + half, grid.corners(cells)
+        plane = np.where(step < 0, lower, lower + grid.sizes(cells))
+        mine = self._means(
+            grid, np.where(step < 0, plane, low), np.where(step > 0, plane, high), cells, orders
+        )
+        beyond = np.flatnonzero(np.any(step, axis=1))
+        count = (self.functions + np.abs(step)).astype(np.int32)
+        if not len(beyond):
+            return Weights(cells, count, mine)
+        low, high, plane, there = low[beyond], high[beyond], plane[beyond], step[beyond]
+        begin, end = np.where(there > 0, plane, low), np.where(there < 0, plane, high)
+        other = self._means(grid, begin, end, cells[beyond] + there, orders)
+        share = np.where(there != 0, (end - begin) / np.where(there != 0, high - low, 1.0), 0.0)
+        share = share[:, :, None, None]
+        table = np.zeros((*mine.shape[:3], self.functions + 1))
+        table[:, :, :, :-1] = mine
+        # lowest first: the own cell's functions begin one slot later where the box reaches below
+        down = (there < 0)[:, :, None, None]
+        own, pad = (1.0 - share) * mine[beyond], np.zeros((*other.shape[:3], 1))
+        other = share * other
+        first, second = np.where(down, other, own), np.where(down, own, other)
+        table[beyond] = np.concatenate([first, pad], axis=3) + np.where(
+            there[:, :, None, None] != 0, np.concatenate([pad, second], axis=3), 0.0
+        )
+        return Weights(cells + np.minimum(step, 0), count, table)
+
+    def _means(
+        self, grid: Grid, low: np.ndarray, high: np.ndarray, cells: np.ndarray, orders: int
+    ) -> np.ndarray:
+        """Means of what `derivatives` gives over the intervals from low to high (n, d) (m), by Gauss' rule of two
+        points, which is exact."""
+        centre, away = 0.5 * (low + high), 0.5 * _GAUSS * (high - low)
+        means = self.derivatives(grid, centre - away, cells, orders)
+        means += self.derivatives(grid, centre + away, cells, orders)
+        means *= 0.5
+        return means
+
+
+def _steps(grid: Grid, x: np.ndarray, half: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Which cell beside its own (n, d) a box reaches in each direction: -1, 0 or 1. Collective.
+
+    All cells that the box reaches, in several directions at once, support points.
+    """
+    lower, size = grid.corners(cells), grid.sizes(cells)
+    below, above = lower - (x - half), x + half - (lower + size)
+    step = np.where(above > below, 1, -1) * (np.maximum(below, above) > _REACH * size)
+    # points that lean on another cell have its polynomials, whose continuation goes on into their own
+    step[np.any(cells != grid.cells_of(x), axis=1)] = 0
+    step[(cells + step < 0) | (cells + step >= np.array(grid.shape))] = 0
+    numbers = grid.cell_number(cells)
+    known = np.unique(numbers)
+    for combinations in (np.eye(grid.dim, dtype=np.int64), box_indices((2,) * grid.dim)):
+        # many points ask for the same
+        reaching = np.flatnonzero(np.any(step, axis=1))
+        code = (step[reaching] + 1) @ 3 ** np.arange(grid.dim)
+        asked = np.searchsorted(known, numbers[reaching]) * 3**grid.dim + code
+        _, first, at = np.unique(asked, return_index=True, return_inverse=True)
+        there = numbers[reaching[first], None] + (step[reaching[first], None] * combinations) @ grid.strides
+        found = known_anywhere(grid.comm, known, there.ravel()).reshape(there.shape)
+        if len(combinations) == grid.dim:
+            step[reaching] *= found[at]
+        else:
+            step[reaching] *= np.all(found, axis=1)[at, None]
+    return step

@@ -1,0 +1,181 @@
+/* The points' boxes: a point stands for a box with half axes d_k, over which the strain energy varies; a part of
+ * _native.c.
+ *
+ * With z_k, the derivative of z along d_k, the energy of the box is that of the rule of degree 3 with the box's centre
+ * and the centres of its faces,
+ *
+ *     W(z) + share / 6 sum_k [W(z + z_k) + W(z - z_k) - 2 W(z)]     (docs/theory.md).
+ */
+#include "_points.h"
+
+enum {
+    SIDES = 3,                 /* half axes in space */
+    PAIRS = 6                  /* different second derivatives in space */
+};
+
+/* Memory for LANES points and their boxes. */
+typedef struct {
+    vec *first, *second;       /* [SIDES][sv], [PAIRS][sv]: derivatives of a point's functions */
+    vec *sides;                /* [side][lane][SHAPES][sv]: a point's shapes differentiated along the half axes */
+    double *zk, *before;       /* [side][nz][LANES]; of the nodal values before the last correction */
+    double *sums;              /* [1 + side][nz][LANES]: sum_k [R(z + z_k) + R(z - z_k) - 2 R(z)], R(z + z_k) - R(z - z_k) */
+    double *z, *up, *down;     /* inputs, and outputs on both sides */
+    double *moduli;            /* [2 side + (0: up, 1: down)][outputs][LANES]: residuals and moduli on the sides */
+    vec *moved;                /* [lane][SHAPES][sv]: shapes on a side */
+} BoxWork;
+
+static int create_boxes(const Batch *b, int sv, int whole, BoxWork *w)
+{
+    const int nz = unknowns_of(b->dim, b->rot), outputs = nz + nz * (nz + 1) / 2;
+    const size_t stride = (size_t)sv * WIDTH, inputs = 2 * nz + b->nstate + b->nparam;
+    *w = (BoxWork){.first = vectors(SIDES * stride), .second = vectors(PAIRS * stride),
+                   .sides = vectors(SIDES * LANES * SHAPES * stride), .zk = vectors(SIDES * nz * LANES),
+                   .before = vectors(SIDES * nz * LANES), .moved = vectors(LANES * SHAPES * stride),
+                   .moduli = vectors(whole ? (size_t)2 * SIDES * outputs * LANES : 1), .sums = vectors((1 + SIDES) * nz * LANES), .z = vectors(inputs * LANES),
+                   .up = vectors(nz * LANES), .down = vectors(nz * LANES)};
+    return !(w->first && w->second && w->sides && w->zk && w->before && w->sums && w->z && w->up && w->down && w->moduli &&
+             w->moved);
+}
+
+static void free_boxes(BoxWork *w)
+{
+    free(w->first), free(w->second), free(w->sides), free(w->zk);
+    free(w->sums), free(w->z), free(w->up), free(w->down), free(w->before), free(w->moduli), free(w->moved);
+}
+
+/* First and second derivatives of a point's functions: first [axis][stride], second [pair][stride], pairs in the order
+ * xx, xy, yy or xx, xy, xz, yy, yz, zz. */
+INLINE void curved_shape(const int dim, const Batch *b, int64_t p, const int32_t *count, int stride, double *first,
+                         double *second)
+{
+    const int m = b->slots, next = b->orders * m;
+    const double *w = b->weights + p * dim * next, *wy = w + next, *wz = wy + next;
+    const int n2 = dim == 3 ? count[2] : 1;
+    int a = 0;
+    for (int i = 0; i < count[0]; ++i)
+        for (int j = 0; j < count[1]; ++j) {
+            const double v = w[i] * wy[j], x = w[m + i] * wy[j], y = w[i] * wy[m + j];
+            const double xx = w[2 * m + i] * wy[j], xy = w[m + i] * wy[m + j], yy = w[i] * wy[2 * m + j];
+            for (int k = 0; k < n2; ++k, ++a) {
+                const double z = dim == 3 ? wz[k] : 1.0;
+                first[a] = x * z, first[stride + a] = y * z;
+                second[a] = xx * z, second[stride + a] = xy * z;
+                if (dim == 3) {
+                    first[2 * stride + a] = v * wz[m + k];
+                    second[2 * stride + a] = x * wz[m + k], second[3 * stride + a] = yy * z;
+                    second[4 * stride + a] = y * wz[m + k], second[5 * stride + a] = v * wz[2 * m + k];
+                } else {
+                    second[2 * stride + a] = yy;
+                }
+            }
+        }
+}
+
+INLINE int pair_of(const int dim, int i, int j)
+{
+    const int low = i < j ? i : j, high = i < j ? j : i;
+    return dim == 2 ? low + high : low == 0 ? high : low + high + 1;
+}
+
+/* A point's shapes differentiated along a half axis, in the layout and frame of `shape`. */
+INLINE void side_shapes(const int dim, int n, int nv, int sv, const double *axis, const double *frame, const BoxWork *w,
+                        vec *s)
+{
+    for (int v = 0; v < nv; ++v) {
+        vec along[SIDES], value = {0};
+        for (int j = 0; j < dim; ++j) {
+            value += axis[j] * w->first[j * sv + v];
+            along[j] = (vec){0};
+            for (int l = 0; l < dim; ++l) along[j] += axis[l] * w->second[pair_of(dim, j, l) * sv + v];
+        }
+        s[v] = value;
+        for (int c = 0; c < dim; ++c) {
+            vec sum = {0};
+            for (int j = 0; j < dim; ++j) sum += frame[j * dim + c] * along[j];
+            s[(1 + c) * sv + v] = sum;
+        }
+        for (int q = 0; v == nv - 1 && q < WIDTH; ++q)  /* what an earlier point has left beyond its nodes */
+            for (int c = 0; c <= dim && v * WIDTH + q >= n; ++c) s[c * sv + v][q] = 0.0;
+    }
+}
+
+/* Shapes of lane l, point p, differentiated along its half axes. */
+INLINE void find_sides(const int dim, const Batch *b, const PointKernels *kernels, int64_t p, const int32_t *count, int n,
+                       int sv, int l, BoxWork *w)
+{
+    const int nv = (n + WIDTH - 1) / WIDTH;
+    curved_shape(dim, b, p, count, sv * WIDTH, (double *)w->first, (double *)w->second);
+    for (int k = 0; k < dim; ++k)
+        side_shapes(dim, n, nv, sv, kernels->box_axes + (p * dim + k) * dim, b->state + p * b->nstate, w,
+                    w->sides + ((int64_t)k * LANES + l) * SHAPES * sv);
+}
+
+/* z_k of lane l, point p, from its group's nodal values, written with a step. */
+INLINE void gather_sides(const int dim, const int rot, const PointKernels *kernels, int64_t p, int nv, int sv, const vec *x,
+                         int l, const BoxWork *w, double *zk, const int step)
+{
+    const int nz = unknowns_of(dim, rot);
+    for (int k = 0; k < dim; ++k) {
+        double *own = zk + k * nz * step;
+        interpolate(dim, rot, nv, sv, w->sides + ((int64_t)k * LANES + l) * SHAPES * sv, x, own, step);
+        for (int i = 0; i < rot; ++i)
+            own[value_slot(dim, rot, dim + i) * step] += kernels->box_turns[(p * dim + k) * rot + i];
+    }
+}
+
+/* What the boxes' virtual work multiplies, from the kernel's inputs and its residual at z. */
+INLINE void evaluate_boxes(const int dim, const int rot, const Batch *b, kernel_t kernel, const double *in,
+                           const double *residual, BoxWork *w)
+{
+    const int nz = unknowns_of(dim, rot), block = nz * LANES;
+    memcpy(w->z + block, in + block, sizeof(double) * (b->nstate + b->nparam) * LANES);
+    for (int i = 0; i < block; ++i) w->sums[i] = -2.0 * dim * residual[i];
+    for (int k = 0; k < dim; ++k) {
+        const double *zk = w->zk + k * block;
+        double *odd = w->sums + (1 + k) * block;
+        for (int i = 0; i < block; ++i) w->z[i] = in[i] + zk[i];
+        kernel(w->z, w->up);
+        for (int i = 0; i < block; ++i) w->z[i] = in[i] - zk[i];
+        kernel(w->z, w->down);
+        for (int i = 0; i < block; ++i) {
+            w->sums[i] += w->up[i] + w->down[i];
+            odd[i] = w->up[i] - w->down[i];
+        }
+    }
+}
+
+/* The boxes' share in the residual r of a point on lane l, and what its sides add to the group's nodal forces. */
+INLINE void add_sides(const int dim, const int rot, int nv, int sv, const BoxWork *w, double weight, int l, double *r,
+                      vec *f)
+{
+    const int nz = unknowns_of(dim, rot);
+    double side[UNKNOWNS_MAX];
+    for (int i = 0; i < nz; ++i) r[i] += weight * w->sums[i * LANES + l];
+    for (int k = 0; k < dim; ++k) {
+        for (int i = 0; i < nz; ++i) side[i] = weight * w->sums[((1 + k) * nz + i) * LANES + l];
+        add_residual(dim, rot, nv, sv, w->sides + (k * LANES + l) * SHAPES * sv, side, f);
+    }
+}
+
+/* Residuals and moduli at z + z_k and z - z_k, for all sides. */
+INLINE void evaluate_sides(const int dim, const int rot, const Batch *b, kernel_t kernel, const double *in, BoxWork *w)
+{
+    const int nz = unknowns_of(dim, rot), block = nz * LANES, outputs = nz + nz * (nz + 1) / 2;
+    const int known = (b->nstate + b->nparam) * LANES;
+    memcpy(w->z, in, sizeof(double) * (2 * block + known));
+    for (int k = 0; k < dim; ++k)
+        for (int down = 0; down < 2; ++down) {
+            const double sign = down ? -1.0 : 1.0;
+            for (int i = 0; i < block; ++i) {
+                w->z[i] = in[i] + sign * w->zk[k * block + i];
+                w->z[block + known + i] = in[block + known + i] + sign * w->before[k * block + i];
+            }
+            kernel(w->z, w->moduli + (2 * k + down) * outputs * LANES);
+        }
+}
+
+/* Shapes of lanes l .. end moved to the centre of a side, by sign times their derivatives. */
+INLINE void move_shapes(int sv, const vec *shapes, const vec *side, double sign, int l, int end, vec *out)
+{
+    for (int64_t i = (int64_t)l * SHAPES * sv; i < (int64_t)end * SHAPES * sv; ++i) out[i] = shapes[i] + sign * side[i];
+}

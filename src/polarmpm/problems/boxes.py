@@ -1,0 +1,103 @@
+"""What a problem keeps of the points' boxes: their energy, and the share of the work that is done inside them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..assembly.points import LoadedPoints
+from ..bodies.points import Points
+from ..errors import TrustWarning
+from ..forms.points import PointForm
+from ..kernels.kernel import Kernel
+
+DOUBTFUL = 0.5  # share of a step's work inside the boxes above which an answer may be far off
+HOPELESS = 1.0  # above which the boxes alone hold the body
+_REMEDY = "take more points a cell (points_per_cell), or smaller cells"
+
+
+class BoxRecord:
+    """Energy and work inside the points' boxes in the course of a run. All methods are collective.
+
+    Attributes:
+        kept: energy (J) in the boxes of this rank's points (np,), put in by a restart for the time until there is a
+            system again; else None.
+        largest: largest share of a step's work inside the boxes so far, and that step's number.
+    """
+
+    def __init__(self, points: Points, forms: Sequence[PointForm], comm: MPI.Comm):
+        self.points, self.forms, self.comm = points, forms, comm
+        self.kept: np.ndarray | None = None
+        self.largest = (0.0, 0)
+        self._kernels: list[Kernel] = []
+        self._warned = False
+
+    def energies(self, system: LoadedPoints | None) -> np.ndarray:
+        """Strain energy (J) in the variation over the boxes of this rank's points (np,)."""
+        out = np.zeros(len(self.points))
+        if system is None:
+            return out if self.kept is None else self.kept
+        if system.interpolation.boxes is None:
+            return out
+        if not self._kernels:
+            self._kernels = [form.compile_energy(self.comm) for form in self.forms]
+        for boxes, kernel in zip(system.interpolation.boxes, self._kernels, strict=True):
+            out[boxes.rows] = boxes.energies(kernel, system.x)
+        return out
+
+    def energy(self, system: LoadedPoints | None) -> float:
+        """The same of all points."""
+        total: float = self.comm.allreduce(float(self.energies(system).sum()))
+        return total
+
+    def unresolved(self, system: LoadedPoints, start: np.ndarray) -> float | None:
+        """Share of the elastic work since increments `start` (nodes, block) that is done inside the boxes; that of each
+        point goes to `points.unresolved`. None where points have no boxes.
+
+        Signs are left out of the sums, so that softening and snapping structures, whose whole work is near zero, don't
+        look as if nothing of it were resolved.
+        """
+        if system.interpolation.boxes is None:
+            return None
+        inside, whole = np.zeros(len(self.points)), np.zeros(len(self.points))
+        for boxes, (kernel, _) in zip(system.interpolation.boxes, system.kernels, strict=True):
+            inside[boxes.rows], whole[boxes.rows] = boxes.work(kernel, start, system.x)
+        sums = np.array([np.abs(inside).sum(), np.abs(whole).sum()])
+        self.comm.Allreduce(MPI.IN_PLACE, sums)
+        tiny = 1e-12 * sums[1] / max(1, self.points.total)  # points on which nothing happens
+        share = np.abs(inside) / np.maximum(np.abs(whole), tiny) if sums[1] > 0 else 0.0 * inside
+        self.points.unresolved = np.minimum(share, HOPELESS)
+        return float(sums[0] / sums[1]) if sums[1] > 0 else 0.0
+
+    def refusal(self, share: float | None) -> str:
+        """Why a solution with such a share is none; empty where it may be one."""
+        if share is None or share <= HOPELESS:
+            return ""
+        return f"all of the step's work is done inside the points' boxes: there is no equilibrium; {_REMEDY}"
+
+    def note(self, share: float | None, step: int) -> None:
+        """Take note of a converged step; warns, once in a run, of an answer that is in doubt."""
+        if share is None:
+            return
+        self.largest = max(self.largest, (share, step))
+        if share > DOUBTFUL and not self._warned:
+            self._warned = True
+            if self.comm.rank == 0:
+                warnings.warn(
+                    f"step {step}: {100 * share:.0f} % of its work is done inside the points' boxes, where neither the "
+                    f"grid nor the points resolve it; the answer may be far off: {_REMEDY}",
+                    TrustWarning,
+                    stacklevel=2,
+                )
+
+    def summary(self) -> str:
+        """How far the run can be trusted, in a line."""
+        share, step = self.largest
+        if not step:
+            return "no measure of trust: points without boxes, or no step yet"
+        verdict = "in doubt: " + _REMEDY if share > DOUBTFUL else "resolved to the grid's own error"
+        return f"at most {100 * share:.0f} % of a step's work is done inside the points' boxes (step {step}): {verdict}"
