@@ -10,6 +10,9 @@ import numpy as np
 from ..basis.base import Basis, Weights
 from ..geometry.grid import Grid, box_indices
 
+# cost of putting a group's sums into the matrix, over that of a point; both go with its nodes squared
+_FLUSH = 4
+
 
 @dataclass
 class Groups:
@@ -33,7 +36,29 @@ def group_points(material: np.ndarray, w: Weights) -> tuple[np.ndarray, Groups]:
     new[1:] = np.any(columns[1:] != columns[:-1], axis=1)
     heads = columns[new]
     offsets = np.append(np.flatnonzero(new), n)
+    heads, offsets = _merged(heads, offsets, 1 + dim)
     return order, Groups(heads[:, 0], heads[:, 1 : 1 + dim], heads[:, 1 + dim :], offsets)
+
+
+def _merged(heads: np.ndarray, offsets: np.ndarray, same: int) -> tuple[np.ndarray, np.ndarray]:
+    """Groups (g, columns) that begin at `offsets` (g + 1), those of one material and lowest node, which the
+    first columns are, merged into the largest of them where that is cheaper: weights beyond a point's own are
+    zero. The largest has all nodes of the others, or they aren't merged."""
+    new = np.ones(len(heads), dtype=bool)
+    new[1:] = np.any(heads[1:, :same] != heads[:-1, :same], axis=1)
+    first, family = np.flatnonzero(new), np.cumsum(new) - 1
+    if len(first) == len(heads):
+        return heads, offsets
+    counts, points = heads[:, same:], np.diff(offsets)
+    largest = np.maximum.reduceat(counts, first)
+    has_it = np.logical_or.reduceat(np.all(counts == largest[family], axis=1), first)
+    apart = np.add.reduceat(np.prod(counts, axis=1) ** 2 * (points + _FLUSH), first)
+    together = np.prod(largest, axis=1) ** 2 * (np.add.reduceat(points, first) + _FLUSH)
+    merge = has_it & (together < apart)
+    kept = new | ~merge[family]
+    heads = heads.copy()
+    heads[:, same:] = np.where(merge[family, None], largest[family], counts)
+    return heads[kept], np.append(offsets[:-1][kept], offsets[-1])
 
 
 def boxes_of(grid: Grid, sizes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -13,6 +13,8 @@ the own cell's polynomials, continued.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..geometry.grid import Grid, box_indices
@@ -56,40 +58,63 @@ class AveragedSplines(QuadraticSplines):
         step = _steps(grid, x, half, cells)
         low, high, lower = x - half, x + half, grid.corners(cells)
         plane = np.where(step < 0, lower, lower + grid.sizes(cells))
-        mine = self._means(
-            grid, np.where(step < 0, plane, low), np.where(step > 0, plane, high), cells, orders
-        )
-        beyond = np.flatnonzero(np.any(step, axis=1))
-        count = (self.functions + np.abs(step)).astype(np.int32)
-        if not len(beyond):
-            return Weights(cells, count, mine)
-        low, high, plane, there = low[beyond], high[beyond], plane[beyond], step[beyond]
-        begin, end = np.where(there > 0, plane, low), np.where(there < 0, plane, high)
-        other = self._means(grid, begin, end, cells[beyond] + there, orders)
-        share = np.where(there != 0, (end - begin) / np.where(there != 0, high - low, 1.0), 0.0)
-        share = share[:, :, None, None]
-        table = np.zeros((*mine.shape[:3], self.functions + 1))
-        table[:, :, :, :-1] = mine
-        # lowest first: the own cell's functions begin one slot later where the box reaches below
-        down = (there < 0)[:, :, None, None]
-        own, pad = (1.0 - share) * mine[beyond], np.zeros((*other.shape[:3], 1))
-        other = share * other
-        first, second = np.where(down, other, own), np.where(down, own, other)
-        table[beyond] = np.concatenate([first, pad], axis=3) + np.where(
-            there[:, :, None, None] != 0, np.concatenate([pad, second], axis=3), 0.0
-        )
-        return Weights(cells + np.minimum(step, 0), count, table)
+        # in its own cell, and in the one that it reaches
+        begin, end = np.where(step < 0, plane, low), np.where(step > 0, plane, high)
+        mine = self._means(grid, begin, end, cells, orders)
+        parts = Parts(cells, step, 1.0 - (end - begin) / np.where(step != 0, high - low, np.inf))
+        far = parts.far
+        begin, end = np.where(step > 0, plane, low)[far], np.where(step < 0, plane, high)[far]
+        other = self._means(grid, begin, end, (cells + step)[far], orders)
+        lowest, count = cells + np.minimum(step, 0), (self.functions + np.abs(step)).astype(np.int32)
+        return Weights(lowest, count, parts.joined(mine, other))
 
     def _means(
         self, grid: Grid, low: np.ndarray, high: np.ndarray, cells: np.ndarray, orders: int
     ) -> np.ndarray:
-        """Means of what `derivatives` gives over the intervals from low to high (n, d) (m), by Gauss' rule of two
-        points, which is exact."""
+        """Means of what `derivatives` gives over the intervals from low to high (n, d) (m), by Gauss' rule of
+        two points, which is exact."""
         centre, away = 0.5 * (low + high), 0.5 * _GAUSS * (high - low)
         means = self.derivatives(grid, centre - away, cells, orders)
         means += self.derivatives(grid, centre + away, cells, orders)
         means *= 0.5
         return means
+
+
+@dataclass
+class Parts:
+    """The parts of boxes in the cells that they are in and beside them.
+
+    Attributes:
+        cells: lattice index of the own cells (n, d).
+        step: from there to the other cell that the box reaches in a direction, -1, 0 or 1, (n, d).
+        share: of the box's length in the other cell (n, d), where there is one.
+        far: rows of the boxes that reach another cell.
+    """
+
+    cells: np.ndarray
+    step: np.ndarray
+    share: np.ndarray
+
+    @property
+    def far(self) -> np.ndarray:
+        return np.flatnonzero(np.any(self.step, axis=1))
+
+    def joined(self, mine: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Means over the boxes, from those over the parts in the own cell, (n, d, .., functions), and in the
+        other one, of the rows `far` alone: values of all functions of both, the lowest first."""
+        far, functions = self.far, mine.shape[-1]
+        if not len(far):
+            return mine
+        table = np.zeros((*mine.shape[:-1], functions + 1))
+        table[..., :-1] = mine
+        step = self.step[far].reshape(-1, mine.shape[1], *(1,) * (mine.ndim - 2))
+        share = np.where(step, self.share[far].reshape(step.shape), 0.0)
+        other, mine = share * other, (1.0 - share) * mine[far]
+        joined = np.zeros((len(far), *table.shape[1:]))
+        joined[..., :-1] = np.where(step < 0, other, mine)
+        joined[..., 1:] += np.where(step < 0, mine, other)
+        table[far] = joined
+        return table
 
 
 def _steps(grid: Grid, x: np.ndarray, half: np.ndarray, cells: np.ndarray) -> np.ndarray:
@@ -99,13 +124,17 @@ def _steps(grid: Grid, x: np.ndarray, half: np.ndarray, cells: np.ndarray) -> np
     """
     lower, size = grid.corners(cells), grid.sizes(cells)
     below, above = lower - (x - half), x + half - (lower + size)
-    step = np.where(above > below, 1, -1) * (np.maximum(below, above) > _REACH * size)
+    step: np.ndarray = np.where(above > below, 1, -1) * (np.maximum(below, above) > _REACH * size)
     # points that lean on another cell have its polynomials, whose continuation goes on into their own
     step[np.any(cells != grid.cells_of(x), axis=1)] = 0
     step[(cells + step < 0) | (cells + step >= np.array(grid.shape))] = 0
     numbers = grid.cell_number(cells)
     known = np.unique(numbers)
-    for combinations in (np.eye(grid.dim, dtype=np.int64), box_indices((2,) * grid.dim)):
+    # first each direction for itself, then all together
+    for alone, combinations in (
+        (True, np.eye(grid.dim, dtype=np.int64)),
+        (False, box_indices((2,) * grid.dim)),
+    ):
         # many points ask for the same
         reaching = np.flatnonzero(np.any(step, axis=1))
         code = (step[reaching] + 1) @ 3 ** np.arange(grid.dim)
@@ -113,8 +142,5 @@ def _steps(grid: Grid, x: np.ndarray, half: np.ndarray, cells: np.ndarray) -> np
         _, first, at = np.unique(asked, return_index=True, return_inverse=True)
         there = numbers[reaching[first], None] + (step[reaching[first], None] * combinations) @ grid.strides
         found = known_anywhere(grid.comm, known, there.ravel()).reshape(there.shape)
-        if len(combinations) == grid.dim:
-            step[reaching] *= found[at]
-        else:
-            step[reaching] *= np.all(found, axis=1)[at, None]
+        step[reaching] *= found[at] if alone else np.all(found, axis=1)[at, None]
     return step

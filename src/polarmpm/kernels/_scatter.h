@@ -65,22 +65,31 @@ INLINE void add_residual(const int dim, const int rot, int nv, int sv, const vec
     }
 }
 
-/* Where the pair (a, q) of a group's nodes goes: the row is the node with the smaller global number. */
+/* Where the pair (a, q) of a group's nodes goes: the row is the node with the smaller global number. The code of
+ * node q in its group doesn't depend on a. */
 typedef struct {
     int64_t column;            /* block column times block size */
     int32_t row, col;          /* local nodes */
     int32_t swapped;
+    int32_t code;              /* distance from the group's lowest node, in a box of (2 reach + 1)^dim nodes */
 } Place;
 
-INLINE Place place_of(const Batch *b, const Matrix *M, const int32_t *nodes, const int32_t *c, int a, int q, int nb)
+INLINE void set_codes(const Batch *b, const Matrix *M, const int32_t *c, Place *at)
+{
+    const int side = 2 * M->reach + 1;
+    for (int i = 0, q = 0; i < c[0]; ++i)
+        for (int j = 0; j < c[1]; ++j)
+            for (int k = 0; k < (b->dim == 3 ? c[2] : 1); ++k, ++q)
+                at[q].code = b->dim == 3 ? (i * side + j) * side + k : i * side + j;
+}
+
+INLINE void set_place(const Batch *b, const Matrix *M, const int32_t *nodes, Place *at, int a, int q, int nb)
 {
     const int side = 2 * M->reach + 1, codes = b->dim == 3 ? side * side * side : side * side;
-    const int n2 = b->dim == 3 ? c[2] : 1, n12 = c[1] * n2;
     const int swapped = M->symmetric && M->number[nodes[a]] > M->number[nodes[q]];
-    const int r = swapped ? q : a, k = swapped ? a : q;
-    int code = (k / n12 - r / n12 + M->reach) * side + k / n2 % c[1] - r / n2 % c[1] + M->reach;
-    if (b->dim == 3) code = code * side + k % n2 - r % n2 + M->reach;
-    return (Place){(int64_t)M->place[(int64_t)nodes[r] * codes + code] * nb, nodes[r], nodes[k], swapped};
+    const int r = swapped ? q : a, k = swapped ? a : q, code = at[k].code - at[r].code + codes / 2;
+    at[q].column = (int64_t)M->place[(int64_t)nodes[r] * codes + code] * nb;
+    at[q].row = nodes[r], at[q].col = nodes[k], at[q].swapped = swapped;
 }
 
 /* A pair with prescribed unknowns: their rows and columns stay out of the matrix, all but the diagonal, and
@@ -122,6 +131,7 @@ INLINE void flush_matrix(const Batch *b, const Matrix *M, int64_t g, const int n
     const int64_t cols = (int64_t)nv * WIDTH;
     int constrained = 0;
     if (M->half) mirror(nb, n, cols, K);
+    set_codes(b, M, c, at);
     for (int a = 0; a < n; ++a)
         for (int i = 0; i < nb; ++i) constrained |= M->fixed[(int64_t)nodes[a] * nb + i];
     for (int a = 0; a < n; ++a) {
@@ -129,7 +139,7 @@ INLINE void flush_matrix(const Batch *b, const Matrix *M, int64_t g, const int n
         const int begin = M->half ? a : 0;
         int swapped = 0;
         for (int q = begin; q < n; ++q) {
-            at[q] = place_of(b, M, nodes, c, a, q, nb);
+            set_place(b, M, nodes, at, a, q, nb);
             swapped |= at[q].swapped;
         }
         if (constrained || swapped) {
