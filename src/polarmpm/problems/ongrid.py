@@ -16,6 +16,8 @@ from ..bodies.reference import Reference
 from ..bodies.seeding import check_inside
 from ..conditions.holding import check_held
 from ..conditions.movinggrid import MovingGrid
+from ..conditions.prescribed import Prescribed
+from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.couples import CoupleForm
 from ..forms.points import PointForm
@@ -75,7 +77,7 @@ class OnGrid(Problem):
             self._system = self._reset()
         else:
             self._drop_pieces(old.interpolation)
-            self._system = self._build(old.interpolation, old.x)
+            self._system = self._build(old.interpolation, self._held(old.interpolation), old.x)
             self._system.carried[:] = old.carried
         if old is not None:
             old.destroy()
@@ -96,25 +98,38 @@ class OnGrid(Problem):
                 self._migrate()
         with self.timer("reset"):
             interpolation = self._interpolate(None)
-        system = self._build(interpolation)
+        present, former = self._held(interpolation), self._former(interpolation)
+        system = self._build(interpolation, present if former is None else former)
         p.carried_work -= in_boxes
         p.reset_due, p.since_reset = False, 0
         p.reset_factor = p.rotation_factor = p.factor
         if self.balanced_reset and p.step:
-            system.leaving = self._left(system.nodes)
             self._put_balance(system)
             self._resets.carry(system)
-        return self._without_leaving_terms(system)
-
-    def _without_leaving_terms(self, system: LoadedPoints) -> LoadedPoints:
-        """The system without terms that have been released since the last converged step; they were there so
-        that what they did isn't carried along."""
-        if not self._drop_pieces(system.interpolation):
+        if former is None and not self._drop_pieces(interpolation):
             return system
-        made = self._build(system.interpolation)
-        made.carried[:] = system.carried
+        # what was carried balances the body with the conditions of the last converged step: what has been
+        # released since leaves it out of balance, and new supports begin without a reaction
+        self._drop_pieces(interpolation)
+        made = self._build(interpolation, present)
+        made.carried[:], made.leaving = system.carried, self._left(system.nodes)
         system.destroy()
         return made
+
+    def _held(self, interpolation: Interpolation) -> Prescribed:
+        """The present supports on the nodes; all of them hold something."""
+        prescribed = self._prescribed(interpolation.nodes, self.supports)
+        volume = interpolation.spread(self.points.volume[:, None])[: interpolation.nodes.owned, 0]
+        check_held(prescribed, volume / np.prod(self.grid.smallest), self.progress.step)
+        return prescribed
+
+    def _former(self, interpolation: Interpolation) -> Prescribed | None:
+        """The supports of the last converged step on the nodes; None: they are the present ones."""
+        left = [s for s in self._leaving if isinstance(s, Support)]
+        stayed = [s for s in self.supports if s.committed]
+        if not self.progress.step or (not left and len(stayed) == len(self.supports)):
+            return None
+        return self._prescribed(interpolation.nodes, [*stayed, *left])
 
     def _drop_pieces(self, interpolation: Interpolation) -> bool:
         """Take away what terms contribute that have been released; whether there was something."""
@@ -171,11 +186,11 @@ class OnGrid(Problem):
         self.load_shares.built(self.points, made.nodes)
         return made
 
-    def _build(self, interpolation: Interpolation, x: np.ndarray | None = None) -> LoadedPoints:
+    def _build(
+        self, interpolation: Interpolation, prescribed: Prescribed, x: np.ndarray | None = None
+    ) -> LoadedPoints:
         """The system on nodes with increments x (nodes, block) since the reset."""
-        prescribed, c = self._prescribed(interpolation.nodes), self._compiled
-        volume = interpolation.spread(self.points.volume[:, None])[: interpolation.nodes.owned, 0]
-        check_held(prescribed, volume / np.prod(self.grid.smallest), self.progress.step)
+        c = self._compiled
         kind: Callable[..., LoadedPoints] = PointSystem
         if self.assembly == "projection":
             # lazy import: direct sums need no assembler of dolfinx
