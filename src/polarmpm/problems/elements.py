@@ -233,7 +233,7 @@ class QuasiStaticFEM(Problem):
     def _prepare(self) -> ElementSystem:
         if self._system is not None and not self._stale:
             return self._system
-        prescribed = self._prescribed(self.elements.nodes, self.supports)
+        prescribed = self._prescribed(self.elements.nodes)
         if prescribed.needs_motion and self.progress.step:
             prescribed.put_motion(self.elements.displacement, self.elements.q)
         with self.timer("compile"):

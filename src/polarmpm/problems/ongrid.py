@@ -77,7 +77,7 @@ class OnGrid(Problem):
             self._system = self._reset()
         else:
             self._drop_pieces(old.interpolation)
-            self._system = self._build(old.interpolation, self._held(old.interpolation), old.x)
+            self._system = self._build(old.interpolation, old.x)
             self._system.carried[:] = old.carried
         if old is not None:
             old.destroy()
@@ -98,38 +98,34 @@ class OnGrid(Problem):
                 self._migrate()
         with self.timer("reset"):
             interpolation = self._interpolate(None)
-        present, former = self._held(interpolation), self._former(interpolation)
-        system = self._build(interpolation, present if former is None else former)
+        balanced = self.balanced_reset and p.step > 0
+        held = self._held_before() if balanced else None
+        if held is not None:  # before anything is changed
+            self._check_held(interpolation, self._prescribed(interpolation.nodes))
+        system = self._build(interpolation, supports=held)
         p.carried_work -= in_boxes
         p.reset_due, p.since_reset = False, 0
         p.reset_factor = p.rotation_factor = p.factor
-        if self.balanced_reset and p.step:
+        if balanced:
             self._put_balance(system)
             self._resets.carry(system)
-        if former is None and not self._drop_pieces(interpolation):
+        if not self._drop_pieces(interpolation) and held is None:
             return system
-        # what was carried balances the body with the conditions of the last converged step: what has been
-        # released since leaves it out of balance, and new supports begin without a reaction
-        self._drop_pieces(interpolation)
-        made = self._build(interpolation, present)
-        made.carried[:], made.leaving = system.carried, self._left(system.nodes)
+        made = self._build(interpolation)
+        made.carried[:] = system.carried
         system.destroy()
         return made
 
-    def _held(self, interpolation: Interpolation) -> Prescribed:
-        """The present supports on the nodes; all of them hold something."""
-        prescribed = self._prescribed(interpolation.nodes, self.supports)
+    def _check_held(self, interpolation: Interpolation, prescribed: Prescribed) -> None:
         volume = interpolation.spread(self.points.volume[:, None])[: interpolation.nodes.owned, 0]
         check_held(prescribed, volume / np.prod(self.grid.smallest), self.progress.step)
-        return prescribed
 
-    def _former(self, interpolation: Interpolation) -> Prescribed | None:
-        """The supports of the last converged step on the nodes; None: they are the present ones."""
+    def _held_before(self) -> list[Support] | None:
+        """Supports with which the last step has converged: what has come or gone since is to be felt, not
+        carried along. None if they are the present ones."""
         left = [s for s in self._leaving if isinstance(s, Support)]
-        stayed = [s for s in self.supports if s.committed]
-        if not self.progress.step or (not left and len(stayed) == len(self.supports)):
-            return None
-        return self._prescribed(interpolation.nodes, [*stayed, *left])
+        held = [s for s in self.supports if s.committed] + left
+        return held if left or len(held) < len(self.supports) else None
 
     def _drop_pieces(self, interpolation: Interpolation) -> bool:
         """Take away what terms contribute that have been released; whether there was something."""
@@ -187,10 +183,16 @@ class OnGrid(Problem):
         return made
 
     def _build(
-        self, interpolation: Interpolation, prescribed: Prescribed, x: np.ndarray | None = None
+        self,
+        interpolation: Interpolation,
+        x: np.ndarray | None = None,
+        supports: Sequence[Support] | None = None,
     ) -> LoadedPoints:
-        """The system on nodes with increments x (nodes, block) since the reset."""
-        c = self._compiled
+        """The system on nodes with increments x (nodes, block) since the reset, with other supports than
+        those that act if they are given."""
+        prescribed, c = self._prescribed(interpolation.nodes, supports), self._compiled
+        if supports is None:
+            self._check_held(interpolation, prescribed)
         kind: Callable[..., LoadedPoints] = PointSystem
         if self.assembly == "projection":
             # lazy import: direct sums need no assembler of dolfinx

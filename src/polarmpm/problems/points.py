@@ -345,7 +345,7 @@ class QuasiStatic(OnGrid):
         interpolation = self._interpolate(reference)
         here = values_by_number(self.comm, lattice, values, interpolation.nodes.lattice)
         x, carried = np.hsplit(here, 2)
-        self._system, self._stale = self._build(interpolation, self._held(interpolation), x), False
+        self._system, self._stale = self._build(interpolation, x), False
         self._system.carried[:] = carried
 
     # results --------------------------------------------------------------------------------------
