@@ -114,6 +114,12 @@ def beam(
     return problem
 
 
+def release_supports(problem: Any) -> None:
+    """Take all supports away."""
+    for support in problem.supports:
+        problem.release(support)
+
+
 @pytest.fixture
 def strict() -> pm.Controls:
     """Newton's tolerances at which answers are the same to about 1e-12."""

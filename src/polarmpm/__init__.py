@@ -17,6 +17,7 @@ from .errors import (
     NotConverged,
     PointsOutsideGrid,
     PolarMPMError,
+    SupportLost,
     TrustWarning,
 )
 from .forms.stresses import MaterialField
@@ -97,6 +98,7 @@ __all__ = [
     "Selection",
     "SmoothPart",
     "Step",
+    "SupportLost",
     "Surface",
     "SurfaceTerm",
     "Table",

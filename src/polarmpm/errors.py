@@ -26,6 +26,11 @@ class PointsOutsideGrid(PolarMPMError, ValueError):
         super().__init__(f"{count} material point(s) outside the grid ({where}): ids {shown}")
 
 
+class SupportLost(PolarMPMError, RuntimeError):
+    """At a reset of the grid the body has left a support, which would hold nothing from there on; raised on
+    all ranks alike, naming the support, the step and what to do. The last converged state is intact."""
+
+
 class NotConverged(PolarMPMError, RuntimeError):
     """A load step did not converge; the last converged state is intact.
 

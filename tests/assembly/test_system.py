@@ -33,6 +33,7 @@ from tests.conftest import (
     beam,
     by_id,
     derivative_error,
+    release_supports,
     rotation,
 )
 
@@ -64,12 +65,12 @@ def scattered(
 
 
 def make_system(
-    points: Points, basis: str, *, full: bool = False, supports=(), solver: str = "auto"
+    points: Points, basis: str, *, full: bool = False, supports=(), solver: str = "auto", boxes: bool = False
 ) -> PointSystem:
     """The system of points on a grid of unit cells; `full` asks for an unsymmetric tangent."""
     grid = pm.Grid.box((-2,) * points.dim, (4,) * points.dim, 1.0)
     forms = [PointForm(m, points.dim) for m in points.materials]
-    interpolation = Interpolation(grid, points, basis_of(basis), forms)
+    interpolation = Interpolation(grid, points, basis_of(basis), forms, boxes=boxes)
     layout = forms[0].layout
     made = [
         make_support(where, "nodes", components, layout, k) for k, (where, components) in enumerate(supports)
@@ -232,13 +233,16 @@ def test_prescribed_increments_load_the_free_unknowns(dim, full, solver):
     if full and dim == 2:
         pytest.skip("couples in plane strain are nodal loads")
     points = scattered(dim, MICROPOLAR)
-    supports = [(lambda x: x[:, 0] < 0.5, {"ux": 0.1, "theta": 0.2}), (lambda x: x[:, 1] > 1.5, {"uy": -0.3})]
+    supports = [
+        (lambda x: x[:, 0] < 0.5, {"ux": 0.1, "theta": 0.2 if dim == 2 else (0.2,) * 3}),
+        (lambda x: x[:, 1] > 1.5, {"uy": -0.3}),
+    ]
     free_system = make_system(points, "gimpm", full=full)
     system = make_system(points, "gimpm", full=full, supports=supports, solver=solver)
     x = random_increment(system)
     k = tangent_at(free_system, x)
     put(system, x)
-    system.set_prescribed(system.prescribed.increments(1.0, 0.0, 0.0))
+    system.set_prescribed(system.prescribed.increments(1.0))
     assert system.pending()
     system.evaluate(True)
     fixed = collected(system, system.prescribed.fixed)
@@ -310,7 +314,8 @@ def patch(
 def prescribe_motion(problem: pm.QuasiStatic, F_at, vector: np.ndarray) -> None:
     """Replace the patch's support by one that follows F(t), with rotations t * vector."""
     dim = problem.grid.dim
-    where, problem.supports = problem.supports[0].where, []
+    where = problem.supports[0].where
+    release_supports(problem)
     theta = {"theta": vector if dim == 3 else vector[2]} if problem.layout.rotations else {}
     problem.fix(where, u=lambda t, x: x @ (F_at(t)[:dim, :dim] - np.eye(dim)).T, **theta)
 

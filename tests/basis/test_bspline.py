@@ -12,7 +12,7 @@ import pytest
 import polarmpm as pm
 from polarmpm.basis.registry import basis_of
 from polarmpm.bodies.points import Points
-from tests.conftest import COMM, HENCKY, MICROPOLAR, NEO_HOOKEAN, by_id
+from tests.conftest import COMM, HENCKY, MICROPOLAR, NEO_HOOKEAN, by_id, release_supports
 
 SPLINES = basis_of("bspline")
 EACH = pytest.mark.parametrize("basis", ["bspline", "bspline-averaged", "bspline3"])
@@ -226,7 +226,7 @@ def test_patch_of_a_body_that_cuts_cells(dim, material, reset, basis, strict):
 def test_rigid_rotation(basis, strict):
     """A body that cuts cells turns without strain; control values of a linear field are the field's."""
     problem = block(2, MICROPOLAR, 0.37, basis, reset=None, controls=strict)
-    problem.supports.clear()
+    release_supports(problem)
 
     def turn(t: float, x: np.ndarray) -> np.ndarray:
         c, s = np.cos(0.5 * t), np.sin(0.5 * t)
@@ -328,7 +328,7 @@ def test_interior_planes_are_refused():
 def test_grid_file_shows_the_field_at_the_corners(folder, reset, basis):
     """Displacements at the cells' corners, not the control values; slivers are left out."""
     problem = block(2, MICROPOLAR, 0.05, basis, reset=reset)
-    problem.supports.clear()
+    release_supports(problem)
     problem.fix(lambda x: np.full(len(x), True), ux=lambda t, x: 0.1 * t * x[:, 0], uy=0, theta=0.2)
     with pm.Recorder(folder / "strip.pvd", problem, grid=True) as record:
         for step in problem.march(1, progress=False):

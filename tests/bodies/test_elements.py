@@ -239,7 +239,7 @@ def test_curved_cells(gmsh):
     problem.pressure(surface, 100.0)
     problem.fix(lambda x: np.hypot(*x.T) < 0.2, theta=0)
     problem.fix(lambda x: abs(x[:, 0]) > 1 - 1e-9, uy=0)
-    problem.fix(lambda x: abs(x[:, 1]) > 1 - 1e-9, ux=0)
+    problem.fix(lambda x: x[:, 0] > 1 - 1e-9, ux=0)
     list(problem.march(1))
     stress = np.concatenate(COMM.allgather(problem.fields().stress))
     np.testing.assert_allclose(stress[:, 0, 0], -100.0, rtol=0.01)

@@ -11,6 +11,7 @@ import polarmpm as pm
 from polarmpm.conditions.amplitudes import Amplitude
 from polarmpm.conditions.loads import point_loads
 from tests.conftest import COMM, MICROPOLAR, NEO_HOOKEAN, beam, by_id
+from tests.helpers.bodies import box
 
 
 def tip_of(problem: pm.QuasiStatic) -> pm.Selection:
@@ -66,6 +67,142 @@ def test_equal_values_are_no_contradiction():
     problem.fix(lambda x: x[:, 0] < 0.5, ux=0.0)
     problem.load(tip_of(problem), force=(5.0, 0.0))
     assert len(list(problem.march(1))) == 1
+
+
+def test_supports_that_agree_to_rounding():
+    """A half sine ends at 1.2e-16 times its size, not at zero; a real contradiction of that size is one."""
+    for small, agree in ((0.0, True), (1e-6, False)):
+        problem = beam(2)
+        problem.fix(lambda x: x[:, 0] < 0.5, uy=small)
+        problem.fix(lambda x: x[:, 1] > 1.5, uy=lambda t, x: 0.02 * t * np.sin(np.pi * (1.0 + x[:, 0])))
+        if agree:
+            list(problem.march(1))
+        else:
+            with pytest.raises(pm.InputError, match=r"support 2 .* contradicts support 1"):
+                list(problem.march(1))
+
+
+@pytest.mark.parametrize("basis", ["mpm", "bspline"])
+def test_a_support_on_nothing(basis):
+    """Named when the first step begins, with the places where nodes are; also of nodes without any weight."""
+    for nowhere in (
+        lambda x: np.zeros(len(x), dtype=bool),
+        lambda x: abs(x[:, 0] - 1.1) < 1e-6,
+        lambda x: x[:, 1] < -2.0,
+    ):
+        grid = pm.Grid.box((0, -3), (6, 3), 1.0)
+        points = pm.seed(grid, material=NEO_HOOKEAN, bounds=((0, 0), (3, 1)))
+        problem = pm.QuasiStatic(grid, points, basis=basis)
+        problem.fix(pm.plane(x=0.0), u=0)
+        lost = problem.fix(nowhere, u=0)
+        with pytest.raises(pm.InputError, match=r"support 2 \(<lambda>\) holds nothing.*x = .*0.*; y = "):
+            list(problem.march(1))
+        problem.release(lost)
+        problem.load(tip_of(problem), force=(1.0, 0.0))
+        assert len(list(problem.march(1))) == 1
+        problem.fix(nowhere, u=0)  # in mid-run too
+        with pytest.raises(pm.InputError, match="holds nothing"):
+            list(problem.march(1, to=2.0))
+    solid = pm.QuasiStaticFEM(pm.Elements(box("quadrilateral", (4, 1), (4.0, 1.0)), material=MICROPOLAR))
+    with pytest.raises(pm.InputError, match="holds nothing"):  # at once: a mesh knows its nodes
+        solid.fix(lambda x: x[:, 0] > 5.0, u=0)
+    assert solid.supports == ()
+
+
+def test_nodes_that_no_point_weights_hold_nothing():
+    """Points on a plane of the grid touch the nodes of both cells, without weight at the far ones."""
+    grid = pm.Grid.box((0, 0), (4, 2), 1.0)
+    points = pm.seed(grid, material=NEO_HOOKEAN, bounds=((0, 0), (2, 1)), points_per_cell=1)
+    points.x = points.X = points.x + np.array([0.5, 0.0]) * (points.x > [1.0, 9.0])
+    problem = pm.QuasiStatic(grid, points, basis="mpm")
+    problem.fix(pm.plane(x=0.0), u=0)
+    problem.fix(pm.plane(x=3.0), ux=0)
+    with pytest.raises(pm.InputError, match=r"support 2 \(x = 3\) holds nothing"):
+        list(problem.march(1))
+
+
+def test_one_number_for_a_vector():
+    """Only zero may stand for all components; the message shows how to write what is meant."""
+    problem = beam(2)
+    tip, line = tip_of(problem), pm.Surface.line((3.5, 0.3), (3.5, 1.3), 4)
+    for act, hint in (
+        (lambda: problem.load(tip, force=-1e4), r"force=\(-10000.0, 0\)"),
+        (lambda: problem.body_load(force=9.81), r"force=\(9.81, 0\)"),
+        (lambda: problem.fix(pm.plane(y=0.0), u=0.1), r"u=\(0.1, 0\)"),
+        (lambda: problem.traction(line, force=2.0), r"force=\(2.0, 0\)"),
+        (lambda: problem.load(line, force=lambda t: 3.0), r"force=\(3.0, 0\)"),
+        (lambda: problem.fix(pm.plane(y=0.0), u=lambda t: 0.1 * t), r"u=\(0.1, 0\)"),
+    ):
+        with pytest.raises(pm.InputError, match=f"one number .*for 2 components; write {hint}"):
+            act()
+    assert (len(problem.supports), len(problem.loads), len(problem.terms)) == (1, 0, 0)
+    space = beam(3)
+    with pytest.raises(pm.InputError, match=r"couple=\(5.0, 0, 0\)"):
+        space.load(tip_of(space), couple=5.0)
+    with pytest.raises(pm.InputError, match=r"theta=\(0.1, 0, 0\)"):
+        space.fix(pm.plane(y=0.0), theta=0.1)
+    problem.fix(pm.plane(x=0.0), u=0.0)  # zero is zero
+    problem.load(tip, force=lambda t: 0.0)
+    problem.body_load(force=lambda t, X: t * X[:, 0])
+    with pytest.raises(pm.InputError, match=r"body load 2, force returned one number .* for each position"):
+        list(problem.march(1))
+
+
+def test_selections_that_are_none_of_the_body():
+    """Of another seeding, unsorted, repeated, with ids that don't exist."""
+    problem = beam(2)
+    points, grid = problem.points, problem.grid
+    other = pm.seed(grid, material=MICROPOLAR, points_per_cell=4, bounds=((0, 0), (3.5, 1.0)))
+    same = beam(2).points
+    for ids in ([3, 1], [1, 1], [[1, 2]], [0.5, 1.5]):
+        with pytest.raises(pm.InputError, match="Selection: ids"):
+            pm.Selection(np.array(ids))
+    strange = other.farthest((1, 0)), pm.Selection(np.array([1, 10**6]))
+    for selection, message in zip(strange, ("of another body", "1 of its 2 ids"), strict=True):
+        for act in (
+            lambda s=selection: problem.load(s, force=(1.0, 0.0)),
+            lambda s=selection: problem.body_load(force=(1.0, 0.0), on=s),
+            lambda s=selection: points.mean_displacement(s),
+            lambda s=selection: points.assign(s, MICROPOLAR),
+        ):
+            with pytest.raises(pm.InputError, match=message):
+                act()
+    assert problem.loads == ()
+    problem.load(pm.Selection(np.array([1, 2, 3])), force=(1.0, 0.0))  # by hand
+    problem.load(same.farthest((1, 0)), force=(1.0, 0.0))  # the very same points, made again
+    list(problem.march(2))
+
+
+def test_selections_stay_valid():
+    """While points move, between ranks too, get another material, and are joined by others."""
+    grid = pm.Grid.box((0, 0), (8, 2), 1.0)
+    points = pm.seed(grid, material=MICROPOLAR, bounds=((0, 0), (2, 1)))
+    more = pm.seed(grid, material=MICROPOLAR, bounds=((2, 0), (4, 1)))
+    mine, theirs = points.farthest((1, 0)), more.farthest((1, 0))
+    x = points.mean(points.X, mine)
+    points.join(more)
+    np.testing.assert_allclose(points.mean(points.X, mine), x)
+    with pytest.raises(pm.InputError, match="another body"):
+        points.mean(points.X, theirs)  # its ids are others now
+    every = points.where(lambda x: x[:, 0] > 3.0)
+    points.assign(every, pm.MicropolarElastic(lam=3e3, mu=2e3, kappa=7e2, alpha=11.0, beta=13.0, gamma=18.0))
+    points.migrate((np.arange(len(points)) + COMM.rank) % COMM.size)
+    np.testing.assert_allclose(points.mean(points.X, mine), x)
+    assert points.mean(points.X, every)[0] == pytest.approx(3.5)
+
+
+def test_facets_of_another_mesh():
+    coarse, fine = (
+        pm.Elements(box("quadrilateral", n, (4.0, 1.0)), material=MICROPOLAR) for n in ((4, 1), (8, 2))
+    )
+    problem = pm.QuasiStaticFEM(coarse)
+    for act in (
+        lambda: problem.load(fine.farthest((1, 0)), force=(1.0, 0.0)),
+        lambda: problem.fix(fine.farthest((1, 0)), u=0),
+        lambda: coarse.mean_displacement(fine.farthest((1, 0))),
+    ):
+        with pytest.raises(pm.InputError, match="of another body"):
+            act()
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, (0.0, np.nan)])

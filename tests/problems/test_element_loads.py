@@ -7,7 +7,7 @@ import pytest
 
 import polarmpm as pm
 from polarmpm.kinematics import rotations
-from tests.conftest import MICROPOLAR, NEO_HOOKEAN, derivative_error, rotation
+from tests.conftest import MICROPOLAR, NEO_HOOKEAN, derivative_error, release_supports, rotation
 from tests.helpers.bodies import (
     DIMENSION,
     box,
@@ -193,21 +193,21 @@ def far(x):
 
 
 def add_pressure(problem):
-    problem.pressure(everywhere, 400.0)
+    problem.pressure(everywhere, 400.0, counts="total")
 
 
 def add_follower(problem):
     dim = problem.layout.dim
-    problem.traction(far, force=np.array([300.0, -500.0, 200.0])[:dim], follows=True)
+    problem.traction(far, force=np.array([300.0, -500.0, 200.0])[:dim], follows=True, counts="total")
 
 
 def add_couples(problem):
     spatial = problem.layout.dim == 3
     couple = np.array([300.0, -200.0, 500.0]) if spatial else 300.0
-    problem.traction(far, couple=couple)
-    problem.traction(far, couple=couple, follows=True)
-    problem.load(everywhere, couple=couple)
-    problem.body_load(couple=couple)
+    problem.traction(far, couple=couple, counts="total")
+    problem.traction(far, couple=couple, follows=True, counts="total")
+    problem.load(everywhere, couple=couple, counts="total")
+    problem.body_load(couple=couple, counts="total")
 
 
 @pytest.mark.parametrize("load", [add_pressure, add_follower, add_couples])
@@ -216,7 +216,7 @@ def test_tangent_of_loads(cell, degree, load):
     """Loads that depend on the unknowns are differentiated, in a state that is deformed already."""
     problem, dim = block(cell, degree, distort=0.1), DIMENSION[cell]
     loads_after(problem, F_OF[dim], 0.4 * np.ones(3), steps=1)
-    problem.supports.clear()
+    release_supports(problem)
     load(problem)
     system = prepared(problem)
     x = np.random.default_rng(7).uniform(-0.1, 0.1, (1, problem.unknowns))
@@ -367,7 +367,7 @@ def test_mistakes_are_named():
         (lambda: solid.fix(end, theta=0), "no microrotation"),
         (lambda: solid.load(end, couple=1.0), "no microrotation"),
         (lambda: solid.traction(end, couple=1.0), "no microrotation"),
-        (lambda: solid.load(end, force=(1.0, 2.0)), "one number or 3"),
+        (lambda: solid.load(end, force=(1.0, 2.0)), "3 numbers are"),
         (lambda: problem.pressure(end, (1.0, 2.0)), "one number"),
         (lambda: problem.pressure(end, None), "no value|neither|not given"),
         (lambda: problem.traction(end), "neither force nor couple"),

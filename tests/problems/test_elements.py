@@ -23,6 +23,7 @@ from tests.conftest import (
     NEO_HOOKEAN,
     by_id,
     derivative_error,
+    release_supports,
     rotation,
 )
 from tests.helpers.bodies import (
@@ -261,7 +262,7 @@ def test_tangent_is_the_derivative_of_the_residual(cell, degree, material):
     F = np.eye(3) + 0.5 * SHAPES[dim]
     problem = patch(cell, degree, material, lambda t: np.eye(3) + t * (F - np.eye(3)), 0.6 * np.ones(3), None)
     list(problem.march(1))
-    problem.supports.clear()
+    release_supports(problem)
     problem._stale = True
     system = prepared(problem)
     x = np.random.default_rng(7).uniform(-0.05, 0.05, (1, problem.unknowns))

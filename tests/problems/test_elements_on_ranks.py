@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import polarmpm as pm
-from tests.conftest import COMM, MICROPOLAR, NEO_HOOKEAN
+from tests.conftest import COMM, MICROPOLAR, NEO_HOOKEAN, release_supports
 from tests.helpers.bodies import box, cantilever, everywhere
 from tests.helpers.ranks import close, on_ranks
 from tests.problems.test_points_on_ranks import STRICT
@@ -33,7 +33,7 @@ def all_loads() -> pm.QuasiStaticFEM:
 
 def quadratic() -> pm.QuasiStaticFEM:
     problem = cantilever("quadrilateral", degree=2, cells=(5, 2), distort=0.08, controls=STRICT)
-    problem.supports.clear()
+    release_supports(problem)
     problem.fix(lambda x: x[:, 0] < 0.1, u=0, theta=0)
     problem.load(lambda x: x[:, 0] > 3.8, force=(4.0, -8.0), couple=3.0)
     return problem

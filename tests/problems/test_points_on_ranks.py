@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import polarmpm as pm
+from tests.conftest import release_supports
 from tests.helpers.ranks import close, on_ranks
 
 COMM = MPI.COMM_WORLD
@@ -50,7 +51,7 @@ def kept_weights() -> pm.QuasiStatic:
 
 
 def balanced() -> pm.QuasiStatic:
-    """Resets after which nodal forces are carried along."""
+    """Resets after which initial stresses are carried along."""
     problem = body(2, balanced_reset=True)
     problem.load(problem.points.farthest((1, 0)), force=(4.0, -60.0), couple=30.0)
     return problem
@@ -157,7 +158,7 @@ def contradiction() -> pm.QuasiStatic:
 
 def outside() -> pm.QuasiStatic:
     problem = body(2, basis="mpm")
-    problem.supports.clear()
+    release_supports(problem)
     problem.fix(lambda x: np.ones(len(x), dtype=bool), ux=lambda t, x: t * x[:, 0], uy=0, theta=0)
     return problem
 

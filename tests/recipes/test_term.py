@@ -156,7 +156,7 @@ FOOT = pm.Surface.line((0.0, 0.0), (WIDTH, 0.0), 4)
 )
 def test_terms_that_cannot_be(make, message):
     problem, _ = foundation("mpm", NEO_HOOKEAN)
-    before = list(problem.terms)
+    before = problem.terms
     with pytest.raises(pm.InputError, match=message):
         problem.add(make())
     assert problem.terms == before

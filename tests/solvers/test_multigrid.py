@@ -17,7 +17,7 @@ from polarmpm.solvers.choice import is_large
 from polarmpm.solvers.direct import DirectSolver
 from polarmpm.solvers.linear import SingularTangent
 from polarmpm.solvers.multigrid import MultigridSolver, rigid_motions
-from tests.conftest import COMM, HENCKY, MICROPOLAR, beam, rotation
+from tests.conftest import COMM, HENCKY, MICROPOLAR, beam, release_supports, rotation
 from tests.helpers.bodies import box, cantilever
 
 STRICT = pm.Controls(force_tolerance=1e-12, energy_tolerance=1e-26)
@@ -76,7 +76,7 @@ def solver_of(problem: Any) -> Any:
 def tangent(problem: Any) -> Any:
     """The system with residual and tangent of the full load at the start. Collective."""
     system = problem.system_at(1.0)
-    system.set_prescribed(system.prescribed.increments(1.0, 0.0, 0.0))
+    system.set_prescribed(system.prescribed.increments(1.0))
     system.evaluate(True)
     return system
 
@@ -163,7 +163,7 @@ def test_the_plane_is_solved_too():
 def free_body(dim: int, of: pm.Material) -> Any:
     """The system of a body that nothing holds, unloaded."""
     problem = beam(dim, of, solver="multigrid")
-    problem.supports.clear()
+    release_supports(problem)
     problem._stale = True
     return problem.system_at(0.0)
 

@@ -432,7 +432,7 @@ def test_backtracking_leaves_prescribed_values_to_be_put_in():
     problem = beam(2)
     problem.fix(pm.plane(x=4.0), ux=0.2)
     system = problem.system_at(1.0)
-    system.set_prescribed(system.prescribed.increments(1.0, 0.0, 0.0))
+    system.set_prescribed(system.prescribed.increments(1.0))
     assert not system.backtrack()
     system.evaluate(True)
     system.update(True)

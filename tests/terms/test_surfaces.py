@@ -252,8 +252,8 @@ def conditioned(kind: str, dim: int, material: pm.Material, **options: Any) -> p
     elif kind == "rollers":
         problem.fix(surface, normal=0.02)
     else:
-        theta = {"theta": 0.05} if material.micropolar else {}
-        problem.fix(surface, stiffness=3e4, u=0.03, **theta)
+        theta = {"theta": 0.05 if dim == 2 else (0.05,) * 3} if material.micropolar else {}
+        problem.fix(surface, stiffness=3e4, u=(0.03,) * dim, **theta)
     return problem
 
 
@@ -449,9 +449,14 @@ def everything_at_once(dim: int, **options: Any) -> pm.QuasiStatic:
     problem = block(low, high, MICROPOLAR, ghost="thesis", **options)
     inside = face(low, high, 0, 0)
     inside.x[:, 0] += 0.2
-    problem.fix(inside, u=lambda f, x: 0.1 * f * x, theta=0.1, augment=True)
+    theta = 0.1 if dim == 2 else (0.1, 0.1, 0.1)
+    problem.fix(inside, u=lambda f, x: 0.1 * f * x, theta=theta, augment=True)
     problem.pressure(face(low, high, 1, 0), 60.0)
-    problem.traction(face(low, high, 0, 1), force=np.array([40.0, -30.0, 20.0])[:dim], couple=5.0)
+    problem.traction(
+        face(low, high, 0, 1),
+        force=np.array([40.0, -30.0, 20.0])[:dim],
+        couple=5.0 if dim == 2 else (5.0,) * 3,
+    )
     return problem
 
 
@@ -514,10 +519,10 @@ LINE = pm.Surface.line((0.5, 0.5), (2.5, 0.5), 4)
     ("act", "message"),
     [
         (lambda p: p.traction(LINE), "traction 1: neither force nor couple is given"),
-        (lambda p: p.traction(LINE, force=(1, 2, 3)), "traction 1, force = .* one number or 2 of them"),
+        (lambda p: p.traction(LINE, force=(1, 2, 3)), "traction 1, force = .* 2 numbers are needed"),
         (lambda p: p.traction("face", force=1.0), "surface = 'face' is not a Surface"),
-        (lambda p: p.traction(slanted(3), force=1.0), "the surface has 3 dimensions, the grid has 2"),
-        (lambda p: p.pressure(LINE, (1, 2)), "pressure 1, p = .* one number or 1 of them"),
+        (lambda p: p.traction(slanted(3), force=(1.0, 0.0)), "the surface has 3 dimensions, the grid has 2"),
+        (lambda p: p.pressure(LINE, (1, 2)), "pressure 1, p = .* one number is needed"),
         (lambda p: p.pressure(LINE, np.inf), "finite numbers are allowed"),
         (lambda p: p.fix(LINE), "names no component"),
         (lambda p: p.fix(LINE, uz=0), "unknown component 'uz'"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from ..conditions.prescribed import Prescribed
 from ..forms.elements import ElementForms
 from ..geometry.spacenodes import SpaceNodes
+from ..kinematics import rotations
 from ..terms.base import Piece
 from ..tools import compat
 from ..tools.timing import Timer
@@ -85,6 +87,37 @@ class ElementSystem(NodalSystem):
         out = np.tile(shares[:, None], (1, self.layout.block))  # what the mesh's vectors hold
         self.nodes.add_to_owners(out)
         return out[:, 0]
+
+    def spatial_loads(self) -> np.ndarray:
+        loads, d = self._body_loads(), self.layout.dim
+        if self.layout.rotations == 3:  # what does work on Dw is J_r(Dw)^T times the couple
+            turned = np.linalg.solve(rotations.right_tangent(self.x[:, d:]), loads[:, d:, None])[:, :, 0]
+            loads = np.hstack([loads[:, :d], turned])
+        return loads
+
+    @cached_property
+    def _functions(self) -> np.ndarray:
+        """Values of the nodes' functions at the quadrature points of a cell, (nq, n)."""
+        e = self.forms.elements
+        values: np.ndarray = compat.tabulate(e.body.cell, e.degree, e.reference_points)[0]
+        return values
+
+    def at_points(self, x: np.ndarray) -> np.ndarray:
+        e = self.forms.elements
+        of_cells = x[e.cell_nodes[: len(e.body.owned_cells)]]
+        values: np.ndarray = np.einsum("qn,cnb->cqb", self._functions, of_cells)
+        return values.reshape(-1, x.shape[1])
+
+    def from_points(self, values: np.ndarray) -> np.ndarray:
+        e = self.forms.elements
+        nodes, out = e.cell_nodes[: len(e.body.owned_cells)], np.zeros_like(self.x)
+        at_points = values.reshape(len(nodes), -1, values.shape[1])
+        np.add.at(out, nodes, np.einsum("qn,cqb->cnb", self._functions, at_points))
+        self.nodes.add_to_owners(out)
+        return out
+
+    def point_volumes(self) -> np.ndarray:
+        return self.forms.elements.points.volume0
 
     def start_elastic(self, on: bool) -> bool:
         return self.forms.start_elastic(on)

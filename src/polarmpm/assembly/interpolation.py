@@ -30,8 +30,8 @@ from ..materials.base import parameter_values
 from ..terms.base import Boxes, Piece, Term
 from ..terms.settings import GridSetting
 from ..tools.parallel import errors_on_all_ranks
-from .pointboxes import PointBoxes, all_boxes, has_boxes
 from .nodesets import Groups, group_points, node_sets_of, ownership_priorities, reached_cells
+from .pointboxes import PointBoxes, all_boxes, has_boxes
 
 
 @dataclass
@@ -67,9 +67,9 @@ class Interpolation:
         terms: Sequence[Term] = (),
         boxes: bool = False,
     ):
-        self.grid, self.points, self.forms = grid, points, forms
+        self.grid, self.points, self.basis, self.forms = grid, points, basis, forms
         self.layout: Layout = forms[0].layout
-        self.reference = r = reference or Reference.of(points)
+        self.reference = r = reference or Reference.of(points, self.layout.block)
         cells = basis.supporting_cells(grid, r.x) if basis.sliver else None
         half = basis.domains(r.F, points.half_length0) if basis.uses_domains else None
         filled = boxes and has_boxes(points)
@@ -81,7 +81,7 @@ class Interpolation:
         self.pieces: list[Piece] = []
         for term in terms:
             for piece in term.pieces(setting):
-                piece.fresh = not term.committed
+                piece.of, piece.fresh = term, not term.committed
                 self.pieces.append(piece)
         of_pieces = [_boxes_of(piece) for piece in self.pieces]
         more = [b.numbers(grid).ravel() for b in of_pieces]
@@ -148,7 +148,7 @@ class Interpolation:
 
     def rebase_rotations(self) -> None:
         """Count rotation increments from the points' current rotations on; weights and F stay."""
-        self.reference.q, self.reference.wryness = self.points.q.copy(), self.points.wryness.copy()
+        self.reference.rebase_rotations(self.points)
         self.pack()
 
     def kernel_inputs(self, batch: PointBatch, x: np.ndarray) -> np.ndarray:

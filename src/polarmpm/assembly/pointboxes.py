@@ -1,13 +1,14 @@
 """The points' boxes: the strain energy varies over them, and the points see it (docs/theory.md).
 
-A point stands for a box with half axes d_k, which the deformation at the last reset has stretched and turned. With z
-the unknowns at the point and z_k their derivatives along d_k, the energy of the box is that of the rule of degree 3
-with its centre and the centres of its faces,
+A point stands for a box with half axes d_k, which the deformation at the last reset has stretched and turned.
+With z the unknowns at the point and z_k their derivatives along d_k, the energy of the box is that of the
+rule of degree 3 with its centre and the centres of its faces,
 
     W(z) + share / 6 sum_k [W(z + z_k) + W(z - z_k) - 2 W(z)].
 
-The sums over points hold the first term; what the others add is here. Plastic points take their elastic energy at
-frozen flow, with a small share once they have flowed: the energy of points that flow on hardly grows.
+The sums over points hold the first term; what the others add is here. Plastic points take their elastic
+energy at frozen flow, with a small share once they have flowed: the energy of points that flow on hardly
+grows.
 """
 
 from __future__ import annotations
@@ -58,8 +59,8 @@ class PointBoxes:
     def pack(self, reference: Reference) -> None:
         """Take in the state of the points: which of them have flowed, and the base of the rotations.
 
-        Nodal rotations count from their base on. Of those before it the points know the derivative along their half axes
-        from what their wryness has grown by since the reset.
+        Nodal rotations count from their base on. Of those before it the points know the derivative along
+        their half axes from what their wryness has grown by since the reset.
         """
         r, d, rows, p = self.layout.rotations, self.layout.dim, self.rows, self.points
         share = np.ones(len(rows))
@@ -73,7 +74,8 @@ class PointBoxes:
         self._arrays |= {"box_share": share, "box_turns": np.ascontiguousarray(turns)}
 
     def put(self, kernels: native.PointKernels, kernel: Kernel | None) -> None:
-        """Put the boxes into the kernels of the batch; without a kernel of the elastic residual there are z_k only."""
+        """Put the boxes into the kernels of the batch; without a kernel of the elastic residual there are z_k
+        only."""
         address = None if kernel is None else kernel.address
         native.fill(kernels, box_kernel=address, **self._arrays)
 
@@ -103,7 +105,8 @@ class PointBoxes:
             raise MemoryError("no memory for the sums over the points' boxes")
 
     def gather(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """z (n, unknowns), gradients in the frame of the state, and z_k (n, d, unknowns) at nodal increments."""
+        """z (n, unknowns), gradients in the frame of the state, and z_k (n, d, unknowns) at nodal
+        increments."""
         n, nz = len(self.rows), self.layout.unknowns
         z, zk = np.empty((n, nz)), np.empty((n, self.layout.dim, nz))
         kernels = native.PointKernels()
@@ -130,8 +133,8 @@ class PointBoxes:
         return energy
 
     def work(self, kernel: Kernel, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Work (J) of the change of the elastic stresses on the change of the strains between nodal increments (nodes,
-        block), for each point (n,): inside its box, and in all.
+        """Work (J) of the change of the elastic stresses on the change of the strains between nodal
+        increments (nodes, block), for each point (n,): inside its box, and in all.
 
         Args:
             kernel: of the elastic residual.

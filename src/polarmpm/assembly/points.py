@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+from abc import abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
+
+from mpi4py import MPI
 
 import numpy as np
 
@@ -18,6 +21,7 @@ from ..solvers.choice import make_solver, solver_of
 from ..solvers.linear import Tangent
 from ..tools.timing import Timer
 from . import sparsity
+from .initialstress import InitialStress
 from .interpolation import Interpolation, PointBatch
 from .system import Assembled, NodalSystem
 
@@ -28,13 +32,19 @@ if TYPE_CHECKING:
 _FEW = 2  # points a node
 _RENEWED = 3  # tangent of a step from which on that of the boxes is near the solution's
 _STUBBORN = 5  # tangent from which on a step needs the boxes' own each time
+_UNFELT = 1e-12  # of a tangent's diagonal, added to it
 _WEAK = 0.2  # share of a cell: nodes beyond edges of the body, and beyond faces that hardly enter a cell
 
 
 class LoadedPoints(NodalSystem):
-    """Kernels and loads of the points. How their virtual work is summed is left to subclasses."""
+    """Kernels and loads of the points. How their virtual work is summed is left to subclasses.
+
+    Attributes:
+        initial: initial stresses of the points; None: there are none.
+    """
 
     nodes: ActiveNodes
+    initial: InitialStress | None = None
 
     def __init__(
         self,
@@ -80,6 +90,15 @@ class LoadedPoints(NodalSystem):
     def node_volumes(self) -> np.ndarray:
         return self.interpolation.spread(self.interpolation.points.volume0[:, None])[:, 0]
 
+    def at_points(self, x: np.ndarray) -> np.ndarray:
+        return self.interpolation.gather(np.ascontiguousarray(x)).value
+
+    def from_points(self, values: np.ndarray) -> np.ndarray:
+        return self.interpolation.spread(values)
+
+    def point_volumes(self) -> np.ndarray:
+        return self.interpolation.points.volume0
+
     def set_loads(self, forces: np.ndarray, couples: np.ndarray) -> None:
         """Forces (np, d) and couples (np, r) at the points. Collective."""
         self._at_points = forces, couples
@@ -115,6 +134,25 @@ class LoadedPoints(NodalSystem):
         mapping = self.mappings[k]
         if mapping is not None:
             self._put_yielding(mapping, k, tangent, kernels)
+        if self.initial is not None:
+            self.initial.put(k, tangent, kernels)
+        return kernels
+
+    def initial_energy(self, x: np.ndarray) -> float:
+        return 0.0 if self.initial is None else self.initial.energy(x)
+
+    @abstractmethod
+    def assemble_moduli(self, blocks: Sequence[np.ndarray], shift: float) -> None:
+        """Put the sum over the points of given tangents into the matrix, without any terms. Collective.
+
+        Args:
+            blocks: of each batch (n, nz (1 + nz)), per volume, as of a return mapping.
+            shift: what is added to the diagonal, over its largest entry.
+        """
+
+    def _given(self, blocks: np.ndarray) -> native.PointKernels:
+        kernels = native.PointKernels()
+        native.fill(kernels, returned_of=np.arange(len(blocks), dtype=np.int32), returned=blocks)
         return kernels
 
     def _put_yielding(
@@ -143,6 +181,8 @@ class LoadedPoints(NodalSystem):
     def rebase_rotations(self) -> None:
         """Count rotation increments from the points' current rotations on. Collective."""
         self.interpolation.rebase_rotations()
+        if self.initial is not None:
+            self.initial.pack()
         self.forget_rotations()
 
 
@@ -202,8 +242,8 @@ class PointSystem(LoadedPoints):
         return Assembled(internal - self._dead_forces(), lifted)
 
     def _begin_tangent(self, lifted: np.ndarray | None) -> None:
-        """Begin the tangent's sums with what the points' boxes add; where that is at hand from an earlier iteration, it
-        is good enough."""
+        """Begin the tangent's sums with what the points' boxes add; where that is at hand from an earlier
+        iteration, it is good enough."""
         values, boxes, step = self.pattern.values, self.interpolation.boxes, self.step
         step.tangents += 1
         later = step.tangents >= _STUBBORN or (self._factors_cost and step.tangents == _RENEWED)
@@ -243,6 +283,23 @@ class PointSystem(LoadedPoints):
         if failed:
             raise MemoryError("no memory for the sums over material points")
 
+    def assemble_moduli(self, blocks: Sequence[np.ndarray], shift: float) -> None:
+        pattern, nothing = self.pattern, np.zeros_like(self.x)
+        pattern.values[:] = 0.0
+        native.fill(pattern.matrix, lift=None)
+        for batch, given in zip(self.interpolation.batches, blocks, strict=True):
+            arguments = batch.batch, self._given(given), pattern.matrix
+            if native.library().polarmpm_assemble(
+                *map(ctypes.byref, arguments), nothing, nothing.copy(), None
+            ):
+                raise MemoryError("no memory for the sums over material points")
+        pattern.mirror()
+        pattern.collect()
+        if shift:
+            most = self.diagonal().max(axis=0, initial=0.0)
+            self.comm.Allreduce(MPI.IN_PLACE, most, op=MPI.MAX)
+            pattern.values[pattern.diagonal] += shift * np.tile(most, self.nodes.owned)
+
     def diagonal(self) -> np.ndarray:
         diagonal: np.ndarray = self.pattern.values[self.pattern.diagonal].reshape(-1, self.layout.block)
         return diagonal
@@ -252,6 +309,8 @@ class PointSystem(LoadedPoints):
             values, diagonal = self.pattern.values, self.pattern.diagonal
             # prescribed unknowns, and nodes that points on a plane or a corner touch without any weight
             values[diagonal[values[diagonal] == 0.0]] = 1.0
+            # a body of few points has motions of nodes that no point feels: rounding must not choose them
+            values[diagonal] *= 1.0 + _UNFELT
             with self.timer("factor"):
                 self.pattern.put(self.solver.matrix)
                 self.solver.factor()

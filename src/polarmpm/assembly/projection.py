@@ -13,6 +13,8 @@ import ctypes
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 
 from ..conditions.prescribed import Prescribed
@@ -196,7 +198,7 @@ class ProjectedSystem(LoadedPoints):
 
     # assembly ---------------------------------------------------------------------------------------
     def assemble(self, tangent: bool, lift: np.ndarray | None = None) -> Assembled:
-        self._project(tangent)
+        self._project([self._point_kernels(k, tangent) for k in range(len(self.kernels))], tangent)
         mesh_nodes, own = self.cells.nodes, self.nodes.owned
         forces = compat.assemble_vector(self.forms.residual, len(mesh_nodes))
         forces = forces.reshape(-1, self.layout.block)
@@ -219,7 +221,14 @@ class ProjectedSystem(LoadedPoints):
         for rows, matrix in self.terms.dense(self.x):
             yield self._numbers[rows], matrix
 
-    def _project(self, tangent: bool) -> None:
+    def assemble_moduli(self, blocks: Sequence[np.ndarray], shift: float) -> None:
+        self._project([self._given(b) for b in blocks], True)
+        self.matrix.assemble(None)
+        if shift:
+            most = self.comm.allreduce(float(self.matrix.diagonal.max(initial=0.0)), op=MPI.MAX)
+            self.matrix.matrix.shift(shift * most)
+
+    def _project(self, kernels: Sequence[native.PointKernels], tangent: bool) -> None:
         """Put stresses, and moduli if asked, at the present increments on the quadrature points."""
         n = len(self.interpolation.points)
         stress = np.empty((n, self.layout.unknowns))
@@ -228,7 +237,7 @@ class ProjectedSystem(LoadedPoints):
         for k, batch in enumerate(self.interpolation.batches):
             failed = native.library().polarmpm_moments(
                 ctypes.byref(batch.batch),
-                ctypes.byref(self._point_kernels(k, tangent)),
+                ctypes.byref(kernels[k]),
                 self.x,
                 int(self.symmetric),
                 stress[starts[k] :],

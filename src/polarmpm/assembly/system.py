@@ -74,10 +74,14 @@ class NodalSystem(ABC):
             terms.
         external: the same with those of terms, as of the last evaluation.
         residual: internal minus external and carried forces of the last evaluation; complete on owned rows.
-        carried: forces on the nodes that stand for what the basis could not balance at the last reset.
+        carried: forces on the nodes that stand for what neither the basis nor initial stresses could balance
+            at the last reset.
+        leaving: unknowns (nodes, block) that supports held in the last converged state which have been
+            released since; a reset carries nothing of their reactions along.
         step: where the iterations of the present step stand.
         terms: what acts on the nodes besides the body's stresses and loads.
         length: size of a cell (m) in each direction, which tells what a displacement means as a strain.
+        as_force: factors (block,) by which forces and couples count as forces.
     """
 
     def __init__(
@@ -100,10 +104,11 @@ class NodalSystem(ABC):
         self.loads: np.ndarray = np.zeros(shape)
         self.external: np.ndarray = self.loads
         self.carried: np.ndarray = np.zeros(shape)
+        self.leaving: np.ndarray | None = None
         self.step = StepState(np.zeros(shape))
         # a couple counts as a force at the distance of a cell, so that measures don't depend on units
         self._cell = float(np.prod(length)) ** (1.0 / len(length))
-        self._as_force = np.array([1.0] * layout.dim + [1.0 / self._cell] * layout.rotations)
+        self.as_force = np.array([1.0] * layout.dim + [1.0 / self._cell] * layout.rotations)
 
     @property
     def dim(self) -> int:
@@ -138,6 +143,19 @@ class NodalSystem(ABC):
         """Shares of the body's volume (nodes,), complete on owned rows. Collective."""
 
     @abstractmethod
+    def at_points(self, x: np.ndarray) -> np.ndarray:
+        """Values (np, block) at this rank's points of nodal ones (nodes, block)."""
+
+    @abstractmethod
+    def from_points(self, values: np.ndarray) -> np.ndarray:
+        """Sums (nodes, block) of point values (np, block) with the nodes' functions, complete on owned rows.
+        Collective."""
+
+    @abstractmethod
+    def point_volumes(self) -> np.ndarray:
+        """Reference volumes (np,) of this rank's points."""
+
+    @abstractmethod
     def destroy(self) -> None:
         """Release PETSc's objects."""
 
@@ -148,6 +166,11 @@ class NodalSystem(ABC):
     def working_loads(self) -> np.ndarray:
         """Forces (nodes, block) of the loads that are set, such as do work on the increments. Collective."""
         return self.with_terms(self.loads)
+
+    def spatial_loads(self) -> np.ndarray:
+        """Forces and couples (nodes, block) of the loads, those of terms apart, complete on owned rows;
+        couples do work on spins. Collective."""
+        return self.loads
 
     def start_elastic(self, on: bool) -> bool:
         """Whether points on the yield surface begin a step with their elastic tangent; False where there is
@@ -178,7 +201,7 @@ class NodalSystem(ABC):
         own, d = slice(0, self.nodes.owned), self.layout.dim
         motions = rigid_motions(self.positions()[own], self.x[own, d:], self.comm)
         motions = np.where(self.prescribed.fixed[own], 0.0, motions)
-        return NearNullSpace(motions, self.weak_nodes(), self._as_force)
+        return NearNullSpace(motions, self.weak_nodes(), self.as_force)
 
     # terms ------------------------------------------------------------------------------------------
     def term_forces(self) -> np.ndarray:
@@ -204,9 +227,14 @@ class NodalSystem(ABC):
         """Tangents of the terms times a lift (nodes, block), on this rank."""
         return self.terms.products(self.x, lift)
 
-    def carry_imbalance(self) -> None:
-        """Take the present state as an equilibrium: carry along what is out of balance in it, but for terms
-        that forbid it or have just been added. Collective."""
+    def initial_energy(self, x: np.ndarray) -> float:
+        """Energy (J) of initial stresses at increments (nodes, block), on this rank."""
+        return 0.0
+
+    def imbalance(self) -> np.ndarray:
+        """Internal minus external forces (nodes, block) at free unknowns, complete on owned rows, but for
+        terms that a reset doesn't carry along or that have just been added, and unknowns that supports
+        held which have been released since (`leaving`). Collective."""
 
         def apart(piece: Piece) -> bool:
             return piece.fresh or not piece.carried
@@ -216,7 +244,11 @@ class NodalSystem(ABC):
             left_out = self.terms.forces(self.x, apart)
             self.nodes.add_to_owners(left_out)
             forces = forces - left_out
-        self.carried = np.where(self.prescribed.fixed, 0.0, forces)
+        held = self.prescribed.fixed
+        if self.leaving is not None:
+            held = held | self.leaving
+        free: np.ndarray = np.where(held, 0.0, forces)
+        return free
 
     def forget_rotations(self) -> None:
         """Rotation increments count from the present rotations on: set them to zero. The equilibrium stays,
@@ -268,8 +300,8 @@ class NodalSystem(ABC):
         total = np.where(free, external, r + external)
         sums = np.array(
             [
-                np.sum((r * free * self._as_force) ** 2),
-                np.sum((total * self._as_force) ** 2),
+                np.sum((r * free * self.as_force) ** 2),
+                np.sum((total * self.as_force) ** 2),
                 0.0 if last is None else abs(np.sum((r * free) * last[own])),
                 np.sum(total * self.x[own]),
             ]

@@ -55,7 +55,10 @@ class Basis(ABC):
         sliver: largest thickness, in cells, of what fills a cell so little that its points are weighted with
             the functions of the cell behind it (`aggregation`); 0: there is no such thing.
         uses_domains: weights depend on the points' current domains, not on their positions alone.
-        fills_boxes: second derivatives are known (`curvatures`), so that points integrate over their own boxes.
+        fills_boxes: second derivatives are known (`curvatures`), so that points integrate over their own
+            boxes.
+        thin_reach: some points reach nodes by so little of their domains that balancing forces there by
+            stresses would take stresses as large as the body's own (`assembly.carrying`).
     """
 
     name: str
@@ -66,6 +69,7 @@ class Basis(ABC):
     locks: bool = False
     sliver: float = 0.0
     uses_domains: bool = False
+    thin_reach: bool = False
     fills_boxes: bool = False
 
     @property

@@ -29,6 +29,7 @@ class Gimpm(Tents):
         "tangent couples the parts and is no sum of integrals over cells"
     )
     uses_domains = True
+    thin_reach = True
 
     def weights(
         self,

@@ -144,6 +144,8 @@ class Elements:
         from dolfinx import mesh as dmesh
 
         if isinstance(where, Facets):
+            if where.body is not self.body or len(where.nodes) != len(self.nodes):
+                raise InputError(f"facets: {where.name} are of another body; make them of these elements")
             return where
         dim = self.dim - 1
         self.mesh.topology.create_connectivity(dim, self.dim)
@@ -202,7 +204,7 @@ class Elements:
         area = float(self.comm.allreduce(weights[: self.nodes.owned, 0].sum()))
         if not area > 0:
             raise InputError(f"{name}: the group has no facet on the boundary of the mesh")
-        return Facets(name, facets, weights[:, 0].copy(), area, self._nodes_on(facets))
+        return Facets(name, facets, weights[:, 0].copy(), area, self._nodes_on(facets), self.body)
 
     def _nodes_on(self, facets: np.ndarray) -> np.ndarray:
         from dolfinx import fem
@@ -253,7 +255,7 @@ class Elements:
         """Mean of nodal values (n, ...) over facets, weighted by their area; without facets the plain mean
         over the nodes. Collective."""
         own = self.nodes.owned
-        weights = np.ones(len(self.nodes)) if facets is None else facets.weights
+        weights = np.ones(len(self.nodes)) if facets is None else self.facets(facets).weights
         total = self.comm.allreduce(weights[:own].sum())
         return np.asarray(self.comm.allreduce(np.tensordot(weights[:own], values[:own], 1)) / total)
 

@@ -25,6 +25,7 @@ class Facets:
             complete on owned nodes.
         area: of the undeformed group (m^2; m in plane strain), all ranks together.
         nodes: which nodes lie on the group (nodes,), bool.
+        body: the mesh of the body to which they belong.
     """
 
     name: str
@@ -32,6 +33,7 @@ class Facets:
     weights: np.ndarray
     area: float
     nodes: np.ndarray
+    body: BodyMesh
 
     def mask(self, nodes: Any) -> np.ndarray:
         """Which nodes are meant (n,), as of a `Support`."""

@@ -44,11 +44,30 @@ PLASTIC_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Selection:
-    """A set of points by permanent ids (the same on every rank)."""
+    """A set of points by permanent ids (the same on every rank).
+
+    Attributes:
+        ids: whole numbers, ascending, each once.
+        body: fingerprint of the body from whose points it was made; None: ids given by hand.
+
+    Raises:
+        InputError: ids that aren't so.
+    """
 
     ids: np.ndarray
+    body: int | None = None
+
+    def __post_init__(self) -> None:
+        ids = np.asarray(self.ids)
+        if ids.ndim != 1 or (len(ids) and ids.dtype.kind not in "iu"):
+            raise InputError(
+                f"Selection: ids of shape {ids.shape} and type {ids.dtype}; a list of ids is needed"
+            )
+        if np.any(ids[1:] <= ids[:-1]):
+            raise InputError("Selection: ids are to be in ascending order, each once: np.unique(ids)")
+        object.__setattr__(self, "ids", ids.astype(np.int64))
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -66,10 +85,10 @@ class Points:
         wryness: Gamma (1/m), tensor.
         volume0: reference volume (m^3; m^2 per unit thickness in plane strain).
         half_length0: initial half-lengths of the domains (m), vector.
-        half_axes0: initial half axes of the points' boxes (m), (np, d, d), one a row: the second moment of what
-            a point stands for is the sum of their squares, a^T a, over 3. Zero: of a point alone.
-        unresolved: share of the last step's work that is done inside the point's box, scalar: what neither the grid
-            nor the points resolve.
+        half_axes0: initial half axes of the points' boxes (m), (np, d, d), one a row: the second moment of
+            what a point stands for is the sum of their squares, a^T a, over 3. Zero: of a point alone.
+        unresolved: share of the last step's work that is done inside the point's box, scalar: what neither
+            the grid nor the points resolve.
         materials: the materials that `material` counts.
         plastic_F, plastic_wryness: Fp of F = Fe Fp and Gp (1/m) of Gamma = Ge + Gp (T 4.1), tensors; like the
             following two only in bodies with plastic materials.
@@ -103,8 +122,8 @@ class Points:
         first_id: int = 0,
         half_axes: np.ndarray | None = None,
     ):
-        """Unloaded points at x (n, d) (m) with volumes (n,), domain half-lengths (n, d) and half axes (n, d, d)
-        of their boxes, by default along the grid; collective."""
+        """Unloaded points at x (n, d) (m) with volumes (n,), domain half-lengths (n, d) and half axes
+        (n, d, d) of their boxes, by default along the grid; collective."""
         self.comm, self.dim, n = comm, x.shape[1], len(x)
         self.materials: tuple[Material, ...] = (check_material(material),)
         before = comm.exscan(n) or 0
@@ -119,6 +138,7 @@ class Points:
         self.half_axes0 = along if half_axes is None else half_axes.copy()
         self.unresolved = np.zeros(n)
         self._has_plastic_state = False
+        self._fingerprints: tuple[int, ...] = ()  # the present one, then those before other points joined
         self._add_plastic_state()
 
     def __len__(self) -> int:
@@ -197,6 +217,7 @@ class Points:
         for name, (shape, kind) in self.fields.items():
             full = (len(arrays["id"]), *(self.dim if s == "d" else s for s in shape))
             setattr(self, name, np.ascontiguousarray(arrays[name], dtype=kind).reshape(full))
+        self._fingerprints = ()
 
     def migrate(self, destination: np.ndarray) -> Route:
         """Move each point, with all its state, to rank `destination[i]`. Collective.
@@ -204,14 +225,16 @@ class Points:
         Returns:
             The way that they went, for what else is kept for each point.
         """
-        route = Route(self.comm, destination)
+        route, known = Route(self.comm, destination), self._fingerprints
         self.replace({name: route.forward(a) for name, a in self.arrays().items()})
+        self._fingerprints = known
         return route
 
     def join(self, other: Points) -> None:
         """Add the points of another set (another material, say); their ids follow on. Collective."""
         if other.dim != self.dim:
             raise InputError(f"other has {other.dim} dimensions, these points have {self.dim}")
+        known = self.fingerprints()
         first = self.comm.allreduce(int(self.id.max(initial=-1)), op=MPI.MAX) + 1
         number, mine = len(self.materials), self.materials
         self.materials = other.materials = mine + other.materials  # both sets know all fields
@@ -222,6 +245,7 @@ class Points:
         theirs["id"] = theirs["id"] + first
         theirs["material"] = theirs["material"] + number
         self.replace({name: np.concatenate([a, theirs[name]]) for name, a in self.arrays().items()})
+        self._fingerprints = (*self.fingerprints(), *known)  # selections of these points stay valid
 
     def assign(self, selection: Selection, material: Material) -> None:
         """Give points another material, such as a weaker one to a row. Before a problem is made of them;
@@ -231,8 +255,7 @@ class Points:
             InputError: no material, one with another number of unknowns, or an empty selection.
         """
         check_material(material)
-        if not isinstance(selection, Selection):
-            raise InputError(f"selection = {selection!r}: use points.where, farthest or nearest")
+        self.check(selection)
         if len(selection) == 0:
             raise InputError("selection: contains no point")
         if material.micropolar != self.materials[0].micropolar:
@@ -244,9 +267,36 @@ class Points:
         self.material[self.rows(selection)] = self.materials.index(material)
 
     # selections ---------------------------------------------------------------------------------
+    def fingerprints(self) -> tuple[int, ...]:
+        """By which selections of these points are known: a number that follows from all ids and initial
+        positions, the same on any number of ranks and after a restart. Collective."""
+        if not self._fingerprints:
+            mixed = _mixed(self.id.astype(np.uint64))
+            for column in np.ascontiguousarray(self.X + 0.0).view(np.uint64).T:
+                mixed = _mixed(mixed ^ column)
+            found = np.array([np.bitwise_xor.reduce(mixed), mixed.sum(dtype=np.uint64)], dtype=np.uint64)
+            every = np.array(self.comm.allgather(found))
+            ends = np.bitwise_xor.reduce(every[:, 0]), every[:, 1].sum(dtype=np.uint64)
+            self._fingerprints = (int(_mixed(np.array(ends))[0] ^ ends[1]),)
+        return self._fingerprints
+
+    def check(self, selection: Selection) -> None:
+        """Raise InputError unless a selection is one of these points. Collective."""
+        if not isinstance(selection, Selection):
+            raise InputError(f"selection = {selection!r}: use points.where, farthest or nearest")
+        if selection.body is not None and selection.body not in self.fingerprints():
+            raise InputError(
+                "selection: of another body (other points, or seeded otherwise); make it of these points"
+            )
+        here = self.comm.allreduce(len(self.rows(selection)))
+        if here != len(selection):
+            raise InputError(
+                f"selection: {len(selection) - here} of its {len(selection)} ids aren't of this body"
+            )
+
     def _select(self, mask: np.ndarray) -> Selection:
         ids = np.concatenate(self.comm.allgather(self.id[mask]))
-        return Selection(np.sort(ids))
+        return Selection(np.sort(ids), self.fingerprints()[0])
 
     def where(self, predicate: Callable[[np.ndarray], np.ndarray]) -> Selection:
         """Points whose current position fulfils a predicate of x (n, d) -> (n,) bool. Collective.
@@ -290,7 +340,7 @@ class Points:
         order = np.lexsort((self.id, distance))[:count]
         found = self.comm.allgather((distance[order], self.id[order]))
         far, ids = (np.concatenate([f[k] for f in found]) for k in (0, 1))
-        return Selection(np.sort(ids[np.lexsort((ids, far))[:count]]))
+        return Selection(np.sort(ids[np.lexsort((ids, far))[:count]]), self.fingerprints()[0])
 
     def rows(self, selection: Selection | None) -> np.ndarray:
         """Local rows of a selection's points on this rank (all for None)."""
@@ -303,6 +353,8 @@ class Points:
 
     def mean(self, values: np.ndarray, selection: Selection | None = None) -> Any:
         """Plain mean over a selection of values given for the local points (np, ...). Collective."""
+        if selection is not None:
+            self.check(selection)
         rows = self.rows(selection)
         number = self.comm.allreduce(len(rows))
         if number == 0:
@@ -313,3 +365,11 @@ class Points:
         """Mean displacement (m) of a selection, shape (d,). Collective."""
         mean: np.ndarray = self.mean(self.displacement, selection)
         return mean
+
+
+def _mixed(numbers: np.ndarray) -> np.ndarray:
+    """Numbers of 64 bits (n,) whose bits have been mixed well (splitmix64)."""
+    z = numbers + np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.asarray(z ^ (z >> np.uint64(31)))

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from ..kinematics import rotations
 from ..tools.parallel import Route
 from .points import Points
 
@@ -15,7 +16,11 @@ class Reference:
     """State of the points from which increments count: F at the last reset, rotations at their last base.
 
     Attributes:
+        x, F, q, wryness: as of `Points`.
         reset_wryness: wryness at the last reset.
+        initial_stress: what a balanced reset has added to the stresses, per reference volume, (np, b, d) for
+            b unknowns of a node: S0 of a classical material; B0 (Pa) and below it M0 (N/m) of a micropolar
+            one (docs/theory.md).
     """
 
     x: np.ndarray
@@ -23,12 +28,22 @@ class Reference:
     q: np.ndarray
     wryness: np.ndarray
     reset_wryness: np.ndarray
+    initial_stress: np.ndarray
 
     @classmethod
-    def of(cls, points: Points) -> Reference:
-        """The points' current state."""
-        w = points.wryness
-        return cls(points.x.copy(), points.F.copy(), points.q.copy(), w.copy(), w.copy())
+    def of(cls, points: Points, block: int) -> Reference:
+        """The points' current state, without an initial stress; `block`: unknowns of a node."""
+        x, w, none = points.x, points.wryness, np.zeros((len(points), block, points.dim))
+        return cls(x.copy(), points.F.copy(), points.q.copy(), w.copy(), w.copy(), none)
+
+    def rebase_rotations(self, points: Points) -> None:
+        """Count rotations from the points' current ones on; an initial stress turns with its base."""
+        d = self.x.shape[1]
+        turn = rotations.to_tensor(points.q) @ np.swapaxes(rotations.to_tensor(self.q), 1, 2)
+        for first in range(0, d * (self.initial_stress.shape[1] // d), d):  # no rows of a turn about an axis
+            rows = slice(first, first + d)
+            self.initial_stress[:, rows] = turn[:, :d, :d] @ self.initial_stress[:, rows]
+        self.q, self.wryness = points.q.copy(), points.wryness.copy()
 
     def moved(self, route: Route) -> Reference:
         """The same of points that have gone to other ranks. Collective."""

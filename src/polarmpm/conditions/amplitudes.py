@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,42 @@ from ..errors import InputError
 Value = float | Sequence[float] | Callable[..., Any]
 
 
+COUNTS = ("from now", "total")
+
+
+def check_counts(name: str, counts: str | None) -> str | None:
+    """What a user gives as `counts`; None: the default.
+
+    Raises:
+        InputError: something else.
+    """
+    if counts is not None and counts not in COUNTS:
+        raise InputError(f"{name}: counts = {counts!r}: allowed are {' and '.join(map(repr, COUNTS))}")
+    return counts
+
+
+@dataclass(frozen=True)
+class Fade:
+    """How a load that is released vanishes: evenly, from the load factor `begin` to `end`."""
+
+    begin: float
+    end: float
+
+    def share(self, factor: float) -> float:
+        """What is left of it at a load factor, 0 to 1."""
+        return float(np.clip((self.end - factor) / (self.end - self.begin), 0.0, 1.0))
+
+
 class Amplitude:
     """A number or vector that follows the load factor.
 
     A number (or sequence) is ramped: value times load factor. A function of one argument gives the value at
-    a load factor; a function of two, (factor, positions (n, d)), gives a value for each position.
+    a load factor; a function of two, (factor, positions (n, d)), gives a value for each position. A load that
+    is added in mid-run counts from then on, or in total, see `begin`.
+
+    Attributes:
+        begun: load factor from which it counts.
+        fade: how it vanishes once it has been released; None: it hasn't.
 
     Raises:
         InputError: wrong size, or a value that is not finite, naming the condition and the factor.
@@ -25,6 +57,8 @@ class Amplitude:
 
     def __init__(self, name: str, value: Value, size: int):
         self.name, self.size = name, size
+        self.begun, self._differs = 0.0, False
+        self.fade: Fade | None = None
         self.function: Callable[..., Any] | None = value if callable(value) else None
         self.field = False
         if self.function is not None:
@@ -37,9 +71,22 @@ class Amplitude:
             except (TypeError, ValueError):
                 raise InputError(f"{name} = {value!r}: a number, a sequence or a function") from None
             if constant.shape not in ((), (size,)):
-                raise InputError(f"{name} = {value!r}: one number or {size} of them")
+                raise InputError(f"{name} = {value!r}: {_numbers(size)} needed")
             self.constant = np.broadcast_to(constant, (size,)).astype(float)
             self._check(self.constant, 1.0)
+            if constant.shape == () and size > 1 and constant != 0.0:
+                raise InputError(f"{name} = {value!r}: one number for {size} components; {self._hint(value)}")
+
+    def _hint(self, value: Any) -> str:
+        zeros = ", 0" * (self.size - 1)
+        return f"write {self.name.split(', ')[-1]}=({value}{zeros}) or the like"
+
+    def begin(self, factor: float, counts: str | None = None) -> None:
+        """Count from a load factor at which it is added: "from now", what it gains from then on, or in
+        "total", the value at the load factor. By default numbers count from now, functions in total."""
+        counts = counts or (COUNTS[0] if self.function is None else COUNTS[1])
+        self.begun = factor
+        self._differs = counts == COUNTS[0] and not (self.function is None and factor == 0.0)
 
     def _check(self, values: np.ndarray, factor: float) -> None:
         if not np.all(np.isfinite(values)):
@@ -48,21 +95,40 @@ class Amplitude:
 
     def at(self, factor: float, positions: np.ndarray) -> np.ndarray:
         """Values (n, size) at positions (n, d)."""
+        if self.fade is not None:
+            return self._counted(self.fade.begin, positions) * self.fade.share(factor)
+        return self._counted(factor, positions)
+
+    def _counted(self, factor: float, positions: np.ndarray) -> np.ndarray:
+        value = self._total(factor, positions)
+        return value - self._total(self.begun, positions) if self._differs else value
+
+    def _total(self, factor: float, positions: np.ndarray) -> np.ndarray:
         n = len(positions)
         if self.function is None:
             return np.broadcast_to(factor * self.constant, (n, self.size))
         raw = self.function(factor, positions) if self.field else self.function(factor)
         try:
-            values = np.asarray(raw, float)
-            if self.field and values.shape == (n,):
-                values = values[:, None]
+            given = np.asarray(raw, float)
+            one = given.ndim == 0 or (self.field and given.shape == (n,) != (self.size,))
+            values = given[:, None] if one and given.ndim else given
             values = np.broadcast_to(values, (n, self.size))
         except (TypeError, ValueError):
             raise InputError(
                 f"{self.name} returned {raw!r} at load factor {factor:g}; {self.size} number(s) are needed"
             ) from None
         self._check(values, factor)
+        if one and self.size > 1 and np.any(given):
+            first = given[np.nonzero(given)][0] if given.ndim else raw
+            raise InputError(
+                f"{self.name} returned one number at load factor {factor:g} for {self.size} components; "
+                f"{self._hint(first)}{' for each position' if given.ndim else ''}"
+            )
         return values
+
+
+def _numbers(size: int) -> str:
+    return "one number is" if size == 1 else f"{size} numbers are"
 
 
 def _positional(function: Callable[..., Any]) -> int:

@@ -11,10 +11,10 @@ import numpy as np
 from ..bodies.points import Points, Selection
 from ..errors import InputError
 from ..kinematics.layout import Layout
-from .amplitudes import Amplitude
+from .amplitudes import Amplitude, Fade
 
 
-@dataclass
+@dataclass(eq=False)
 class Load:
     """Dead force or couple on points: a total shared by a selection, or a density per reference volume."""
 
@@ -30,6 +30,39 @@ class Load:
         rows = points.rows(self.selection)
         values = self.amplitude.at(factor, points.X[rows]) * self.share
         out[rows] += values * points.volume0[rows, None] if self.density else values
+
+
+@dataclass(eq=False)
+class HandedOver:
+    """The reaction of a support that was released, as dead forces or couples on the points, which fade.
+
+    Attributes:
+        values: of each local point at first (np, size); these rows follow the points.
+    """
+
+    name: str
+    couple: bool
+    fade: Fade
+    values: np.ndarray
+
+    def add_to(self, out: np.ndarray, points: Points, factor: float) -> None:
+        """Add this load's values (np, size) at the local points."""
+        out += self.values * self.fade.share(factor)
+
+
+AnyLoad = Load | HandedOver
+
+
+@dataclass(frozen=True)
+class Applied:
+    """What a script has given in one call; for `release`.
+
+    Attributes:
+        parts: a load for each of force and couple.
+    """
+
+    name: str
+    parts: tuple[Any, ...]
 
 
 def make_loads(
@@ -57,7 +90,7 @@ def make_loads(
 
 
 def point_loads(
-    loads: Sequence[Load], points: Points, layout: Layout, factor: float
+    loads: Sequence[AnyLoad], points: Points, layout: Layout, factor: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Forces (np, d) and couples (np, r) at the local points at a load factor."""
     forces = np.zeros((len(points), layout.dim))

@@ -7,7 +7,8 @@ The stretched grid follows from the load factor at the last reset alone.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +27,9 @@ class MovingPlane:
         support: name of the support that prescribes it.
         axis, index: the plane's lattice index along its axis.
         amplitude, component: of the displacement along the axis.
+        asked: the script has said `moving=True`; otherwise it is followed where that is possible.
+        total: what is prescribed counts from the undeformed body, not from load factor 0.
+        stays: its displacement (m) since its support was released; None: it hasn't been.
     """
 
     support: str
@@ -33,6 +37,23 @@ class MovingPlane:
     index: int
     amplitude: Amplitude
     component: int
+    asked: bool = True
+    total: bool = True
+    stays: float | None = None
+
+    @classmethod
+    def if_possible(cls, spec: PlaneSpec, support: Support) -> MovingPlane | None:
+        """A plane for which the script hasn't said whether it moves; None where nothing is to be followed."""
+        if spec.axis not in support.columns or not isinstance(support.where, Plane):
+            return None
+        amplitude, k = support.columns[spec.axis]
+        if (
+            amplitude.field
+            or not support.where.side
+            or (not amplitude.function and not amplitude.constant[k])
+        ):
+            return None
+        return cls(support.name, spec.axis, support.where.index, amplitude, k, False, support.total)
 
     @classmethod
     def of(cls, spec: PlaneSpec, support: Support) -> MovingPlane:
@@ -51,16 +72,22 @@ class MovingPlane:
                 "of the load factor alone is allowed"
             )
         assert isinstance(support.where, Plane)
-        return cls(support.name, spec.axis, support.where.index, amplitude, k)
+        return cls(support.name, spec.axis, support.where.index, amplitude, k, total=support.total)
+
+    def released(self, factor: float) -> MovingPlane:
+        """The plane once its support has been released at a load factor: it stays where it is."""
+        return replace(self, stays=self.displacement(factor))
 
     def anchor(self, grid: Grid) -> int:
         """Lattice index of the plane that stays: the lower wall, or the upper one if the lower one moves."""
         return 0 if self.index else grid.shape[self.axis]
 
     def displacement(self, factor: float) -> float:
-        """How far the plane has moved (m) since load factor 0."""
+        """How far the plane has moved (m) at a load factor that has been reached."""
+        if self.stays is not None:
+            return self.stays
         now, start = (float(self.amplitude.at(f, np.zeros((1, 1)))[0, self.component]) for f in (factor, 0.0))
-        return now - start
+        return now if self.total else now - start
 
     def stretched(self, grid: Grid, factor: float) -> Grid:
         """The grid whose plane stands where its support has moved it at a load factor.
@@ -82,9 +109,10 @@ def check(planes: Sequence[MovingPlane], supports: Sequence[Support], grid: Grid
     """Raise InputError for planes that can't be followed together with the other supports."""
     first: dict[int, MovingPlane] = {}
     for plane in planes:
-        if first.setdefault(plane.axis, plane) is not plane:
+        other = first.setdefault(plane.axis, plane)
+        if other is not plane and {plane.index, other.index} != {0, grid.shape[plane.axis]}:
             raise InputError(
-                f"{plane.support}: moving = True: {first[plane.axis].support} moves the grid along "
+                f"{plane.support}: moving = True: {other.support} moves the grid along "
                 f"{'xyz'[plane.axis]} already"
             )
     for plane in planes:
@@ -104,9 +132,63 @@ def check(planes: Sequence[MovingPlane], supports: Sequence[Support], grid: Grid
                 )
 
 
-def grid_at(planes: Sequence[MovingPlane], initial: Grid, factor: float) -> Grid:
-    """The grid of a reset at a load factor."""
-    grid = initial
-    for plane in planes:
-        grid = plane.stretched(grid, factor)
-    return grid
+def followed(planes: Sequence[MovingPlane], supports: Sequence[Support], grid: Grid) -> list[MovingPlane]:
+    """The planes that are followed: those that the script has asked for, and of the others those that can be.
+
+    Raises:
+        InputError: planes that were asked for can't be followed.
+    """
+    found = [plane for plane in planes if plane.asked]
+    check(found, supports, grid)
+    for axis in range(grid.dim):
+        more = [plane for plane in planes if not plane.asked and plane.axis == axis]
+        try:
+            check([*found, *more], supports, grid)
+        except InputError:
+            continue
+        found += more
+    return found
+
+
+class MovingGrid:
+    """A grid and the planes that it follows.
+
+    Attributes:
+        initial: the grid that was given.
+    """
+
+    def __init__(self, initial: Grid):
+        self.initial = initial
+        self._planes: list[MovingPlane] = []  # those that could be followed
+
+    def admit(self, spec: Any, support: Support, others: Sequence[Support], late: bool) -> None:
+        """Take note of a support on `spec`, if that is a plane; `late`: in mid-run.
+
+        Raises:
+            InputError: it can't be followed as was asked for, or goes against one that is followed.
+        """
+        planes = list(self._planes)
+        if isinstance(spec, PlaneSpec) and spec.moving:
+            if late:
+                raise InputError(f"{support.name}: moving = True: allowed before the first load step only")
+            planes.append(MovingPlane.of(spec, support))
+        elif isinstance(spec, PlaneSpec) and spec.moving is None and not late:
+            possible = MovingPlane.if_possible(spec, support)
+            planes += [] if possible is None else [possible]
+        followed(planes, [*others, support], self.initial)
+        self._planes = planes
+
+    def dismiss(self, support: Support, factor: float | None) -> None:
+        """A support has been released at a load factor (None: before the first step): its plane stays."""
+        same = [plane for plane in self._planes if plane.support == support.name]
+        self._planes = [plane for plane in self._planes if plane not in same]
+        if factor is not None:
+            self._planes += [plane.released(factor) for plane in same]
+
+    def at(self, factor: float | None, supports: Sequence[Support]) -> Grid:
+        """The grid of a reset at a load factor; None: before the first step."""
+        grid = self.initial
+        if factor is not None:
+            for plane in followed(self._planes, supports, self.initial):
+                grid = plane.stretched(grid, factor)
+        return grid

@@ -4,64 +4,183 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from mpi4py import MPI
+
 import numpy as np
 
 from ..errors import InputError
 from ..geometry.nodes import Positioned
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
+from ..tools.parallel import errors_on_all_ranks
 from .supports import Support, component_names
+
+_ROUNDING = 1e-12  # of the largest prescribed value: so far two supports that agree may be apart
 
 
 class Prescribed:
     """Prescribed nodal increments between two resets. Collective.
 
+    Increments lead on from a converged state, the base: there the nodes have increments x (nodes, block) at a
+    load factor. From then on they move by what the supports' values gain. A support in `total` that hasn't
+    taken part in a step moves them, in its first one, from where the body is to where it prescribes.
+
+    Args:
+        length: size of a cell (m), which tells what rounding is.
+
     Attributes:
         fixed: (nodes, block) bool.
     """
 
-    def __init__(self, nodes: Positioned, supports: Sequence[Support], layout: Layout):
-        self.nodes, self.supports, self.layout = nodes, supports, layout
-        self.masks = [s.mask(nodes) for s in supports]
+    def __init__(
+        self,
+        nodes: Positioned,
+        supports: Sequence[Support],
+        layout: Layout,
+        comm: MPI.Comm = MPI.COMM_SELF,
+        length: float = 1.0,
+    ):
+        self.nodes, self.supports, self.layout = nodes, tuple(supports), layout
+        self.comm, self.length = comm, length
+        with errors_on_all_ranks(comm):
+            self.masks = [s.mask(nodes) for s in supports]
         self.fixed = np.zeros((len(nodes), layout.block), dtype=bool)
         for support, mask in zip(supports, self.masks, strict=True):
             for column in support.columns:
                 self.fixed[mask, column] = True
+        self.start_from(0.0, np.zeros(self.fixed.shape))
+        self.turns: np.ndarray = np.zeros((len(nodes), 3))
+
+    def start_from(self, factor: float, x: np.ndarray) -> None:
+        """Lead on from a converged state with increments x (nodes, block) at a load factor."""
+        self.factor, self.base = factor, x.copy()
+        self.moved: np.ndarray | None = None
+
+    def put_motion(self, moved: np.ndarray, q: np.ndarray) -> None:
+        """Displacements (nodes, d) and rotations (nodes, 4) of the body so far, at the base, for supports in
+        total that are new."""
+        r = self.layout.rotations
+        turned = rotations.to_vector(np.where(q[:, :1] < 0, -q, q))
+        self.moved = np.hstack([moved, turned if r == 3 else turned[:, 2:] if r else turned[:, :0]])
+        for support, mask in zip(self.supports, self.masks, strict=True):
+            if support.total and support.committed:  # there the motion is known exactly
+                for column, (amplitude, k) in support.columns.items():
+                    self.moved[mask, column] = amplitude.at(self.factor, self.nodes.position[mask])[:, k]
+
+    @property
+    def needs_motion(self) -> bool:
+        """Whether there are new supports in total."""
+        return any(s.total and not s.committed for s in self.supports)
 
     def totals(self, factor: float) -> np.ndarray:
-        """Prescribed totals (nodes, block) at a load factor; zero where free.
+        """Prescribed totals (nodes, block) at a load factor; zero where free. Collective.
 
         Raises:
             InputError: two supports contradict each other.
         """
-        values = np.zeros(self.fixed.shape)
-        owner = np.full(self.fixed.shape, -1)
-        for number, (support, mask) in enumerate(zip(self.supports, self.masks, strict=True)):
-            position = self.nodes.position[mask]
-            for column, (amplitude, component) in support.columns.items():
-                new = amplitude.at(factor, position)[:, component]
-                old, taken = values[mask, column], owner[mask, column] >= 0
-                clash = taken & (np.abs(new - old) > 1e-12 * np.maximum(np.abs(new), np.abs(old)))
-                if np.any(clash):
-                    at = int(np.argmax(clash))
-                    other = self.supports[owner[mask, column][at]].name
-                    where = tuple(float(round(c, 9)) for c in position[at])
-                    raise InputError(
-                        f"{support.name} contradicts {other}: {component_names(self.layout)[column]} of the "
-                        f"node at {where} is {new[at]:g} and {old[at]:g}"
-                    )
-                values[mask, column], owner[mask, column] = new, number
-        return values
+        return self._values(factor)[0]
 
-    def increments(self, factor: float, reset: float, rotation_base: float) -> np.ndarray:
-        """Prescribed increments since the last reset (rotations: since their last base), (nodes, block)."""
-        d, now = self.layout.dim, self.totals(factor)
-        before = self.totals(reset)
-        out: np.ndarray = now - before
-        if self.layout.rotations:
-            base = before if rotation_base == reset else self.totals(rotation_base)
-            out[:, d:] = now[:, d:] - base[:, d:]
-            whole = np.all(self.fixed[:, d:], axis=1)
-            if self.layout.rotations == 3:
-                out[whole, d:] = rotations.relative_vector(now[whole, d:], base[whole, d:])
+    def _values(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
+        """Prescribed values (nodes, block) at a load factor and at the base; zero where free. Collective."""
+        with errors_on_all_ranks(self.comm):
+            found = [
+                self._of(support, mask, factor)
+                for support, mask in zip(self.supports, self.masks, strict=True)
+            ]
+        floor = [1e-3 * self.length] * self.layout.dim + [1e-3] * self.layout.rotations
+        scale = np.array(floor)
+        for values in found:
+            for column, (now, before) in values.items():
+                size = max(float(np.abs(v).max(initial=0.0)) for v in (now, before))
+                scale[column] = max(scale[column], size)
+        for part in (slice(0, self.layout.dim), slice(self.layout.dim, None)):
+            scale[part] = scale[part].max(initial=0.0)
+        self.comm.Allreduce(MPI.IN_PLACE, scale, op=MPI.MAX)
+        with errors_on_all_ranks(self.comm):
+            return self._put_together(found, _ROUNDING * scale)
+
+    def _of(
+        self, support: Support, mask: np.ndarray, factor: float
+    ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        """A support's values at a load factor and at the base by column, at its nodes."""
+        position, out = self.nodes.position[mask], {}
+        fresh = support.total and not support.committed
+        for column, (amplitude, component) in support.columns.items():
+            now, before = (amplitude.at(f, position)[:, component] for f in (factor, self.factor))
+            if fresh:
+                before = np.zeros(len(now)) if self.moved is None else self.moved[mask, column]
+            out[column] = now, before
         return out
+
+    def _put_together(
+        self, found: Sequence[dict[int, tuple[np.ndarray, np.ndarray]]], rounding: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        values, base = np.zeros(self.fixed.shape), np.zeros(self.fixed.shape)
+        owner = np.full(self.fixed.shape, -1)
+        for number, (mask, of_support) in enumerate(zip(self.masks, found, strict=True)):
+            for column, (now, before) in of_support.items():
+                taken = owner[mask, column] >= 0
+                gap = (now - before) - (values[mask, column] - base[mask, column])
+                clash = taken & (np.abs(gap) > rounding[column])
+                if np.any(clash):
+                    self._contradiction(number, owner[mask, column], column, mask, clash, (now, values[mask]))
+                rows = np.flatnonzero(mask)[~taken]
+                values[rows, column], base[rows, column] = now[~taken], before[~taken]
+                owner[rows, column] = number
+        return values, base
+
+    def _contradiction(
+        self,
+        number: int,
+        owner: np.ndarray,
+        column: int,
+        mask: np.ndarray,
+        clash: np.ndarray,
+        values: tuple[np.ndarray, np.ndarray],
+    ) -> None:
+        at, (new, old) = int(np.argmax(clash)), values
+        where = tuple(float(round(c, 9)) for c in self.nodes.position[mask][at])
+        late = " since one of them was added in mid-run" if self.factor else ""
+        raise InputError(
+            f"{self.supports[number].name} contradicts {self.supports[owner[at]].name}: "
+            f"{component_names(self.layout)[column]} of the node at {where} is {new[at]:g} and "
+            f"{old[at, column]:g}{late if new[at] == old[at, column] else ''}"
+        )
+
+    def increments(self, factor: float) -> np.ndarray:
+        """Prescribed increments (nodes, block) at a load factor; zero where free. Collective.
+
+        Raises:
+            InputError: two supports contradict each other.
+        """
+        d = self.layout.dim
+        now, before = self._values(factor)
+        gained = now - before
+        whole = np.all(self.fixed[:, d:], axis=1)
+        if (
+            self.layout.rotations == 1 and self.moved is not None
+        ):  # the body's angle is known up to whole turns
+            gained[:, d:] = np.where(self._fresh[:, d:], _short(gained[:, d:]), gained[:, d:])
+        out: np.ndarray = np.where(self.fixed, self.base + gained, 0.0)
+        if self.layout.rotations == 3:
+            way = rotations.relative_vector(now[whole, d:], before[whole, d:])
+            if np.any(self.base[whole, d:]):
+                q = rotations.turned(rotations.from_vector(self.base[whole, d:]), way)
+                way = rotations.to_vector(np.where(q[:, :1] < 0, -q, q))
+            out[whole, d:] = way
+        return out
+
+    @property
+    def _fresh(self) -> np.ndarray:
+        """Unknowns (nodes, block) of new supports in total, bool."""
+        out = np.zeros(self.fixed.shape, dtype=bool)
+        for support, mask in zip(self.supports, self.masks, strict=True):
+            for column in support.columns if support.total and not support.committed else ():
+                out[mask, column] = True
+        return out
+
+
+def _short(angle: np.ndarray) -> np.ndarray:
+    """Angles (rad) between -pi and pi that turn as far."""
+    out: np.ndarray = np.remainder(angle + np.pi, 2 * np.pi) - np.pi
+    return out

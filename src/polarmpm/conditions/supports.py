@@ -1,4 +1,4 @@
-"""Supports and loads as functions of the load factor."""
+"""Supports: prescribed components on nodes."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from ..geometry.nodes import Positioned
 from ..kinematics.layout import Layout
 from .amplitudes import Amplitude
 
-# supports ---------------------------------------------------------------------------------------
-
 
 def component_names(layout: Layout) -> list[str]:
     """Names of a node's unknowns in order."""
@@ -24,13 +22,25 @@ def component_names(layout: Layout) -> list[str]:
     return names + [f"theta_{a}" for a in "xyz"[: layout.rotations]]
 
 
-@dataclass
+@dataclass(eq=False)
 class Support:
-    """Prescribed components on the nodes of a plane or predicate."""
+    """Prescribed components on the nodes of a plane or predicate.
+
+    Attributes:
+        columns: amplitude and its component of each prescribed unknown.
+        total: in its first step the body is moved to where it prescribes; False: what it prescribes counts
+            from then on.
+        committed: it has taken part in a converged step; from then on the two are the same.
+        met: how many nodes of the body it held at first, and the body's mean volume at one of them (m^3);
+            None before.
+    """
 
     name: str
     where: Callable[[np.ndarray], np.ndarray]
-    columns: dict[int, tuple[Amplitude, int]]  # unknown -> amplitude and its component
+    columns: dict[int, tuple[Amplitude, int]]
+    total: bool = True
+    committed: bool = False
+    met: tuple[float, float] | None = None
 
     def mask(self, nodes: Positioned) -> np.ndarray:
         """Which nodes are meant, (n,) bool."""
@@ -49,8 +59,10 @@ def make_support(
     components: dict[str, Any],
     layout: Layout,
     number: int,
+    total: bool = True,
 ) -> Support:
-    """Check a user's support; `where` is a predicate of node positions."""
+    """Check a user's support; `where` is a predicate of node positions. `number` 0: `label` is its name."""
+    name = f"support {number} ({label})" if number else label
     if not components:
         raise InputError("fix: names no component; for example u=0, ux=0, theta=0")
     names, columns = component_names(layout), {}
@@ -65,12 +77,9 @@ def make_support(
             raise InputError(
                 f"fix: unknown component {key!r}; allowed are u, theta, {', '.join(names)}{hint}"
             )
-        amplitude = Amplitude(f"support {number} ({label}), {key}", value, len(group))
+        amplitude = Amplitude(f"{name}, {key}", value, len(group))
         for i, g in enumerate(group):
             if names.index(g) in columns:
                 raise InputError(f"fix: component {g!r} is given twice")
             columns[names.index(g)] = (amplitude, i)
-    return Support(f"support {number} ({label})", where, columns)
-
-
-# loads ------------------------------------------------------------------------------------------
+    return Support(name, where, columns, total)

@@ -56,7 +56,7 @@ class PlaneSpec:
     axis: int
     value: float
     beyond: str
-    moving: bool = False
+    moving: bool | None = None
 
     @property
     def name(self) -> str:
@@ -91,7 +91,7 @@ class PlaneSpec:
         return found
 
 
-def plane(*, beyond: str = "auto", moving: bool = False, **coordinate: float) -> PlaneSpec:
+def plane(*, beyond: str = "auto", moving: bool | None = None, **coordinate: float) -> PlaneSpec:
     """A grid plane such as `plane(x=0.0)`, for `fix`.
 
     Args:
@@ -100,13 +100,15 @@ def plane(*, beyond: str = "auto", moving: bool = False, **coordinate: float) ->
         moving: the plane follows the displacement that is prescribed on it, as the face of a platen: at every
             reset the grid is stretched along the plane's axis so that the plane is where the platen is (T
             2.2.4). The grid's wall on the other side stays; it is the place for a support that holds the body
-            against the platen. A mesh of finite elements moves anyway.
+            against the platen. A mesh of finite elements moves anyway. None (default): where that is
+            possible, with a displacement along the axis that is even and was prescribed before the first load
+            step. False: never; a body that has left the plane at a reset is an error (`SupportLost`).
     """
     if len(coordinate) != 1 or next(iter(coordinate)) not in ("x", "y", "z"):
         raise InputError(f"plane({coordinate!r}): exactly one of x, y, z")
     if beyond not in ("auto", "below", "above", "none"):
         raise InputError(f"beyond = {beyond!r}: allowed are auto, below, above, none")
-    if not isinstance(moving, bool):
-        raise InputError(f"moving = {moving!r}: True or False")
+    if moving is not None and not isinstance(moving, bool):
+        raise InputError(f"moving = {moving!r}: True, False or None")
     name, value = next(iter(coordinate.items()))
     return PlaneSpec("xyz".index(name), float(value), beyond, moving)

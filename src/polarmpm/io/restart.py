@@ -29,7 +29,7 @@ from ..problems.state import Progress
 from ..tools.parallel import raise_on_all_ranks
 from . import meshstate
 
-_FORMAT = 5
+_FORMAT = 6
 
 
 def save(problem: Problem, path: str | os.PathLike[str]) -> None:
@@ -74,6 +74,8 @@ def _write_rows(path: Path, problem: Problem, arrays: dict[str, np.ndarray], fir
             file.attrs.update({"body": _kind(problem), **_header(problem)})
             for name, value in asdict(problem.progress).items():
                 file.attrs[f"progress/{name}"] = value
+            for name, text in problem.condition_state().items():
+                file.attrs[f"conditions/{name}"] = text
             if isinstance(problem, QuasiStatic):
                 file.attrs["shares"] = problem.load_shares.state()
         for name, rows in arrays.items():
@@ -103,10 +105,13 @@ def load(problem: Problem, path: str | os.PathLike[str]) -> None:
     """Put a saved state into a problem with the same grid, basis and materials, or the same mesh, degree,
     quadrature and materials; `march` goes on from it. Collective.
 
-    Supports and loads aren't in the file: the script that made the problem gives them again.
+    Supports and loads aren't in the file: the script that made the problem gives all of them again before it
+    calls this, in the same order, those too that were added in mid-run or released. The file knows since when
+    they count and which have been released. Those that it doesn't know count from the saved state on.
 
     Raises:
-        InputError: no such file, or it belongs to another problem; the message says what differs.
+        InputError: no such file, or it belongs to another problem; the message says what differs. A condition
+            of the saved run is missing.
     """
     error: Exception | None = None
     try:
@@ -115,11 +120,13 @@ def load(problem: Problem, path: str | os.PathLike[str]) -> None:
             rows = _read_all(file, problem.comm)
             saved = {f.name: file.attrs[f"progress/{f.name}"].item() for f in fields(Progress)}
             shares = _shares(file, problem.comm)
+            conditions = {k[11:]: str(v) for k, v in file.attrs.items() if k.startswith("conditions/")}
     except OSError as e:
         error = InputError(f"restart file {path} can't be read: {e}")
     except InputError as e:
         error = e
     raise_on_all_ranks(problem.comm, error)
+    problem.restore_conditions(conditions, saved["factor"])
     terms = {name[6:].replace(".", "/"): a for name, a in rows.items() if name.startswith("terms/")}
     problem.restore_terms(terms)
     if isinstance(problem, QuasiStaticFEM):

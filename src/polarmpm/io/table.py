@@ -29,7 +29,8 @@ class Table:
             for step in problem.march(10):
                 table.record(step)
 
-    `energies=problem.energies` adds the energy balance, `wall=lambda: problem.reaction(wall)[0]` a reaction,
+    `energies=problem.energies` adds the energy balance, `wall=lambda: problem.reaction(wall)` a reaction
+    (force, couple and moment), `balance=problem.balance` what loads and reactions add up to,
     `p=lambda: points.mean(field_values(problem, "mean_pressure"), tip)` the mean of a field of `Recorder`'s.
 
     Args:
@@ -109,6 +110,8 @@ class Table:
 
 
 def _expand(name: str, value: Any) -> dict[str, float]:
+    if hasattr(value, "as_dict"):  # a reaction or a balance
+        value = value.as_dict()
     if isinstance(value, Mapping):
         parts = [_expand(f"{name}_{key}", part) for key, part in value.items()]
         return {key: number for part in parts for key, number in part.items()}

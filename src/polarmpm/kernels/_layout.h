@@ -11,6 +11,7 @@
 enum {
     SHAPES = 4,                /* a weighting function and its derivatives, in space */
     UNKNOWNS_MAX = 21,         /* length of z in space with rotations */
+    INITIAL_MAX = 18,          /* numbers of an initial stress, in space with rotations */
     SPIN = 3                   /* components of a rotation, and of a couple, in space */
 };
 

@@ -70,7 +70,7 @@ void polarmpm_scalar_columns(int64_t nodes, const int64_t *offsets, const int64_
 #include "_boxes.h"
 
 typedef struct {
-    double *in, *out, *cin, *cout, *A;
+    double *in, *out, *cin, *cout, *iin, *iout, *A;
     vec *shapes, *x, *before, *f, *K;  /* shapes [lane][SHAPES][sv], nodal values [component][sv] of a group */
     Place *at;
     int sv;                            /* vectors of the nodes of the largest group */
@@ -85,6 +85,19 @@ INLINE void gather_group(const int nb, int n, int sv, const int32_t *nodes, cons
         for (int a = 0; a < n; ++a) to[i * sv * WIDTH + a] = x[(int64_t)nodes[a] * nb + i];
         for (int a = n; a < sv * WIDTH; ++a) to[i * sv * WIDTH + a] = 0.0;
     }
+}
+
+/* The initial stresses' part, of LANES points whose z and frames stand in w->in. */
+INLINE void evaluate_initial(const int dim, const int rot, const PointKernels *kernels, int64_t start, int lanes,
+                             const Work *w)
+{
+    const int known = unknowns_of(dim, rot) + dim * dim, n = kernels->ninitial;
+    memcpy(w->iin, w->in, sizeof(double) * known * LANES);
+    for (int l = 0; l < LANES; ++l) {
+        const double *stress = kernels->initial_stress + (start + (l < lanes ? l : lanes - 1)) * n;
+        for (int k = 0; k < n; ++k) w->iin[(known + k) * LANES + l] = stress[k];
+    }
+    kernels->initial(w->iin, w->iout);
 }
 
 /* Evaluate LANES points from `start` on: shapes of each, then the kernels. Returns how many are real. */
@@ -141,6 +154,7 @@ INLINE int evaluate(const int dim, const int rot, const Batch *b, const PointKer
     if (open || kernels->box_axes) kernels->kernel(w->in, w->out);
     if (kernels->box_kernel) evaluate_boxes(dim, rot, b, kernels->box_kernel, w->in, w->out, &w->boxes);
     if (*coupled) kernels->couple(w->cin, w->cout);
+    if (kernels->initial) evaluate_initial(dim, rot, kernels, start, lanes, w);
     return lanes;
 }
 
@@ -153,6 +167,7 @@ INLINE void point_terms(const int dim, const int rot, const Batch *b, const Poin
     const int64_t row = kernels->returned_of ? kernels->returned_of[p] : -1;
     const double *block = row < 0 ? NULL : kernels->returned + row * (nz + (A ? nz * nz : 0)), volume = b->volume[p];
     for (int k = 0; k < nz; ++k) r[k] = volume * (block ? block[k] : w->out[k * LANES + l]);
+    for (int k = 0; kernels->initial && k < nz; ++k) r[k] += volume * w->iout[k * LANES + l];
     if (coupled)
         for (int k = 0; k < SPIN; ++k) r[turn + k] += w->cout[k * LANES + l];
     if (!A) return;
@@ -162,6 +177,12 @@ INLINE void point_terms(const int dim, const int rot, const Batch *b, const Poin
     else
         for (int i = 0; i < nz; ++i)
             for (int j = i; j < nz; ++j, upper += LANES) A[i * nz + j] = A[j * nz + i] = volume * *upper;
+    const double *more = w->iout + nz * LANES + l;
+    for (int i = 0; kernels->initial && i < nz; ++i)
+        for (int j = i; j < nz; ++j, more += LANES) {
+            A[i * nz + j] += volume * *more;
+            if (j > i) A[j * nz + i] += volume * *more;
+        }
     if (coupled)
         for (int i = 0; i < SPIN; ++i)
             for (int j = 0; j < SPIN; ++j)
@@ -177,11 +198,12 @@ static int create_work(const Batch *b, int tangent, int scatter, int boxes, Work
     const size_t sv = (largest + WIDTH - 1) / WIDTH, stride = sv * WIDTH, inputs = 2 * nz + b->nstate + b->nparam;
     *w = (Work){.in = vectors(inputs * LANES), .out = vectors((size_t)outputs * LANES),
                 .cin = vectors(2 * SPIN * LANES), .cout = vectors(SPIN * (1 + SPIN) * LANES),
+                .iin = vectors((nz + b->dim * b->dim + INITIAL_MAX) * LANES), .iout = vectors((size_t)outputs * LANES),
                 .A = vectors((size_t)LANES * nz * nz),
                 .shapes = vectors(LANES * SHAPES * stride), .x = vectors(nb * stride), .before = vectors(nb * stride),
                 .f = vectors(nb * stride), .K = vectors(tangent && scatter ? most * nb * nb * stride : 1),
                 .at = malloc(sizeof(Place) * (most + 1)), .sv = (int)sv, .gathered = -1};
-    if (!(w->in && w->out && w->cin && w->cout && w->A && w->shapes && w->x && w->before && w->f && w->K && w->at))
+    if (!(w->in && w->out && w->cin && w->cout && w->iin && w->iout && w->A && w->shapes && w->x && w->before && w->f && w->K && w->at))
         return 1;
     for (int k = 0; k < b->nparam; ++k)
         for (int l = 0; l < LANES; ++l) w->in[(nz + b->nstate + k) * LANES + l] = b->param[k];
@@ -190,7 +212,7 @@ static int create_work(const Batch *b, int tangent, int scatter, int boxes, Work
 
 static void free_work(Work *w)
 {
-    free(w->in), free(w->out), free(w->cin), free(w->cout), free(w->A);
+    free(w->in), free(w->out), free(w->cin), free(w->cout), free(w->iin), free(w->iout), free(w->A);
     free(w->shapes), free(w->x), free(w->before), free(w->f), free(w->K), free(w->at);
     free_boxes(&w->boxes);
 }

@@ -11,7 +11,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 10,             /* raised with every change of a structure or signature; native.py reads it here */
+    INTERFACE = 12,            /* raised with every change of a structure or signature; native.py reads it here */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */
@@ -62,6 +62,9 @@ typedef struct {
     const double *before;      /* nodal values before the last correction, for the tangent's kernel; NULL: not needed */
     const int32_t *returned_of;  /* [point] row of `returned`, -1: evaluate the kernel; NULL: kernel for all points */
     const double *returned;    /* [row][nz (+ nz nz with tangent)] per volume, from the return mapping */
+    kernel_t initial;          /* (z, frame, stress) -> what an initial stress adds to `kernel`'s; NULL: there is none */
+    const double *initial_stress;  /* [point][ninitial] */
+    int32_t ninitial;          /* at most INITIAL_MAX */
     kernel_t box_kernel;       /* residual of the elastic energy, for the points' boxes; NULL without boxes */
     const double *box_axes;    /* [point][dim][dim] half axes, one a row */
     const double *box_turns;   /* [point][dim][rot] what the rotations' derivatives along them begin with */

@@ -19,7 +19,6 @@ from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.stresses import MaterialField
 from ..geometry.nodes import Nodes
-from ..kinematics import rotations
 from ..solvers import arclength, newton
 from ..solvers.arclength import ArcSchedule, Path
 from ..solvers.newton import Controls, Outcome
@@ -27,13 +26,14 @@ from ..solvers.stepping import Schedule, Step, march
 from ..terms.surfaces import SurfaceSupport
 from ..tools.parallel import errors_on_all_ranks
 from ..tools.timing import Timer
-from .conditions import Conditions
 from .observer import Observer
+from .reactions import Balance, Equilibrium, Reaction, point_about, surface_reaction
+from .release import Releasable
 from .state import Fields, StateFields, choose_fields
 from .work import StepStart, step_work
 
 
-class Problem(Conditions):
+class Problem(Releasable):
     """Equilibrium of a body under slowly changing loads. All methods are collective.
 
     Attributes:
@@ -51,8 +51,6 @@ class Problem(Conditions):
         self.rows: dict[str, np.ndarray] = {}
         self.steps: list[Step] = []
         self._fields = StateFields(comm)
-        # nodes, out-of-balance forces and rotational increments of the last converged step
-        self._equilibrium: tuple[Nodes, np.ndarray, np.ndarray] | None = None
         self._last_x: np.ndarray | None = None  # where the points were before the last step
 
     # what the methods differ in -------------------------------------------------------------------
@@ -72,21 +70,16 @@ class Problem(Conditions):
     def _check(self, increments: Increments) -> str:
         """Why a solution is not acceptable; empty when it is."""
 
-    def _trust(self, system: Any, start: np.ndarray, outcome: Outcome) -> None:  # noqa: B027
-        """Measure how far an acceptable solution, from increments `start` (nodes, block) on, can be trusted; it may be
-        refused."""
+    def _trust(self, system: Any, start: np.ndarray, outcome: Outcome) -> None:
+        """Measure how far an acceptable solution, from increments `start` (nodes, block) on, can be trusted;
+        it may be refused."""
 
-    def _note(self, outcome: Outcome) -> None:  # noqa: B027
+    def _note(self, outcome: Outcome) -> None:
         """Take note of what `_trust` has found, of a step that is converged and committed."""
 
     @abstractmethod
     def _commit(self, system: Any, increments: Increments, factor: float) -> None:
         """Make a solution the body's state."""
-
-    @property
-    @abstractmethod
-    def system(self) -> NodalSystem | None:
-        """Nodes, their increments and residual as of the last step; None before the first one."""
 
     # solving --------------------------------------------------------------------------------------
     def march(
@@ -129,12 +122,26 @@ class Problem(Conditions):
         return system
 
     def _prescribed_at(self, system: NodalSystem, factor: float) -> np.ndarray:
-        p = self.progress
-        with errors_on_all_ranks(self.comm):
-            return system.prescribed.increments(factor, p.reset_factor, p.rotation_factor)
+        return system.prescribed.increments(factor)
 
     def attempt(self, factor: float) -> Outcome:
         """Try to find equilibrium at a load factor; on failure everything stays as it was."""
+        outcome = self._attempt(factor)
+        if not outcome.converged and self._fall_back():
+            tried, outcome = outcome.history, self._attempt(factor)
+            outcome.history[:0] = tried
+            self._fell_back(outcome.converged)
+        return outcome
+
+    def _fall_back(self) -> bool:
+        """After a step that has failed: whether it is worth to be tried in another way, which is then set up.
+        Collective."""
+        return False
+
+    def _fell_back(self, converged: bool) -> None:
+        """Go on in that way, or return to the one before."""
+
+    def _attempt(self, factor: float) -> Outcome:
         system = self._prepare()
         with self.timer("conditions"):
             start = self._begin(system, factor)
@@ -205,6 +212,15 @@ class Problem(Conditions):
         failure everything stays as it was. With `kink` the step may turn off its tangent. Returns the load
         factor found, too. That loads and supports are such as they have to be is checked by
         `march_arc_length`."""
+        outcome, found = self._attempt_along(length, to, kink)
+        if not outcome.converged and self._fall_back():
+            tried = outcome.history
+            outcome, found = self._attempt_along(length, to, kink)
+            outcome.history[:0] = tried
+            self._fell_back(outcome.converged)
+        return outcome, found
+
+    def _attempt_along(self, length: float, to: float | None, kink: bool) -> tuple[Outcome, float]:
         system, p = self._prepare(), self.progress
         with self.timer("conditions"):
             ends = []
@@ -281,10 +297,10 @@ class Problem(Conditions):
             if outcome.converged:
                 self._trust(system, start.x, outcome)
             if outcome.converged:
-                external, carried = step_work(system, start, system.working_loads())
+                external, carried = step_work(system, start, system.working_loads(), self._left(system.nodes))
                 self.progress.external_work += external
                 self.progress.carried_work += carried
-                self._equilibrium = system.nodes, system.residual, system.x[:, self.layout.dim :].copy()
+                self._equilibrium = Equilibrium.of(system)
                 self._last_x, self.progress.factor_change = self.points.x, factor - self.progress.factor
                 for observer in self.observers:
                     observer.after_convergence(self, factor)
@@ -292,6 +308,8 @@ class Problem(Conditions):
                 base = self.progress.rotation_factor
                 self._commit(system, at_points, factor)
                 self._note(outcome)
+                system.prescribed.start_from(factor, system.x)
+                self._settle()
                 for observer in self.observers:
                     observer.after_commit(self, self.progress.rotation_factor != base)
             else:
@@ -311,18 +329,21 @@ class Problem(Conditions):
             observer.after_reset(self)
 
     def _prescribed(self, nodes: Nodes) -> Prescribed:
-        with self.timer("conditions"), errors_on_all_ranks(self.comm):
-            return Prescribed(nodes, self.supports, self.layout)
+        with self.timer("conditions"):
+            made = Prescribed(nodes, self.supports, self.layout, self.comm, self.cell_size)
+            made.start_from(self.progress.factor, made.base)
+            return made
 
     # restart --------------------------------------------------------------------------------------
     def kept(self) -> dict[str, np.ndarray]:
         """What is kept for each local point from step to step, beside its state: rows (np, ...) by name."""
-        return {f"rows.{name}": a for name, a in self.rows.items()} | self.term_rows()
+        return {f"rows.{name}": a for name, a in self.rows.items()} | self.term_rows() | self.load_rows()
 
     def keep(self, rows: dict[str, np.ndarray]) -> None:
         """Put in rows such as those of `kept`."""
         self.rows = {name[5:]: a for name, a in rows.items() if name.startswith("rows.")}
         self.restore_term_rows(rows)
+        self.restore_load_rows(rows)
 
     # results --------------------------------------------------------------------------------------
     def fields(self, *names: str | MaterialField) -> Fields:
@@ -349,7 +370,7 @@ class Problem(Conditions):
         """Energy balance of the run so far, in J (J per unit thickness in plane strain).
 
         - external: work of the loads, and of the supports' reactions on prescribed displacements;
-        - carried: work of the forces that balanced resets carry along;
+        - carried: work of the initial stresses and forces that balanced resets carry along;
         - stored: strain energy, with what hardening stores;
         - dissipated: by plastic flow;
         - ghost: work against the ghost penalty's forces;
@@ -372,30 +393,47 @@ class Problem(Conditions):
         gained = p.external_work + p.carried_work
         return out | {"residue": gained - out["stored"] - dissipated - p.ghost_work - p.term_work}
 
-    def reaction(self, support: Support | SurfaceSupport) -> tuple[np.ndarray, np.ndarray]:
-        """Force (N), shape (d,), and couple (N m), shape (r,), with which a support holds the body, by the
-        components that it prescribes.
+    def reaction(self, support: Support | SurfaceSupport, about: Any = None) -> Reaction:
+        """Force (N), shape (d,), couple (N m), shape (r,), and moment with which a support holds the body in
+        the last converged step, by the components that it prescribes: `force, couple = problem.reaction(s)`,
+        or `.force`, `.couple` and `.moment`, see `Reaction`.
 
-        The couple sums the nodes' couples; it has no moment of the forces.
+        The couple sums the nodes' couples. The moment is that of forces and couples about the point `about`
+        (default: the origin), where nodes and body are now; couples count in it.
+
+        Where two supports hold the same unknown, its force belongs to the one that was given first; the
+        other's `shared` says what that is. So the reactions of all supports add up.
 
         Raises:
-            InputError: nothing has been solved yet, or not what `fix` has returned.
+            InputError: nothing has been solved yet, the support has been released, or not what `fix` has
+                returned.
         """
         if not isinstance(support, Support | SurfaceSupport):
             raise InputError(f"reaction: support = {support!r} is not what fix has returned")
-        if self._equilibrium is None or (isinstance(support, SurfaceSupport) and support.reaction is None):
-            raise InputError("reaction: no load step has been solved yet")
+        point, given = point_about(about, self.layout.dim), self.given.of(support)
+        if given is None:
+            raise InputError(f"reaction: {support.name} isn't a support of this problem")
+        if given.released is not None:
+            raise InputError(f"reaction: {support.name} was released at load factor {given.released:g}")
+        e = self._equilibrium
         if isinstance(support, SurfaceSupport):
-            assert support.reaction is not None
-            return support.reaction
-        nodes, residual, w = self._equilibrium
-        own, d, held = nodes.owned, self.layout.dim, sorted(support.columns)
-        forces = np.zeros((own, self.layout.block))
-        forces[:, held] = np.where(support.mask(nodes)[:own, None], residual[:own, held], 0.0)
-        if self.layout.rotations == 3:  # what does work on Dw is J_l(Dw)^T times the couple
-            forces[:, d:] = np.linalg.solve(rotations.right_tangent(w[:own]), forces[:, d:, None])[:, :, 0]
-        total = self.comm.allreduce(forces.sum(axis=0))
-        return total[:d], total[d:]
+            if e is not None and support.reaction is not None:
+                return surface_reaction(support, point)
+        elif e is not None and support in e.prescribed.supports:
+            return e.reaction(support, point)
+        raise InputError(f"reaction: no load step has been solved yet with {support.name}")
+
+    def balance(self, about: Any = None) -> Balance:
+        """Loads, reactions and what else acts on the body in the last converged step: forces, and moments
+        about the point `about` (default: the origin) in the current configuration. Print it.
+
+        Raises:
+            InputError: nothing has been solved yet.
+        """
+        point = point_about(about, self.layout.dim)
+        if self._equilibrium is None:
+            raise InputError("balance: no load step has been solved yet")
+        return self._equilibrium.balance(point)
 
     @property
     def unknowns(self) -> int:

@@ -1,4 +1,5 @@
-"""What a problem keeps of the points' boxes: their energy, and the share of the work that is done inside them."""
+"""What a problem keeps of the points' boxes: their energy, and the share of the work that is done inside
+them."""
 
 from __future__ import annotations
 
@@ -24,8 +25,8 @@ class BoxRecord:
     """Energy and work inside the points' boxes in the course of a run. All methods are collective.
 
     Attributes:
-        kept: energy (J) in the boxes of this rank's points (np,), put in by a restart for the time until there is a
-            system again; else None.
+        kept: energy (J) in the boxes of this rank's points (np,), put in by a restart for the time until
+            there is a system again; else None.
         largest: largest share of a step's work inside the boxes so far, and that step's number.
     """
 
@@ -55,23 +56,27 @@ class BoxRecord:
         return total
 
     def unresolved(self, system: LoadedPoints, start: np.ndarray) -> float | None:
-        """Share of the elastic work since increments `start` (nodes, block) that is done inside the boxes; that of each
-        point goes to `points.unresolved`. None where points have no boxes.
+        """Share of the work since increments `start` (nodes, block) that is done inside the boxes;
+        that of each point goes to `points.unresolved`. None where points have no boxes.
 
-        Signs are left out of the sums, so that softening and snapping structures, whose whole work is near zero, don't
-        look as if nothing of it were resolved.
+        Signs are left out of the sums, so that softening and snapping structures, whose whole work is near
+        zero, don't look as if nothing of it were resolved.
         """
         if system.interpolation.boxes is None:
             return None
         inside, whole = np.zeros(len(self.points)), np.zeros(len(self.points))
         for boxes, (kernel, _) in zip(system.interpolation.boxes, system.kernels, strict=True):
             inside[boxes.rows], whole[boxes.rows] = boxes.work(kernel, start, system.x)
-        sums = np.array([np.abs(inside).sum(), np.abs(whole).sum()])
+        own, (initial, residual) = slice(0, system.nodes.owned), (system.step.initial, system.residual)
+        assert initial is not None
+        moved = (residual - initial)[own] * (system.x - start)[own]
+        sums = np.array([np.abs(inside).sum(), np.abs(whole).sum(), moved.sum()])
         self.comm.Allreduce(MPI.IN_PLACE, sums)
-        tiny = 1e-12 * sums[1] / max(1, self.points.total)  # points on which nothing happens
-        share = np.abs(inside) / np.maximum(np.abs(whole), tiny) if sums[1] > 0 else 0.0 * inside
-        self.points.unresolved = np.minimum(share, HOPELESS)
-        return float(sums[0] / sums[1]) if sums[1] > 0 else 0.0
+        # springs and other terms work, too: a body that moves on them as a whole is no matter of its boxes
+        most = max(float(sums[1]), abs(float(sums[2])), np.finfo(float).tiny)
+        tiny = 1e-12 * most / max(1, self.points.total)  # points on which nothing happens
+        self.points.unresolved = np.minimum(np.abs(inside) / np.maximum(np.abs(whole), tiny), HOPELESS)
+        return float(sums[0]) / most
 
     def refusal(self, share: float | None) -> str:
         """Why a solution with such a share is none; empty where it may be one."""
@@ -88,8 +93,8 @@ class BoxRecord:
             self._warned = True
             if self.comm.rank == 0:
                 warnings.warn(
-                    f"step {step}: {100 * share:.0f} % of its work is done inside the points' boxes, where neither the "
-                    f"grid nor the points resolve it; the answer may be far off: {_REMEDY}",
+                    f"step {step}: {100 * share:.0f} % of its work is done inside the points' boxes, where "
+                    f"neither the grid nor the points resolve it; the answer may be far off: {_REMEDY}",
                     TrustWarning,
                     stacklevel=2,
                 )
@@ -100,4 +105,5 @@ class BoxRecord:
         if not step:
             return "no measure of trust: points without boxes, or no step yet"
         verdict = "in doubt: " + _REMEDY if share > DOUBTFUL else "resolved to the grid's own error"
-        return f"at most {100 * share:.0f} % of a step's work is done inside the points' boxes (step {step}): {verdict}"
+        most = f"at most {100 * share:.0f} % of a step's work is done inside the points' boxes (step {step})"
+        return f"{most}: {verdict}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from mpi4py import MPI
@@ -11,8 +11,8 @@ from mpi4py import MPI
 import numpy as np
 
 from ..bodies.points import Points, Selection
-from ..conditions.amplitudes import Amplitude
-from ..conditions.loads import Load, make_loads
+from ..conditions.amplitudes import Amplitude, check_counts
+from ..conditions.loads import AnyLoad, Applied, HandedOver, Load, make_loads
 from ..conditions.supports import Support, make_support
 from ..errors import InputError
 from ..geometry.surfaces import Surface
@@ -22,6 +22,7 @@ from ..terms.surfaces import SurfaceSupport
 from ..terms.surfaceterms import SurfaceCondition
 from ..tools.parallel import errors_on_all_ranks
 from . import surfaces
+from .given import Given, Present, Register
 from .state import Progress
 
 
@@ -31,10 +32,11 @@ class Conditions(ABC):
     Attributes:
         points: where the body's state lives: material points, or the elements' quadrature points.
         layout: unknowns of a node.
-        supports, loads: prescribed nodes, and dead loads on points.
-        terms: what acts on the body besides its stresses, supports and dead loads; see `add`.
+        given: all conditions that a script has given, those that have been released too.
         progress: load factor and number of steps of the last converged state.
     """
+
+    knows_undeformed = False  # where a surface that is added in mid-run was in the undeformed body
 
     def __init__(self, comm: MPI.Comm, points: Points, dim: int):
         self.comm, self.points, self.progress = comm, points, Progress()
@@ -42,10 +44,28 @@ class Conditions(ABC):
         if len(layouts) > 1:
             raise InputError("points: micropolar and classical materials can't be mixed in one body")
         self.layout = layouts.pop()
-        self.supports: list[Support] = []
-        self.loads: list[Load] = []
-        self.terms: list[Term] = []
+        self._supports: list[Support] = []
+        self._loads: list[AnyLoad] = []
+        self._terms: list[Term] = []
+        # released since the last converged step: a balanced reset must not carry along what they did
+        self._leaving: list[Support | Term] = []
+        self.given = Register()
         self._stale = False  # conditions have changed since the system was built
+
+    @property
+    def supports(self) -> tuple[Support, ...]:
+        """Prescribed nodes; `fix` adds to them, `release` takes one away."""
+        return Present(self._supports)
+
+    @property
+    def loads(self) -> tuple[AnyLoad, ...]:
+        """Dead loads on points."""
+        return Present(self._loads)
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """What acts on the body besides its stresses, supports and dead loads; see `add`."""
+        return Present(self._terms)
 
     @abstractmethod
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
@@ -64,6 +84,7 @@ class Conditions(ABC):
         rotation_stiffness: float | None = None,
         augment: bool = False,
         normal: Any = None,
+        counts: str | None = None,
         **components: Any,
     ) -> Support | SurfaceSupport:
         """Prescribe displacements and rotations, of nodes or by springs on a surface.
@@ -74,9 +95,14 @@ class Conditions(ABC):
                 grid; `elements.surface(...)`), which the body carries: springs hold it.
             **components: u, theta (all components), or ux, uy, uz, theta_x, theta_y, theta_z (theta in
                 plane strain), in m and rad. A number is ramped with the load factor; a function of the
-                factor, or of (factor, positions), gives the total displacement or rotation; positions are
+                factor, or of (factor, positions), gives the displacement or rotation; positions are
                 those of the nodes at the last reset, of a surface the undeformed ones. In one step a rotation
-                in space may change by less than pi.
+                in space may change by less than pi. One number for several components is zero.
+            counts: "from now" or "total": whether these values count from the body's present place, so that
+                u=0 holds it there and it moves by what the values gain from now on; or from the undeformed
+                body, so that u=0 brings it back to it in the next step. Default: before the first load step
+                the total, later from now on. (The displacement of a grid's node is that of the material
+                points, fitted with the basis.)
             stiffness: of a surface's springs (Pa/m): the virtual work per undeformed area is
                 stiffness (u - prescribed u) . du, and the same for rotations. Default: 1000 times the
                 stiffest material's lam + 2 mu over the size of a cell: they give way like a layer of a
@@ -89,32 +115,46 @@ class Conditions(ABC):
                 displacements.
 
         Returns:
-            The support, for `reaction`. Of a surface, `support.gap` (n,) tells by how much (m) the prescribed
-            displacements were missed in the last step.
+            The support, for `reaction` and `release`. Of a surface, `support.gap` (n,) tells by how much (m)
+            the prescribed displacements were missed in the last step.
 
         Raises:
             InputError: unknown component or none, plane without nodes, value that isn't finite; of a surface,
                 a stiffness that isn't positive, materials that don't name their moduli; springs elsewhere.
+                When the next step begins, a support at whose nodes there is nothing of the body.
         """
+        check_counts("fix", counts)
         springs = {"stiffness": stiffness, "rotation_stiffness": rotation_stiffness, "normal": normal}
         if isinstance(where, Surface):
-            return surfaces.add_support(self, where, components, augment=augment, **springs)
+            return surfaces.add_support(self, where, components, augment=augment, counts=counts, **springs)
         given = [name for name, value in springs.items() if value is not None] + ["augment"] * bool(augment)
         if given:
             raise InputError(f"fix: {given[0]} belongs to springs on a Surface; where = {where!r}")
+        return self._fix_nodes(where, components, counts)
+
+    def _fix_nodes(self, where: Any, components: dict[str, Any], counts: str | None) -> Support:
         predicate, label = self._place(where)
-        support = make_support(predicate, label, components, self.layout, len(self.supports) + 1)
+        total = not self.progress.step if counts is None else counts == "total"
+        number = self.given.next("support")
+        support = make_support(predicate, label, components, self.layout, number, total)
+        turned = [c for c in support.columns if c >= self.layout.dim]
+        if total and self.progress.step and 0 < len(turned) < self.layout.rotations:
+            raise InputError(
+                f"{support.name}: counts = 'total': in space single components of a rotation have no total; "
+                "give theta, or counts='from now'"
+            )
         self._admit(where, support)
-        self.supports.append(support)
+        self._supports.append(support)
+        self.given.add(Given(support.name, support, self.progress.factor, counts), "support")
         self._stale = True
         return support
 
     def _admit(self, where: Any, support: Support) -> None:  # noqa: B027
         """Take note of a support that the user has put on `where`, or refuse it."""
 
-    def add(self, term: Term) -> None:
+    def add(self, term: Term, *, counts: str | None = None) -> None:
         """Add a term: a contribution to the nodal system, such as a `SurfaceTerm` of one's own. In mid-run it
-        acts from the next step on, which begins with a reset of the grid.
+        acts from the next step on, which begins with a reset of the grid. `counts` as of `load`.
 
         Raises:
             InputError: not a term, one that is in a problem already, or one that doesn't fit this problem.
@@ -125,69 +165,130 @@ class Conditions(ABC):
             )
         if term.taken:
             raise InputError(f"term = {term.name!r} has been added to a problem already; make another one")
+        check_counts(term.name, counts)
         term.attach(self.layout, self.comm)
         term.taken = True
-        self.terms.append(term)
+        term.begin_at(self.progress.factor, counts)
+        self._terms.append(term)
+        kind = "surface" if isinstance(term, SurfaceCondition) else "term"
+        self.given.add(Given(term.name, term, self.progress.factor, counts), kind)
         self._stale = self.progress.reset_due = True
 
     @property
     def surfaces(self) -> list[SurfaceCondition]:
         """Tractions, pressures, supports and terms of one's own on surfaces."""
-        return [term for term in self.terms if isinstance(term, SurfaceCondition)]
+        return [term for term in self._terms if isinstance(term, SurfaceCondition)]
+
+    def surface_name(self, kind: str) -> str:
+        """Name of the next condition on a surface."""
+        return f"{kind} {self.given.next('surface')}"
 
     def traction(
-        self, where: Surface, *, force: Any = None, couple: Any = None, follows: bool = False
-    ) -> None:
+        self,
+        where: Surface,
+        *,
+        force: Any = None,
+        couple: Any = None,
+        follows: bool = False,
+        counts: str | None = None,
+    ) -> Term | Applied:
         """A traction (N/m^2) and couple traction (N/m; one number in plane strain) on a surface that the body
-        carries. Values as in `fix`.
+        carries. Values and `counts` as in `load`.
 
         Dead: per undeformed area, fixed in space. `follows=True`: per current area; the part along the
         undeformed normal follows the current normal, the part in the surface is convected with it and keeps
         its size.
 
+        Returns:
+            The traction, for `release`.
+
         Raises:
             InputError: neither is given, values of the wrong size, a surface of another dimension; when the
                 next step begins, also points of the surface outside of the body.
         """
-        surfaces.add_traction(self, where, force, couple, follows=follows)
+        return surfaces.add_traction(self, where, force, couple, follows=follows, counts=counts)
 
-    def pressure(self, where: Surface, p: Any) -> None:
+    def pressure(self, where: Surface, p: Any, *, counts: str | None = None) -> Term | Applied:
         """A pressure (Pa) against the current normal of a surface that the body carries, -p cof(F) N dA.
+
+        Returns:
+            The pressure, for `release`.
 
         Raises:
             InputError: as `traction`.
         """
-        surfaces.add_pressure(self, where, p)
+        return surfaces.add_pressure(self, where, p, counts=counts)
 
-    def body_load(self, *, force: Any = None, couple: Any = None, on: Selection | None = None) -> None:
+    def body_load(
+        self,
+        *,
+        force: Any = None,
+        couple: Any = None,
+        on: Selection | None = None,
+        counts: str | None = None,
+    ) -> Applied:
         """A dead force (N/m^3) and couple (N/m^2) per reference volume, on all points or a selection.
 
-        Values as in `fix`; functions of two arguments get (factor, initial positions of the points (n, d)).
+        Values and `counts` as in `load`; functions of two arguments get (factor, initial positions of the
+        points (n, d)).
+
+        Returns:
+            The load, for `release`.
         """
-        self._add_loads(f"body load {len(self.loads) + 1}", on, force, couple, True, 1.0)
+        name = f"body load {self.given.next('load')}"
+        return self._add_loads(name, on, (force, couple), counts, density=True)
 
     def _add_loads(
-        self, name: str, selection: Selection | None, force: Any, couple: Any, density: bool, share: float
-    ) -> None:
-        self.loads += make_loads(name, selection, force, couple, self.layout, density, share)
+        self,
+        name: str,
+        selection: Selection | None,
+        values: tuple[Any, Any],
+        counts: str | None,
+        density: bool = False,
+        share: float = 1.0,
+    ) -> Applied:
+        check_counts(name, counts)
+        parts = make_loads(name, selection, *values, self.layout, density, share)
+        if selection is not None:
+            self.points.check(selection)
+        applied = Applied(name, tuple(parts))
+        self._take(applied, [load.amplitude for load in parts], counts)
+        self._loads += parts
+        return applied
+
+    def _take(self, applied: Applied, amplitudes: Sequence[Amplitude], counts: str | None) -> None:
+        """Note a load of a script's."""
+        for amplitude in amplitudes:
+            amplitude.begin(self.progress.factor, counts)
+        self.given.add(Given(applied.name, applied, self.progress.factor, counts), "load")
         self._stale = True
+
+    @property
+    def _handed(self) -> list[HandedOver]:
+        return [load for load in self._loads if isinstance(load, HandedOver)]
+
+    @property
+    def _working_terms(self) -> list[Term]:
+        """Terms, with those that have been released since the last converged step."""
+        return [*self._terms, *(t for t in self._leaving if isinstance(t, Term))]
 
     def _set_terms(self, factor: float, carrying: bool = False) -> None:
         with errors_on_all_ranks(self.comm):
-            for term in self.terms:
+            for term in self._working_terms:
                 term.set_factor(factor, carrying)
 
     def term_state(self) -> dict[str, np.ndarray]:
         """What a restart needs of the terms, the same on every rank, by names such as "0/u"."""
-        return {f"{k}/{name}": a for k, term in enumerate(self.terms) for name, a in term.state().items()}
+        return {f"{k}/{name}": a for k, term in enumerate(self._terms) for name, a in term.state().items()}
 
     def term_rows(self) -> dict[str, np.ndarray]:
         """The terms' rows of the local points, by names such as "term 0.mass"."""
-        return {f"term {k}.{name}": a for k, term in enumerate(self.terms) for name, a in term.rows.items()}
+        terms = enumerate(self._working_terms)
+        return {f"term {k}.{name}": a for k, term in terms for name, a in term.rows.items()}
 
     def restore_term_rows(self, rows: dict[str, np.ndarray]) -> None:
         """Put in rows such as those of `term_rows`, of which there may be others."""
-        for k, term in enumerate(self.terms):
+        for k, term in enumerate(self._working_terms):
             start = f"term {k}."
             term.rows = {name[len(start) :]: a for name, a in rows.items() if name.startswith(start)}
 
@@ -197,19 +298,28 @@ class Conditions(ABC):
         Raises:
             InputError: other terms.
         """
-        with_state = [k for k, term in enumerate(self.terms) if term.state()]
+        with_state = [k for k, term in enumerate(self._terms) if term.state()]
         saved = {int(key.split("/")[0]) for key in arrays}
         if saved != set(with_state):
             raise InputError(
                 f"the saved state has {len(saved)} term(s) with a state of their own, the problem has "
                 f"{len(with_state)}"
             )
-        for term in self.terms:
+        for term in self._terms:
             term.committed = True
         for k in with_state:
             start = f"{k}/"
             of_this = {key[len(start) :]: a for key, a in arrays.items() if key.startswith(start)}
-            self.terms[k].restore(of_this)
+            self._terms[k].restore(of_this)
+
+    def load_rows(self) -> dict[str, np.ndarray]:
+        """Rows of the local points of the reactions that were handed over, by name."""
+        return {f"handed {k}": load.values for k, load in enumerate(self._handed)}
+
+    def restore_load_rows(self, rows: dict[str, np.ndarray]) -> None:
+        """Put in rows such as those of `load_rows`, of which there may be others."""
+        for k, load in enumerate(self._handed):
+            load.values = rows[f"handed {k}"]
 
     def _load_places(self) -> list[tuple[Amplitude, np.ndarray]]:
         """All loads, and the positions (n, d) of this rank where they act.
@@ -217,9 +327,14 @@ class Conditions(ABC):
         Raises:
             InputError: the arc-length method can't take a load; the message names it.
         """
-        spatial = [load.name for load in self.loads if load.couple and self.layout.rotations == 3]
+        if not all(isinstance(load, Load) for load in self._loads):
+            raise InputError(
+                "a support is being released over load factors; the arc-length method can't do that"
+            )
+        loads = [load for load in self._loads if isinstance(load, Load)]
+        spatial = [load.name for load in loads if load.couple and self.layout.rotations == 3]
         if spatial:
             raise InputError(
                 f"{spatial[0]}: couples in space turn with the spin; the arc-length method takes forces only"
             )
-        return [(load.amplitude, self.points.X[self.points.rows(load.selection)]) for load in self.loads]
+        return [(load.amplitude, self.points.X[self.points.rows(load.selection)]) for load in loads]

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 import ufl
 
@@ -14,8 +16,11 @@ from ..assembly.elements import ElementSystem
 from ..bodies.elements import Elements
 from ..bodies.facets import Facets
 from ..bodies.reference import Increments
-from ..conditions.amplitudes import Amplitude
-from ..conditions.loads import point_loads
+from ..conditions.amplitudes import Amplitude, check_counts
+from ..conditions.holding import check_held
+from ..conditions.loads import Applied, point_loads
+from ..conditions.prescribed import Prescribed
+from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.elements import ElementForms
 from ..geometry.planes import PlaneSpec
@@ -25,11 +30,13 @@ from ..kinematics.motion import Motion
 from ..materials.base import warn_of_locking
 from ..solvers.choice import check_solver
 from ..solvers.newton import Controls
-from ..terms.base import Piece
-from ..terms.settings import MeshSetting
+from ..terms.base import Piece, Term
+from ..terms.settings import MeshNodes, MeshSetting
+from ..terms.surfaceterms import SurfaceCondition
 from ..tools import compat
 from ..tools.parallel import errors_on_all_ranks
 from .base import Problem
+from .given import Present
 from .state import Progress
 from .surfaces import add_load
 
@@ -42,7 +49,7 @@ def _make_forms(elements: Elements) -> ElementForms:
     return PlasticElementForms(elements)
 
 
-@dataclass
+@dataclass(eq=False)
 class SurfaceLoad:
     """A traction, couple traction or pressure on facets.
 
@@ -83,6 +90,8 @@ class QuasiStaticFEM(Problem):
         solver: as of `QuasiStatic`.
     """
 
+    knows_undeformed = True
+
     def __init__(self, elements: Elements, *, controls: Controls | None = None, solver: str = "auto"):
         self.solver = check_solver(solver)
         super().__init__(elements.comm, elements.points, elements.dim, controls)
@@ -91,7 +100,7 @@ class QuasiStaticFEM(Problem):
         _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
         if elements.degree == 1 and elements.comm.rank == 0:
             warn_of_locking(elements.points.materials, "elements of degree 1", "degree 2")
-        self.surface_loads: list[SurfaceLoad] = []
+        self._surface_loads: list[SurfaceLoad] = []
         self.progress.reset_due = False
         self._system: ElementSystem | None = None
         self._last_loads: np.ndarray | None = None  # forces of the last converged state's loads
@@ -113,60 +122,120 @@ class QuasiStaticFEM(Problem):
             return where, getattr(where, "__name__", "predicate")
         raise InputError(f"where = {where!r}: facets, a physical group, a plane or a predicate of positions")
 
-    def load(self, where: Any, *, force: Any = None, couple: Any = None) -> None:
+    @property
+    def surface_loads(self) -> tuple[SurfaceLoad, ...]:
+        """Tractions, couple tractions and pressures on facets."""
+        return Present(self._surface_loads)
+
+    def _admit(self, where: Any, support: Support) -> None:
+        with errors_on_all_ranks(self.comm):
+            prescribed = Prescribed(self.elements.nodes, [support], self.layout, self.comm)
+        own = self.elements.nodes.owned
+        check_held(prescribed, np.ones(own), self.progress.step)
+
+    def add(self, term: Term, *, counts: str | None = None) -> None:
+        super().add(term, counts=counts)
+        if isinstance(term, SurfaceCondition) and self.progress.step:
+            term.start_from(*self._carried_so_far(term))
+
+    def _carried_so_far(self, term: SurfaceCondition) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements (n, d) and deformation gradients (n, d, d) at a surface's points."""
+        carried, n, d = MeshSetting(self.elements).carry(term), len(term.surface), self.layout.dim
+        assert isinstance(carried.boxes, MeshNodes)
+        nodal = self.elements.displacement[carried.boxes.table]
+        found = np.zeros((n, 1 + d, d))
+        found[carried.rows] = np.einsum("mkn,mni->mki", carried.table, nodal)
+        self.comm.Allreduce(MPI.IN_PLACE, found)
+        return found[:, 0], np.eye(d) + np.swapaxes(found[:, 1:], 1, 2)
+
+    def _remove_load(self, load: Any) -> None:
+        super()._remove_load(load)
+        self._surface_loads = [one for one in self._surface_loads if one is not load]
+
+    def load(
+        self, where: Any, *, force: Any = None, couple: Any = None, counts: str | None = None
+    ) -> Term | Applied:
         """A dead force (N) and couple (N m) in total, spread evenly over facets.
 
         Args:
             where: `elements.facets(...)`, `elements.farthest(...)`, or what `elements.facets` takes; or a
                 surface.
-            force, couple: as in `fix`: numbers are ramped, functions of the load factor give the value. In
-                plane strain they count per unit thickness, and the couple is one number.
+            force, couple: numbers are ramped, functions of the load factor give the value. In plane strain
+                they count per unit thickness, and the couple is one number.
+            counts: of a load that is added in mid-run: "from now": what the values gain from the present load
+                factor on, so that nothing jumps; or "total": the values at the load factor. Default: numbers
+                grow from now, functions give the total.
+
+        Returns:
+            The load, for `release`.
         """
         if isinstance(where, Surface):
-            return add_load(self, where, force, couple)
-        group = self.elements.facets(where)
-        self._add_surface(group, {"force": force, "couple": couple}, False, 1.0 / group.area, "load")
+            return add_load(self, where, force, couple, counts)
+        group, values = self.elements.facets(where), {"force": force, "couple": couple}
+        return self._add_surface(group, values, False, 1.0 / group.area, "load", counts)
 
-    def traction(self, where: Any, *, force: Any = None, couple: Any = None, follows: bool = False) -> None:
+    def traction(
+        self,
+        where: Any,
+        *,
+        force: Any = None,
+        couple: Any = None,
+        follows: bool = False,
+        counts: str | None = None,
+    ) -> Term | Applied:
         """A traction (N/m^2) and couple traction (N/m) on facets (what `elements.facets` takes), or on a
         surface.
 
         Dead: per undeformed area, fixed in space. `follows=True`: per current area; the part along the
         undeformed normal follows the current normal, the part in the surface is convected with it and keeps
-        its size. Values as in `fix`; functions of two arguments get (factor, initial positions (n, d)).
+        its size. Values and `counts` as in `load`; functions of two arguments get (factor, initial positions
+        (n, d)).
         """
         if isinstance(where, Surface):
-            return super().traction(where, force=force, couple=couple, follows=follows)
+            return super().traction(where, force=force, couple=couple, follows=follows, counts=counts)
         group = self.elements.facets(where)
-        self._add_surface(group, {"force": force, "couple": couple}, follows, 1.0, "traction")
+        return self._add_surface(group, {"force": force, "couple": couple}, follows, 1.0, "traction", counts)
 
-    def pressure(self, where: Any, p: Any) -> None:
+    def pressure(self, where: Any, p: Any, *, counts: str | None = None) -> Term | Applied:
         """A pressure (Pa) against the current normal of the current surface, on facets (what
-        `elements.facets` takes) or on a surface. Values as in `fix`."""
+        `elements.facets` takes) or on a surface. Values and `counts` as in `load`."""
         if isinstance(where, Surface):
-            return super().pressure(where, p)
-        self._add_surface(self.elements.facets(where), {"pressure": p}, True, 1.0, "pressure")
+            return super().pressure(where, p, counts=counts)
+        return self._add_surface(self.elements.facets(where), {"pressure": p}, True, 1.0, "pressure", counts)
 
     def _add_surface(
-        self, facets: Facets, values: dict[str, Any], follows: bool, share: float, what: str
-    ) -> None:
-        name = f"{what} {len(self.surface_loads) + 1} ({facets.name})"
+        self,
+        facets: Facets,
+        values: dict[str, Any],
+        follows: bool,
+        share: float,
+        what: str,
+        counts: str | None,
+    ) -> Applied:
+        name = f"{what} {self.given.next('load')} ({facets.name})"
+        check_counts(name, counts)
         if all(v is None for v in values.values()):
             raise InputError(f"{name}: neither force nor couple is given")
         if values.get("couple") is not None and not self.layout.rotations:
             raise InputError(f"{name}: couple = {values['couple']!r}, but the material has no microrotation")
         sizes = {"force": self.layout.dim, "couple": self.layout.rotations, "pressure": 1}
+        parts = []
         for kind, value in values.items():
             if value is not None:
                 amplitude = Amplitude(f"{name}, {kind}", value, sizes[kind])
-                self.surface_loads.append(SurfaceLoad(facets, amplitude, kind, follows, share))
-        self._stale = True
+                parts.append(SurfaceLoad(facets, amplitude, kind, follows, share))
+        applied = Applied(name, tuple(parts))
+        self._take(applied, [load.amplitude for load in parts], counts)
+        self._surface_loads += parts
+        return applied
 
     # solving --------------------------------------------------------------------------------------
     def _prepare(self) -> ElementSystem:
         if self._system is not None and not self._stale:
             return self._system
         prescribed = self._prescribed(self.elements.nodes)
+        if prescribed.needs_motion and self.progress.step:
+            prescribed.put_motion(self.elements.displacement, self.elements.q)
         with self.timer("compile"):
             dead, varying = self._load_forms()
         if self._system is not None:
@@ -174,7 +243,6 @@ class QuasiStaticFEM(Problem):
         self._system = ElementSystem(
             self.forms, dead, varying, prescribed, self.timer, self.solver, self._pieces()
         )
-        self._last_loads = None
         self._rebase(None)
         self._stale = self.progress.reset_due = False
         return self._system
@@ -184,13 +252,18 @@ class QuasiStaticFEM(Problem):
         setting = MeshSetting(self.elements)
         for term in self.terms:
             term.begin()
-        return [piece for term in self.terms for piece in term.pieces(setting)]
+        found = []
+        for term in self.terms:
+            for piece in term.pieces(setting):
+                piece.of = term
+                found.append(piece)
+        return found
 
     def _load_forms(self) -> tuple[list[Any], list[_Varying]]:
         from dolfinx import fem
 
         e, f = self.elements, self.forms
-        dead, varying = [], []
+        dead, varying, self._body = [], [], None
         spatial = self.layout.rotations == 3
 
         def add(form: Any, changes: bool) -> None:

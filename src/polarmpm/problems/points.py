@@ -3,44 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from ..assembly.interpolation import Interpolation
-from ..assembly.points import LoadedPoints, PointSystem
+from ..assembly.points import LoadedPoints
 from ..basis.base import Basis
 from ..basis.registry import basis_of, names
-from ..bodies.partition import LoadShares, distribute
+from ..bodies.partition import LoadShares
 from ..bodies.points import Points, Selection
 from ..bodies.reference import Increments, Reference
 from ..bodies.seeding import check_inside
-from ..conditions import movinggrid
-from ..conditions.loads import point_loads
-from ..conditions.movinggrid import MovingPlane
+from ..conditions.loads import Applied, HandedOver, Load, point_loads
+from ..conditions.movinggrid import MovingGrid
 from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.choice import make_form
-from ..forms.couples import CoupleForm
 from ..forms.stresses import MaterialField
 from ..geometry.grid import Grid
-from ..geometry.planes import Plane, PlaneSpec
+from ..geometry.planes import PlaneSpec
 from ..geometry.surfaces import Surface
-from ..kernels.kernel import Kernel
 from ..kinematics import rotations
-from ..kinematics.motion import Motion
 from ..materials.base import warn_of_locking
 from ..solvers.choice import check_solver
 from ..solvers.newton import Controls, Outcome
 from ..solvers.resetting import ResetPolicy, WhenDistorted, make_policy
+from ..terms.base import Term
 from ..terms.ghost import Ghost, GhostPenalty, make_penalty
 from ..tools.parallel import errors_on_all_ranks, values_by_number
-from .base import Problem
+from .balancing import BalancedResets
 from .boxes import BoxRecord
-from .conservation import Conservation, Totals
+from .conservation import Conservation
+from .ongrid import Compiled, OnGrid
 from .state import Fields, Progress
 from .surfaces import add_load
 
@@ -48,13 +44,6 @@ ASSEMBLIES = ("direct", "projection")
 _DISTORTED = WhenDistorted()
 # The papers' method, for what they publish: `QuasiStatic(grid, points, **PUBLISHED)`.
 PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": False}
-
-
-@dataclass
-class _Compiled:
-    kernels: list[tuple[Kernel, Kernel]] = field(default_factory=list)
-    couple: Kernel | None = None
-    motion: Motion | None = None
 
 
 def _check_assembly(assembly: str, basis: Basis) -> str:
@@ -68,7 +57,18 @@ def _check_assembly(assembly: str, basis: Basis) -> str:
     return assembly
 
 
-class QuasiStatic(Problem):
+def _check_boxes(boxes: bool | None, basis: Basis) -> bool:
+    if boxes not in (None, True, False):
+        raise InputError(f"boxes = {boxes!r}: allowed are True, False and None")
+    if boxes and not basis.fills_boxes:
+        allowed = names(lambda b: b.fills_boxes)
+        raise InputError(
+            f"boxes = True: basis = {basis.name!r} has no second derivatives; allowed are {allowed}"
+        )
+    return basis.fills_boxes if boxes is None else boxes
+
+
+class QuasiStatic(OnGrid):
     """Equilibrium of material points on a grid under slowly changing loads. All methods are collective.
 
     Attributes:
@@ -92,7 +92,7 @@ class QuasiStatic(Problem):
             method), or None for never.
         balanced_reset: a reset keeps the body in equilibrium. The new basis can't balance all of the points'
             stresses; the papers let the rest relax, which softens the body reset by reset. Here it is carried
-            along as forces on the nodes until the next reset (docs/theory.md).
+            along as an initial stress of the points until the next reset (docs/theory.md).
         ghost: stabilises cells that the body cuts slightly (T 2.3.4): None, "thesis" (a hundredth of lambda
             and of gamma, T 4.4), "light" (against the thinnest cuts only) or a `GhostPenalty`. With basis
             "gimpm" or "mpm" and assembly "direct".
@@ -103,6 +103,8 @@ class QuasiStatic(Problem):
         solver: of linear systems: "direct" (MUMPS), "multigrid" (a Krylov method with algebraic multigrid:
             less time and memory in large problems in space), or "auto", which chooses by the number of
             unknowns.
+        boxes: points integrate the strain energy over their own boxes (docs/theory.md), so that few of them
+            see that a thin body bends; by default with all bases that have second derivatives, the splines.
 
     Raises:
         InputError: an argument is out of range; materials that don't go together.
@@ -125,7 +127,7 @@ class QuasiStatic(Problem):
         boxes: bool | None = None,
     ):
         self.grid = self.initial_grid = grid
-        self._moving: list[MovingPlane] = []
+        self._moving = MovingGrid(grid)
         self.basis, self.policy = basis_of(basis), make_policy(reset)
         self.assembly, self.solver = _check_assembly(assembly, self.basis), check_solver(solver)
         if points.dim != grid.dim:
@@ -140,7 +142,7 @@ class QuasiStatic(Problem):
                 points.materials, f"the functions of basis={self.basis.name!r}", "basis='bspline'"
             )
         self.rotation_limit = 1.0
-        self.boxes = self.basis.fills_boxes if boxes is None else boxes
+        self.boxes = _check_boxes(boxes, self.basis)
         self.box_record = BoxRecord(points, self.forms, grid.comm)
         self.load_shares = LoadShares(grid.comm, rebalance)
         self._conservation = Conservation(grid.comm)
@@ -148,7 +150,8 @@ class QuasiStatic(Problem):
         self.ghost = make_penalty(ghost, points.materials, self.layout, self.basis, assembly)
         if self.ghost:
             self.add(Ghost(self.ghost, self.layout))
-        self._compiled = _Compiled()
+        self._compiled = Compiled()
+        self._resets = BalancedResets(self.layout, self.comm, self.timer)
         self._system: LoadedPoints | None = None
         # forces and couples at the points of the last attempt and of the last converged step
         self._attempted: tuple[np.ndarray, np.ndarray] | None = None
@@ -166,29 +169,46 @@ class QuasiStatic(Problem):
         raise InputError(f"where = {where!r}: a plane or a predicate of node positions")
 
     def _admit(self, where: Any, support: Support) -> None:
-        moving = list(self._moving)
-        if isinstance(where, PlaneSpec) and where.moving:
-            if self.progress.step:
-                raise InputError(f"{support.name}: moving = True: allowed before the first load step only")
-            moving.append(MovingPlane.of(where, support))
-        movinggrid.check(moving, [*self.supports, support], self.initial_grid)
-        self._moving = moving
+        self._moving.admit(where, support, self.supports, self.progress.step > 0)
 
-    def load(self, where: Selection | Surface, *, force: Any = None, couple: Any = None) -> None:
+    def _dismiss(self, support: Support) -> None:
+        self._moving.dismiss(support, self.progress.factor if self.progress.step else None)
+
+    def _note_handed(self, handed: list[HandedOver], factor: float) -> None:
+        if self._converged_loads is not None:
+            for load in handed:
+                load.add_to(self._converged_loads[load.couple], self.points, factor)
+
+    def load(
+        self,
+        where: Selection | Surface,
+        *,
+        force: Any = None,
+        couple: Any = None,
+        counts: str | None = None,
+    ) -> Term | Applied:
         """A dead force (N) and couple (N m) in total, shared equally by selected points, or spread evenly
         over a surface.
 
-        Values as in `fix`: numbers are ramped, functions of the load factor give the value. In plane strain
-        they count per unit thickness, and the couple is one number.
+        Numbers are ramped, functions of the load factor give the value. In plane strain they count per unit
+        thickness, and the couple is one number.
+
+        Args:
+            counts: of a load that is added in mid-run: "from now": what the values gain from the present load
+                factor on, so that nothing jumps; or "total": the values at the load factor. Default: numbers
+                grow from now, functions give the total.
+
+        Returns:
+            The load, for `release`.
         """
         if isinstance(where, Surface):
-            return add_load(self, where, force, couple)
+            return add_load(self, where, force, couple, counts)
         if not isinstance(where, Selection):
             raise InputError(
                 f"selection = {where!r}: use points.where, points.farthest, points.nearest, or a Surface"
             )
         share = 1.0 / max(1, len(where))
-        self._add_loads(f"load {len(self.loads) + 1}", where, force, couple, False, share)
+        return self._add_loads(f"load {self.given.next('load')}", where, (force, couple), counts, share=share)
 
     def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
         with errors_on_all_ranks(self.comm):
@@ -225,8 +245,8 @@ class QuasiStatic(Problem):
         self.box_record.note(outcome.unresolved, self.progress.step)
 
     def trust(self) -> str:
-        """How far the run can be trusted, in a line: the largest share of a step's work that is done inside the points'
-        boxes, where neither the grid nor the points resolve it (docs/accuracy.md)."""
+        """How far the run can be trusted, in a line: the largest share of a step's work that is done inside
+        the points' boxes, where neither the grid nor the points resolve it (docs/accuracy.md)."""
         return self.box_record.summary()
 
     def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
@@ -248,7 +268,8 @@ class QuasiStatic(Problem):
                 p.rotation_factor = factor
 
     def _with_boxes(self, change: Callable[[], None]) -> None:
-        """Change what the boxes' energy depends on besides the increments; what it loses counts as carried."""
+        """Change what the boxes' energy depends on besides the increments; what it loses counts as
+        carried."""
         boxes = self.box_record
         before = boxes.energy(self._system)
         change()
@@ -262,100 +283,6 @@ class QuasiStatic(Problem):
                 rows = batch.rows[mapping.yielding.rows]
                 mapping.update_plastic_state(self.points, rows, i.reference.q[rows])
         i.pack()
-
-    def _prepare(self) -> LoadedPoints:
-        """The system of the present grid; reset if that is due, renewed if conditions have changed."""
-        p, old = self.progress, self._system
-        if len(self.points.materials) != len(self.forms):
-            raise InputError("points: were given another material after the problem had been made of them")
-        if old is not None and not p.reset_due and not self._stale:
-            return old
-        self._compile()
-        reset = old is None or p.reset_due
-        if old is None or reset:
-            self._system = self._reset()
-        else:
-            self._system = self._build(old.interpolation)
-            self._system.x[:], self._system.carried[:] = old.x, old.carried
-        if old is not None:
-            old.destroy()
-        self._stale = False
-        if reset:
-            self._tell_of_reset()
-        return self._system
-
-    def _reset(self) -> LoadedPoints:
-        """The system of a new grid, from whose nodes increments count."""
-        p = self.progress
-        if self.balanced_reset:
-            p.carried_work -= self.box_record.energy(self._system)
-        self.box_record.kept = None
-        grid = movinggrid.grid_at(self._moving, self.initial_grid, p.factor)
-        check_inside(grid, self.points)
-        self._put_grid(grid)
-        if self.load_shares.due():
-            with self.timer("migration"):
-                self._migrate()
-        with self.timer("reset"):
-            interpolation = self._interpolate(None)
-        system = self._build(interpolation)
-        p.reset_due, p.since_reset = False, 0
-        p.reset_factor = p.rotation_factor = p.factor
-        if self.balanced_reset and p.step:
-            # not the present loads: what has been added since the last step stays out of balance
-            system.set_loads(*(self._converged_loads or self._loads_at(p.factor)))
-            self._set_terms(p.factor, carrying=True)
-            system.carry_imbalance()
-        return system
-
-    def _migrate(self, reference: Reference | None = None) -> Reference | None:
-        """Distribute the points afresh, with all that is kept for each of them between steps; between resets
-        also their reference, which is then returned for the new distribution."""
-        before, kept = Totals.numbers(self.points, self.grid), self.kept()
-        route = distribute(self.grid, self.points, None if reference is None else reference.x)
-        self.load_shares.distributed()
-        if route is None:
-            return reference
-        self._conservation.moved(before, self.points, self.grid)
-        self.keep({name: route.forward(rows) for name, rows in kept.items()})
-        self._attempted = None
-        return None if reference is None else reference.moved(route)
-
-    def _put_grid(self, grid: Grid) -> None:
-        """Make it the grid; the supports' planes follow."""
-        if grid is not self.grid:
-            self.grid = grid
-            for support in self.supports:
-                if isinstance(support.where, Plane):
-                    support.where.follow(grid)
-
-    def _interpolate(self, reference: Reference | None) -> Interpolation:
-        for term in self.terms if reference is None else []:
-            term.begin()
-        made = Interpolation(
-            self.grid, self.points, self.basis, self.forms, reference, self.terms, self.boxes
-        )
-        self._conservation.reset(made)
-        self.load_shares.built(self.points, made.nodes)
-        return made
-
-    def _build(self, interpolation: Interpolation) -> LoadedPoints:
-        prescribed, c = self._prescribed(interpolation.nodes), self._compiled
-        kind: Callable[..., LoadedPoints] = PointSystem
-        if self.assembly == "projection":
-            # lazy import: direct sums need no assembler of dolfinx
-            from ..assembly.projection import ProjectedSystem as kind
-        return kind(interpolation, c.kernels, c.couple, prescribed, self.timer, self.solver)
-
-    def _compile(self) -> None:
-        c = self._compiled
-        with self.timer("compile"):
-            if not c.kernels:
-                c.kernels = [form.compile(self.comm) for form in self.forms]
-                c.motion = Motion(self.layout, self.comm)
-            unsymmetric = self.layout.rotations == 3 and any(load.couple for load in self.loads)
-            if unsymmetric and c.couple is None:
-                c.couple = CoupleForm().compile(self.comm)
 
     # restart --------------------------------------------------------------------------------------
     def increments(self) -> tuple[Reference, np.ndarray, np.ndarray] | None:
@@ -402,7 +329,10 @@ class QuasiStatic(Problem):
             self._system.destroy()
             self._system = None
         factor = progress.factor if increments is None else progress.reset_factor
-        self._put_grid(movinggrid.grid_at(self._moving, self.initial_grid, factor))
+        for load in self._loads:
+            if isinstance(load, Load) and load.selection is not None:
+                self.points.check(load.selection)  # the saved points may be others
+        self._put_grid(self._moving.at(factor if progress.step else None, self.supports))
         reference, lattice, values = increments or (None, None, None)
         if shares is None:
             reference = self._migrate(reference)
@@ -413,9 +343,10 @@ class QuasiStatic(Problem):
             return
         self._compile()
         interpolation = self._interpolate(reference)
-        self._system, self._stale = self._build(interpolation), False
         here = values_by_number(self.comm, lattice, values, interpolation.nodes.lattice)
-        self._system.x[:], self._system.carried[:] = np.hsplit(here, 2)
+        x, carried = np.hsplit(here, 2)
+        self._system, self._stale = self._build(interpolation, x), False
+        self._system.carried[:] = carried
 
     # results --------------------------------------------------------------------------------------
     def fields(self, *names: str | MaterialField) -> Fields:

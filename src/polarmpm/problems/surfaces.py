@@ -14,8 +14,8 @@ from ..kinematics.layout import Layout
 from ..materials.base import Material
 from ..terms.base import Term
 from ..terms.surfaces import Pressure, SurfaceSupport, Traction
-from ..terms.surfaceterms import SurfaceCondition
 from ..tools.checks import require_finite
+from .state import Progress
 
 _PENALTY = 1e3  # default springs: a layer of a thousandth of a cell, of the body's stiffness
 
@@ -25,18 +25,15 @@ class Loaded(Protocol):
 
     layout: Layout
     points: Points
+    progress: Progress
+    knows_undeformed: bool
 
-    @property
-    def surfaces(self) -> list[SurfaceCondition]: ...
+    def surface_name(self, kind: str) -> str: ...
 
     @property
     def cell_size(self) -> float: ...
 
-    def add(self, term: Term) -> None: ...
-
-
-def _name(problem: Loaded, kind: str) -> str:
-    return f"{kind} {len(problem.surfaces) + 1}"
+    def add(self, term: Term, *, counts: str | None = None) -> None: ...
 
 
 def add_traction(
@@ -46,20 +43,29 @@ def add_traction(
     couple: Any,
     *,
     follows: bool = False,
-) -> None:
+    counts: str | None = None,
+) -> Traction:
     """See `Conditions.traction`."""
-    problem.add(Traction(_name(problem, "traction"), surface, force, couple, follows=follows))
+    made = Traction(problem.surface_name("traction"), surface, force, couple, follows=follows)
+    problem.add(made, counts=counts)
+    return made
 
 
-def add_load(problem: Loaded, surface: Surface, force: Any, couple: Any) -> None:
+def add_load(
+    problem: Loaded, surface: Surface, force: Any, couple: Any, counts: str | None = None
+) -> Traction:
     """A total, spread evenly over a surface."""
     share = 1.0 / float(surface.area.sum())
-    problem.add(Traction(_name(problem, "load"), surface, force, couple, share=share))
+    made = Traction(problem.surface_name("load"), surface, force, couple, share=share)
+    problem.add(made, counts=counts)
+    return made
 
 
-def add_pressure(problem: Loaded, surface: Any, p: Any) -> None:
+def add_pressure(problem: Loaded, surface: Any, p: Any, counts: str | None = None) -> Pressure:
     """See `Conditions.pressure`."""
-    problem.add(Pressure(_name(problem, "pressure"), surface, p))
+    made = Pressure(problem.surface_name("pressure"), surface, p)
+    problem.add(made, counts=counts)
+    return made
 
 
 def add_support(
@@ -71,15 +77,26 @@ def add_support(
     rotation_stiffness: float | None,
     augment: bool,
     normal: Any,
+    counts: str | None,
 ) -> SurfaceSupport:
     """See `Conditions.fix`."""
-    name, layout = _name(problem, "surface support"), problem.layout
+    name, layout = problem.surface_name("surface support"), problem.layout
+    late = problem.progress.step > 0
+    if late and counts == "total" and not problem.knows_undeformed:
+        raise InputError(
+            f"{name}: counts = 'total': a surface that is added in mid-run is given where it is now; where "
+            "it was in the undeformed body isn't known. Add it before the first load step"
+        )
+    if late and counts == "total" and any(c.startswith("theta") for c in components):
+        raise InputError(
+            f"{name}: counts = 'total': how far a surface that is added in mid-run has turned isn't known"
+        )
     displaced = [c for c in components if not c.startswith("theta")]
     if normal is not None and displaced:
         raise InputError(f"{name}: normal is given together with {', '.join(displaced)}")
     support = None
     if components or normal is None:
-        support = make_support(_nowhere, name, components, layout, len(problem.surfaces) + 1)
+        support = make_support(_nowhere, name, components, layout, 0)
     if not isinstance(augment, bool):
         raise InputError(f"{name}: augment = {augment!r}: True or False")
     springs = _stiffness(problem, f"{name}: stiffness", stiffness, 0)
@@ -95,7 +112,7 @@ def add_support(
         rotation_stiffness=turning,
         augment=augment,
     )
-    problem.add(made)
+    problem.add(made, counts=counts or ("from now" if late else "total"))
     return made
 
 

@@ -27,26 +27,33 @@ class StepStart:
     new: np.ndarray
 
 
-def step_work(system: NodalSystem, start: StepStart, last: np.ndarray) -> tuple[float, float]:
-    """Work (J) in a step that has converged, of loads and supports, and of carried forces. Collective.
+def step_work(
+    system: NodalSystem, start: StepStart, last: np.ndarray, left: np.ndarray
+) -> tuple[float, float]:
+    """Work (J) in a step that has converged, of loads and supports, and of what resets carry along: forces,
+    and initial stresses, whose energy it takes. Collective.
 
     By the trapezoidal rule, so that its error falls with the square of the step. The reactions at the start
     are those in the present basis, from the internal forces of the first evaluation.
 
     Args:
         last: forces of the loads at the end, as in `StepStart`.
+        left: unknowns (nodes, block), bool, of supports that have been released before the step.
     """
     own = slice(0, system.nodes.owned)
     held = system.prescribed.fixed[own]
     moved = system.x[own] - start.x[own]
     # the first evaluation had the new loads already
     assert system.step.initial is not None
-    reactions = (system.step.initial + start.new - start.before)[own] + system.residual[own]
+    at_start = (system.step.initial + start.new - start.before)[own]
+    reactions, free = at_start + system.residual[own], left[own] & ~held
     sums = np.array(
         [
             0.5 * np.sum((start.before[own] + last[own]) * moved),
-            0.5 * np.sum(reactions[held] * moved[held]),
-            np.sum(system.carried[own] * moved),
+            0.5 * np.sum(reactions[held] * moved[held]) + 0.5 * np.sum(at_start[free] * moved[free]),
+            np.sum(system.carried[own] * moved)
+            + system.initial_energy(start.x)
+            - system.initial_energy(system.x),
         ]
     )
     system.comm.Allreduce(MPI.IN_PLACE, sums)

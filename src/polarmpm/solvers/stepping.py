@@ -36,8 +36,8 @@ class Step:
         factor: load factor reached.
         history: (force, energy) measures before the first and after every iteration, T (2.53)-(2.54).
         cuts: failed attempts before this one.
-        unresolved: share of the step's work that is done inside the points' boxes, where neither the grid nor the
-            points resolve it; None where points have no boxes.
+        unresolved: share of the step's work that is done inside the points' boxes, where neither the grid nor
+            the points resolve it; None where points have no boxes.
     """
 
     number: int

@@ -21,6 +21,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.grid import Grid, box_indices
 from ..geometry.nodes import ActiveNodes
 from ..geometry.surfaces import Surface
@@ -73,6 +74,7 @@ class Piece(ABC):
         linear: its tangent doesn't change.
         external: a load or a support; its forces count as such in the convergence measure.
         carried: see `Term`.
+        of: its term; the problem sees to it.
         fresh: its term has not taken part in a converged step yet: nothing of it is carried along.
     """
 
@@ -84,6 +86,7 @@ class Piece(ABC):
     external: bool = False
     carried: bool = True
     fresh: bool = False
+    of: Term | None = None
 
     @abstractmethod
     def forces(self, x: np.ndarray) -> np.ndarray:
@@ -200,6 +203,17 @@ class Term(ABC):
         Raises:
             InputError: they don't go together; the problem stays as it was.
         """
+
+    def begin_at(self, factor: float, counts: str | None) -> None:  # noqa: B027
+        """It is added at a load factor; `counts` as of `problem.add`."""
+
+    def fade(self, begin: float, end: float) -> None:
+        """It is released: it shall vanish evenly from one load factor to another.
+
+        Raises:
+            InputError: it can only be released at once.
+        """
+        raise InputError(f"{self.name}: can be released at once only, without over and until")
 
     @abstractmethod
     def pieces(self, setting: Setting) -> Sequence[Piece]:

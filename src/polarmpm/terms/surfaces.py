@@ -8,13 +8,14 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..conditions.amplitudes import Amplitude
+from ..conditions.amplitudes import Amplitude, Fade
 from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.surfaces import DeadTraction, FollowerPressure, FollowerTraction, Penalty, SurfaceForm
 from ..geometry.surfaces import Surface
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
+from ..kinematics.moments import moments
 from .surfaceterms import SurfaceCondition
 
 
@@ -56,6 +57,9 @@ class Traction(SurfaceCondition):
         self.linear = self.form.symmetric
         self.proportional = self.form.symmetric  # couples in space turn with the spin
 
+    def amplitudes(self) -> list[Amplitude]:
+        return self._values
+
     def make_form(self) -> SurfaceForm:
         couples = len(self._values) > 1
         return FollowerTraction(self.layout, couples) if self.follows else DeadTraction(self.layout, couples)
@@ -76,6 +80,9 @@ class Pressure(SurfaceCondition):
         super().__init__(name, surface)
         self._pressure = Amplitude(f"{name}, p", p, 1)
 
+    def amplitudes(self) -> list[Amplitude]:
+        return [self._pressure]
+
     def make_form(self) -> SurfaceForm:
         return FollowerPressure(self.layout)
 
@@ -93,6 +100,11 @@ class SurfaceSupport(SurfaceCondition):
         stiffness, rotation_stiffness: springs per area (Pa/m, N/m).
         augment: after each converged step the springs' forces are kept, so that the gap of a load that stays
             vanishes over steps (augmented Lagrange method).
+
+    Attributes:
+        reaction: force (N) and couple (N m) on the body in the last step; None before the first one.
+        moment: of them about the origin (N m), couples included.
+        gap: how far the prescribed displacements were missed then (n,) (m).
     """
 
     def __init__(
@@ -112,12 +124,33 @@ class SurfaceSupport(SurfaceCondition):
         self._stiffness, self._rotation_stiffness, self.augment = stiffness, rotation_stiffness, augment
         self.proportional = not augment
         self.reaction: tuple[np.ndarray, np.ndarray] | None = None
+        self.moment: np.ndarray | None = None
+        self._faded: Fade | None = None
         self.gap: np.ndarray = np.zeros(0)
 
     def attach(self, layout: Layout, comm: MPI.Comm) -> None:
         super().attach(layout, comm)
-        self._springs = self._make_springs()
+        self._springs, self._from_now = self._make_springs(), False
+        self._last: np.ndarray = np.zeros((len(self.surface), layout.block))
         self.multiplier: np.ndarray = np.zeros((len(self.surface), layout.block))
+        self._offset: np.ndarray = np.zeros((len(self.surface), layout.dim))
+
+    def amplitudes(self) -> list[Amplitude]:
+        of_columns = [amplitude for amplitude, _ in self._columns.values()]
+        return of_columns + ([] if self._normal is None else [self._normal])
+
+    def begin_at(self, factor: float, counts: str | None) -> None:
+        super().begin_at(factor, counts)
+        self._from_now = counts == "from now"
+
+    def start_from(self, u: np.ndarray, F: np.ndarray) -> None:
+        super().start_from(u, F)
+        if self._from_now:
+            self._offset = u.copy()
+
+    def fade(self, begin: float, end: float) -> None:
+        """The springs' forces of the last step are kept, and fade."""
+        self._faded = Fade(begin, end)
 
     def make_form(self) -> SurfaceForm:
         return Penalty(self.layout)
@@ -138,19 +171,23 @@ class SurfaceSupport(SurfaceCondition):
         total = np.zeros((len(x), self.layout.block))
         for column, (amplitude, component) in self._columns.items():
             total[:, column] = amplitude.at(factor, x)[:, component]
-        target: np.ndarray = total - np.hstack([self._at["u"], self._at["theta"]])
+        moved = self._at["u"] - self._offset
+        target: np.ndarray = total - np.hstack([moved, self._at["theta"]])
         if r == 3 and all(c in self._columns for c in range(d, d + 3)):
             there = rotations.from_vector(total[:, d:])
             way = rotations.multiply(there, rotations.conjugate(self._at["q"]))
             target[:, d:] = rotations.to_vector(np.where(way[:, :1] < 0, -way, way))
         if self._normal is not None:
             normal = self.surface.normal
-            along = self._normal.at(factor, x)[:, 0] - np.sum(normal * self._at["u"], axis=1)
+            along = self._normal.at(factor, x)[:, 0] - np.sum(normal * moved, axis=1)
             target[:, :d] = along[:, None] * normal
         return target
 
     def values(self, factor: float) -> list[np.ndarray]:
         springs = self._springs.reshape(len(self.surface), -1)
+        if self._faded is not None:
+            forces = self._last * self._faded.share(factor)
+            return [np.zeros_like(springs), np.zeros_like(forces), forces]
         if self._carrying and self.augment:  # the step has converged with this force before it was kept
             springs = np.zeros_like(springs)
         return [springs, self._target(factor), self.multiplier]
@@ -170,7 +207,11 @@ class SurfaceSupport(SurfaceCondition):
         if self.layout.rotations == 3:
             on_body[:, d:] = _spin_forces(self.form.slots.part(y, "rotation"), on_body[:, d:])
         self.reaction = on_body[:, :d].sum(axis=0), on_body[:, d:].sum(axis=0)
-        if self.augment:
+        place, couples = self.surface.x + self.u, on_body[:, d:]
+        self.moment = moments(place, on_body[:, :d], couples).sum(axis=0)
+        if self._faded is None:
+            self._last = force
+        if self.augment and self._faded is None:
             self.multiplier = force
 
     def _gap(self, y: np.ndarray) -> np.ndarray:
@@ -184,11 +225,17 @@ class SurfaceSupport(SurfaceCondition):
         return np.asarray(np.linalg.norm(miss[:, held], axis=1))
 
     def state(self) -> dict[str, np.ndarray]:
-        return {**super().state(), "multiplier": self.multiplier}
+        return {
+            **super().state(),
+            "multiplier": self.multiplier,
+            "offset": self._offset,
+            "last": self._last,
+        }
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         super().restore(arrays)
         self.multiplier = np.array(arrays["multiplier"], dtype=float)
+        self._offset, self._last = (np.array(arrays[name], dtype=float) for name in ("offset", "last"))
 
 
 def _spin_forces(w: np.ndarray, forces: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..conditions.amplitudes import Amplitude, Fade
 from ..errors import InputError
 from ..forms.surfaceenergy import SurfaceEnergyForm, SurfacePoint
 from ..forms.surfaces import SurfaceForm
@@ -111,7 +112,27 @@ class SurfaceCondition(Term):
         self.theta, self.q = np.zeros((n, layout.rotations)), rotations.identity(n)
         self._at = {name: getattr(self, name).copy() for name in _STATE}
 
+    def start_from(self, u: np.ndarray, F: np.ndarray) -> None:
+        """The body has carried the surface already when it is added: displacements (n, d) (m), deformation
+        gradients (n, d, d)."""
+        self.u, self.F = u, F
+        self._at["u"], self._at["F"] = u.copy(), F.copy()
+
+    def begin_at(self, factor: float, counts: str | None) -> None:
+        for amplitude in self.amplitudes():
+            amplitude.begin(factor, counts)
+
+    def fade(self, begin: float, end: float) -> None:
+        if not self.amplitudes():
+            super().fade(begin, end)
+        for amplitude in self.amplitudes():
+            amplitude.fade = Fade(begin, end)
+
     # what conditions differ in ------------------------------------------------------------------------
+    def amplitudes(self) -> list[Amplitude]:
+        """What follows the load factor."""
+        return []
+
     @abstractmethod
     def make_form(self) -> SurfaceForm:
         """The virtual work at a point."""

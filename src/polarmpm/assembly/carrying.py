@@ -1,0 +1,157 @@
+"""Balanced resets: what the new basis can't balance is carried as an initial stress of the points.
+
+The out-of-balance forces r of the points' stresses in the new basis are given to a field of initial
+stresses a : grad w, where w solves K w = -r and K sums the material part a of the points' tangents. They
+balance in force and in moment for whatever the body does until the next reset (`forms.initialstress`). What
+no stress can balance stays a dead force on the nodes, which forces on prescribed unknowns close
+(docs/theory.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..solvers.linear import SingularTangent
+from .initialstress import frames
+from .points import LoadedPoints
+
+_SOFTEST = 1e-8  # stiffness of directions that the material has none in (turns), over that of the others
+_SOLUTIONS = 2  # the shift leaves 1e-8 of r after the first one, an iterative solver its accuracy
+_ACCURACY = 1e-6
+_THIN = 1e-7  # shift of the matrix over its largest diagonal, where nodes are reached by too little
+_RANK = 1e-10  # of the equations for closing forces
+
+
+# the material part of the tangents --------------------------------------------------------------------
+class Moduli:
+    """Material part a = A - A_geo of the tangents of a batch's points at z = 0, in their frames.
+
+    A_geo is the tangent of initial stresses as large as the material's. Of plastic points a is the elastic
+    one with frozen flow.
+
+    Attributes:
+        blocks: no residual, then a with a small shift: (n, nz (1 + nz)).
+    """
+
+    def __init__(self, system: LoadedPoints, k: int):
+        self._batch = batch = system.interpolation.batches[k]
+        self._layout = layout = system.layout
+        n, nz = len(batch.rows), layout.unknowns
+        inputs, still = system.interpolation.kernel_inputs(batch, np.zeros_like(system.x)), np.zeros((n, nz))
+        before = (still,) if system.interpolation.forms[k].predicts else ()
+        of_material = system.kernels[k][1](inputs, *before)
+        assert system.initial is not None
+        kernels, frame = system.initial.kernels, frames(batch)
+        stress = self.stresses(of_material[:, :nz])
+        geometric = kernels.blocks(still, frame, kernels.form.pack(stress, frame))
+        self.blocks: np.ndarray = np.zeros((n, nz + nz * nz))
+        a, upper = self._matrices, np.triu_indices(nz)
+        a[:, upper[0], upper[1]] = a[:, upper[1], upper[0]] = (of_material - geometric)[:, nz:]
+        diagonal = np.einsum("nii->ni", a)
+        self._shift = _SOFTEST * np.abs(diagonal)
+        of_gradient = layout.where("displacement", 1)
+        self._shift[:, of_gradient] = self._shift[:, of_gradient].mean(axis=1, keepdims=True)
+        diagonal += self._shift
+
+    @property
+    def _matrices(self) -> np.ndarray:
+        n, nz = len(self.blocks), self._layout.unknowns
+        a: np.ndarray = self.blocks[:, nz:].reshape(n, nz, nz)
+        return a
+
+    def stresses(self, work: np.ndarray) -> np.ndarray:
+        """Stresses (n, b, d) that do the work (n, nz) on variations of z in the points' frames."""
+        rows = [self._layout.part(work, field, 1) for field in ("displacement", "rotation")]
+        stresses: np.ndarray = np.concatenate(rows, axis=1) @ np.swapaxes(frames(self._batch), 1, 2)
+        return stresses
+
+    def times(self, z: np.ndarray) -> np.ndarray:
+        """Stresses a z (n, b, d) of z (n, nz)."""
+        return self.stresses(np.einsum("nij,nj->ni", self._matrices, z) - self._shift * z)
+
+
+# resets -----------------------------------------------------------------------------------------------
+def carry_stress(system: LoadedPoints) -> None:
+    """Take the present state, at a reset, as an equilibrium: carry what is out of balance in it as initial
+    stresses, and the rest as forces. Collective."""
+    initial, i = system.initial, system.interpolation
+    assert initial is not None
+    initial.replace(np.zeros_like(i.reference.initial_stress))
+    left = system.imbalance()
+    size, thin = _norm(system, left), i.basis.thin_reach
+    try:
+        if size > 0.0:
+            moduli = [Moduli(system, k) for k in range(len(i.batches))]
+            system.assemble_moduli([m.blocks for m in moduli], _THIN if thin else 0.0)
+            for k in range(1 if thin else _SOLUTIONS):
+                w, before = system.solve_free(-left, k == 0, _ACCURACY), i.reference.initial_stress.copy()
+                initial.replace(before + _stresses(system, moduli, w))
+                now = system.imbalance()
+                if not _norm(system, now) < size:  # rounding is reached
+                    initial.replace(before)
+                    break
+                left, size = now, _norm(system, now)
+    except SingularTangent:  # a body in parts that nothing holds
+        return carry_forces(system)
+    system.carried = left + closing(system, left)
+
+
+def carry_forces(system: LoadedPoints) -> None:
+    """The same with forces alone. Collective."""
+    assert system.initial is not None
+    system.initial.replace(np.zeros_like(system.interpolation.reference.initial_stress))
+    left = system.imbalance()
+    system.carried = left + closing(system, left)
+
+
+def _stresses(system: LoadedPoints, moduli: Sequence[Moduli], w: np.ndarray) -> np.ndarray:
+    """What nodal displacements and rotations w (nodes, block) make of stresses at the points, (np, b, d)."""
+    i = system.interpolation
+    out = np.zeros_like(i.reference.initial_stress)
+    for b, a in zip(i.batches, moduli, strict=True):
+        out[b.rows] = a.times(i.kernel_inputs(b, w)[:, : system.layout.unknowns])
+    return out
+
+
+def _norm(system: LoadedPoints, forces: np.ndarray) -> float:
+    """Of forces (nodes, block), complete on owned rows; couples count as forces. Collective."""
+    own = np.sum((forces[: system.owned] * system.as_force) ** 2)
+    return float(np.sqrt(system.comm.allreduce(own)))
+
+
+def closing(system: LoadedPoints, forces: np.ndarray) -> np.ndarray:
+    """The smallest forces (nodes, block) on prescribed unknowns that leave forces without a sum and without a
+    moment, as far as they can. Collective.
+
+    They are weighted by the nodes' volumes: nodes that hardly belong to the body get hardly any.
+    """
+    own, comm = system.owned, system.comm
+    sums = _sums(system)
+    held = system.prescribed.fixed[:own]
+    weight = np.where(held, system.node_volumes()[:own, None] / system.as_force**2, 0.0)
+    given = np.einsum("knb,nb->k", sums, forces[:own])
+    matrix = np.einsum("knb,nb,lnb->kl", sums, weight, sums)
+    given, matrix = comm.allreduce(given), comm.allreduce(matrix)
+    out = np.zeros_like(forces)
+    out[:own] = -weight * np.einsum("knb,k->nb", sums, np.linalg.pinv(matrix, _RANK, hermitian=True) @ given)
+    return out
+
+
+def _sums(system: LoadedPoints) -> np.ndarray:
+    """By what forces (owned nodes, block) are multiplied to sum up to a force and, about the body's middle
+    and over its size, a moment: (components, owned nodes, block). Collective."""
+    own, d, r = system.owned, system.layout.dim, system.layout.rotations
+    x = system.positions()[:own]
+    x = x - system.comm.allreduce(x.sum(axis=0)) / system.nodes.total
+    size = float(np.sqrt(system.comm.allreduce(np.sum(x**2)) / system.nodes.total)) or 1.0
+    axes = [(0, 1, 0)] if d == 2 else [(1, 2, 0), (2, 0, 1), (0, 1, 2)]
+    out = np.zeros((d + len(axes), own, d + r))
+    for i in range(d):
+        out[i, :, i] = 1.0
+    for row, (i, j, k) in enumerate(axes, d):
+        out[row, :, j], out[row, :, i] = x[:, i] / size, -x[:, j] / size
+        if r:
+            out[row, :, d + k] = 1.0 / size
+    return out

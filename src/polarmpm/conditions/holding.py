@@ -1,0 +1,85 @@
+"""Whether supports hold the body: at nodes that it doesn't reach they would hold nothing, in silence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..errors import InputError, SupportLost
+from ..geometry.planes import Plane
+from .prescribed import Prescribed
+from .supports import Support
+
+_NOTHING = 1e-9  # of the largest volume at a node: nodes with less have points on a face of theirs only
+_LEAST = 0.25  # share of the nodes, and of the volume at one of them, that a support must keep
+
+
+def check_held(prescribed: Prescribed, volume: np.ndarray, step: int) -> None:
+    """Raise an error for a support that holds nothing of the body, or hardly anything any more. Collective.
+
+    Args:
+        volume: current volume of the body at each node (nodes,), in cells; complete on owned rows.
+        step: number of the last converged step.
+
+    Raises:
+        InputError: a new support at whose nodes there is nothing of the body.
+        SupportLost: the body has left a support.
+    """
+    comm, own = prescribed.comm, len(volume)
+    most = comm.allreduce(float(np.abs(volume).max(initial=0.0)), op=MPI.MAX)
+    weights = np.where(volume > _NOTHING * most, volume, 0.0)
+    sums = np.zeros((len(prescribed.supports), 2))
+    for k, mask in enumerate(prescribed.masks):
+        held = weights[mask[:own]]
+        sums[k] = held.sum(), np.sum(held**2)
+    comm.Allreduce(MPI.IN_PLACE, sums)
+    for support, (first, second) in zip(prescribed.supports, sums, strict=True):
+        if not first:
+            if support.met is None:
+                raise InputError(_nothing(prescribed, support, weights))
+            raise SupportLost(_lost(support, step, "has left all of its nodes"))
+        # so many nodes of equal volumes have the same sums: nodes that are hardly reached count little
+        now = first**2 / second, second / first
+        if support.met is None:
+            support.met = now
+        share = min(a / b for a, b in zip(now, support.met, strict=True))
+        if share < _LEAST:
+            raise SupportLost(
+                _lost(support, step, f"is leaving its nodes; at them there is {share:.0%} of it left")
+            )
+
+
+def _nothing(prescribed: Prescribed, support: Support, weights: np.ndarray) -> str:
+    """Message about a support that meets nothing, with the places of the nodes of the body. Collective."""
+    comm, position = prescribed.comm, prescribed.nodes.position[: len(weights)][weights > 0]
+    places = []
+    for axis, name in enumerate("xyz"[: prescribed.nodes.position.shape[1]]):
+        found = np.concatenate(comm.allgather(np.unique(position[:, axis].round(9))))
+        places.append(f"{name} = {_listed(np.unique(found))}")
+    return (
+        f"{support.name} holds nothing: there is no node of the body where it is meant to act. Its nodes are "
+        f"at {'; '.join(places)} (with splines at the middle of cells and on the grid's walls)"
+    )
+
+
+def _listed(values: Sequence[float]) -> str:
+    shown = [f"{v:g}" for v in values]
+    return ", ".join(shown if len(shown) <= 8 else [*shown[:5], "...", *shown[-2:]])
+
+
+def _lost(support: Support, step: int, what: str) -> str:
+    where = support.where
+    cure = (
+        "hold a Surface, which the body carries (springs), or release the support; with fewer resets it "
+        "holds longer"
+    )
+    if isinstance(where, Plane) and where.axis in support.columns:
+        name = f"{'xyz'[where.axis]}={where.value:g}"
+        cure = f"let the plane follow the body from the start, plane({name}, moving=True), or {cure}"
+    return (
+        f"{support.name}: at the reset of the grid after step {step} the body {what}. The last converged "
+        f"state is intact. To go on: {cure}"
+    )

@@ -1,0 +1,199 @@
+"""The part of a problem of material points that lives on the grid: resets, and the systems between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..assembly.interpolation import Interpolation
+from ..assembly.points import LoadedPoints, PointSystem
+from ..assembly.transfer import motion_of
+from ..basis.base import Basis
+from ..bodies.partition import LoadShares, distribute
+from ..bodies.reference import Reference
+from ..bodies.seeding import check_inside
+from ..conditions.holding import check_held
+from ..conditions.movinggrid import MovingGrid
+from ..errors import InputError
+from ..forms.couples import CoupleForm
+from ..forms.points import PointForm
+from ..geometry.grid import Grid
+from ..geometry.planes import Plane
+from ..kernels.kernel import Kernel
+from ..kinematics.motion import Motion
+from .balancing import BalancedResets
+from .base import Problem
+from .boxes import BoxRecord
+from .conservation import Conservation, Totals
+
+
+@dataclass
+class Compiled:
+    """Kernels of a problem."""
+
+    kernels: list[tuple[Kernel, Kernel]] = field(default_factory=list)
+    couple: Kernel | None = None
+    motion: Motion | None = None
+
+
+class OnGrid(Problem):
+    """What `QuasiStatic` does on the grid. Its attributes are described there."""
+
+    grid: Grid
+    basis: Basis
+    forms: Sequence[PointForm]
+    assembly: str
+    solver: str
+    boxes: bool
+    balanced_reset: bool
+    box_record: BoxRecord
+    load_shares: LoadShares
+    _moving: MovingGrid
+    _compiled: Compiled
+    _resets: BalancedResets
+    _conservation: Conservation
+    _system: LoadedPoints | None
+    _attempted: tuple[np.ndarray, np.ndarray] | None
+    _converged_loads: tuple[np.ndarray, np.ndarray] | None
+
+    def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
+        """Forces (np, d) and couples (np, r) at the local points at a load factor."""
+        raise NotImplementedError
+
+    def _prepare(self) -> LoadedPoints:
+        """The system of the present grid; reset if that is due, renewed if conditions have changed."""
+        p, old = self.progress, self._system
+        if len(self.points.materials) != len(self.forms):
+            raise InputError("points: were given another material after the problem had been made of them")
+        if old is not None and not p.reset_due and not self._stale:
+            return old
+        self._compile()
+        reset = old is None or p.reset_due
+        if old is None or reset:
+            self._system = self._reset()
+        else:
+            self._drop_pieces(old.interpolation)
+            self._system = self._build(old.interpolation, old.x)
+            self._system.carried[:] = old.carried
+        if old is not None:
+            old.destroy()
+        self._stale = False
+        if reset:
+            self._tell_of_reset()
+        return self._system
+
+    def _reset(self) -> LoadedPoints:
+        """The system of a new grid, from whose nodes increments count."""
+        p = self.progress
+        in_boxes = self.box_record.energy(self._system) if self.balanced_reset else 0.0
+        grid = self._moving.at(p.factor if p.step else None, self.supports)
+        check_inside(grid, self.points)
+        self._put_grid(grid)
+        if self.load_shares.due():
+            with self.timer("migration"):
+                self._migrate()
+        with self.timer("reset"):
+            interpolation = self._interpolate(None)
+        system = self._build(interpolation)
+        p.carried_work -= in_boxes
+        p.reset_due, p.since_reset = False, 0
+        p.reset_factor = p.rotation_factor = p.factor
+        if self.balanced_reset and p.step:
+            system.leaving = self._left(system.nodes)
+            self._put_balance(system)
+            self._resets.carry(system)
+        return self._without_leaving_terms(system)
+
+    def _without_leaving_terms(self, system: LoadedPoints) -> LoadedPoints:
+        """The system without terms that have been released since the last converged step; they were there so
+        that what they did isn't carried along."""
+        if not self._drop_pieces(system.interpolation):
+            return system
+        made = self._build(system.interpolation)
+        made.carried[:] = system.carried
+        system.destroy()
+        return made
+
+    def _drop_pieces(self, interpolation: Interpolation) -> bool:
+        """Take away what terms contribute that have been released; whether there was something."""
+        before = len(interpolation.pieces)
+        interpolation.pieces = [p for p in interpolation.pieces if p.of in self._terms]
+        return len(interpolation.pieces) < before
+
+    def _put_balance(self, system: LoadedPoints) -> None:
+        """Put in the loads that a reset has to balance: not the present ones, as what has been added since
+        the last step stays out of balance."""
+        system.set_loads(*(self._converged_loads or self._loads_at(self.progress.factor)))
+        self._set_terms(self.progress.factor, carrying=True)
+
+    def _fall_back(self) -> bool:
+        """The first step after a reset may fail with initial stresses: it is tried with forces instead."""
+        s = self._system
+        if s is None or self.progress.since_reset:
+            return False
+        return self._resets.fall_back(s, lambda: self._put_balance(s))
+
+    def _fell_back(self, converged: bool) -> None:
+        if not converged and self._system is not None:
+            self._resets.return_to_stresses(self._system)
+
+    def _migrate(self, reference: Reference | None = None) -> Reference | None:
+        """Distribute the points afresh, with all that is kept for each of them between steps; between resets
+        also their reference, which is then returned for the new distribution."""
+        before, kept = Totals.numbers(self.points, self.grid), self.kept()
+        route = distribute(self.grid, self.points, None if reference is None else reference.x)
+        self.load_shares.distributed()
+        if route is None:
+            return reference
+        self._conservation.moved(before, self.points, self.grid)
+        self.keep({name: route.forward(rows) for name, rows in kept.items()})
+        self._attempted = None
+        if self._equilibrium is not None:
+            self._equilibrium.points_moved = True
+        return None if reference is None else reference.moved(route)
+
+    def _put_grid(self, grid: Grid) -> None:
+        """Make it the grid; the supports' planes follow."""
+        if grid is not self.grid:
+            self.grid = grid
+            for support in self.supports:
+                if isinstance(support.where, Plane):
+                    support.where.follow(grid)
+
+    def _interpolate(self, reference: Reference | None) -> Interpolation:
+        terms = self._working_terms
+        for term in terms if reference is None else []:
+            term.begin()
+        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, terms, self.boxes)
+        self._conservation.reset(made)
+        self.load_shares.built(self.points, made.nodes)
+        return made
+
+    def _build(self, interpolation: Interpolation, x: np.ndarray | None = None) -> LoadedPoints:
+        """The system on nodes with increments x (nodes, block) since the reset."""
+        prescribed, c = self._prescribed(interpolation.nodes), self._compiled
+        volume = interpolation.spread(self.points.volume[:, None])[: interpolation.nodes.owned, 0]
+        check_held(prescribed, volume / np.prod(self.grid.smallest), self.progress.step)
+        kind: Callable[..., LoadedPoints] = PointSystem
+        if self.assembly == "projection":
+            # lazy import: direct sums need no assembler of dolfinx
+            from ..assembly.projection import ProjectedSystem as kind
+        system = kind(interpolation, c.kernels, c.couple, prescribed, self.timer, self.solver)
+        if x is not None:
+            system.x[:] = x
+            prescribed.start_from(self.progress.factor, x)
+        if prescribed.needs_motion and self.progress.step:
+            prescribed.put_motion(*motion_of(system, self.points))
+        return self._resets.equip(system)
+
+    def _compile(self) -> None:
+        c = self._compiled
+        with self.timer("compile"):
+            if not c.kernels:
+                c.kernels = [form.compile(self.comm) for form in self.forms]
+                c.motion = Motion(self.layout, self.comm)
+            unsymmetric = self.layout.rotations == 3 and any(load.couple for load in self.loads)
+            if unsymmetric and c.couple is None:
+                c.couple = CoupleForm().compile(self.comm)

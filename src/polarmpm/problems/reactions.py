@@ -1,0 +1,300 @@
+"""What supports do to the body, and the balance of all forces and moments."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..assembly.system import NodalSystem
+from ..conditions.prescribed import Prescribed
+from ..conditions.supports import Support
+from ..errors import InputError
+from ..geometry.nodes import Nodes
+from ..kinematics import rotations
+from ..kinematics.moments import moments
+from ..terms.surfaces import SurfaceSupport
+
+
+class Reaction(tuple[np.ndarray, np.ndarray]):
+    """What a support does to the body; unpacks into force and couple.
+
+    Attributes:
+        force: (N), shape (d,).
+        couple: sum of the nodes' couples (N m), shape (r,).
+        moment: of forces and couples about a point in the current configuration (N m), shape (1,) in the
+            plane and (3,) in space.
+        about: that point (m), (d,).
+        shared: by name of supports that were given earlier and hold some of the same unknowns: the force (N),
+            (d,), at those, which the earlier support's reaction states and this one doesn't.
+    """
+
+    moment: np.ndarray
+    about: np.ndarray
+    shared: dict[str, np.ndarray]
+
+    def __new__(
+        cls,
+        force: np.ndarray,
+        couple: np.ndarray,
+        moment: np.ndarray,
+        about: np.ndarray,
+        shared: dict[str, np.ndarray] | None = None,
+    ) -> Reaction:
+        made = super().__new__(cls, (force, couple))
+        made.moment, made.about, made.shared = moment, about, shared or {}
+        return made
+
+    def __getnewargs__(self) -> tuple[Any, ...]:  # for pickle
+        return self.force, self.couple, self.moment, self.about, self.shared
+
+    @property
+    def force(self) -> np.ndarray:
+        return self[0]
+
+    @property
+    def couple(self) -> np.ndarray:
+        return self[1]
+
+    def as_dict(self) -> dict[str, np.ndarray]:
+        """Columns of a table."""
+        return {"force": self.force, "couple": self.couple, "moment": self.moment}
+
+    def __repr__(self) -> str:
+        also = f", shared={self.shared}" if self.shared else ""
+        of = f"force={self.force}, couple={self.couple}, moment={self.moment} about {self.about}"
+        return f"Reaction({of}{also})"
+
+
+@dataclass(frozen=True)
+class Share:
+    """Part of a balance: force (N) (d,) and moment (N m) (1,) or (3,), couples included."""
+
+    name: str
+    force: np.ndarray
+    moment: np.ndarray
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Loads and reactions of the last converged step.
+
+    Attributes:
+        about: the point of the moments (m), (d,).
+        parts: loads, terms and supports, each with its force and moment on the body.
+        carried: dead forces on nodes that balanced resets carry along. They are no load; what they add up to
+            is missing in the sum.
+        force, moment: sum of the parts (N, N m); zero in balance.
+        residue: the sizes of these two, relative to the largest force of a part, and to it times the size of
+            the body (or the largest moment, where that is more).
+    """
+
+    about: np.ndarray
+    parts: tuple[Share, ...]
+    carried: Share
+    force: np.ndarray
+    moment: np.ndarray
+    residue: tuple[float, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Columns of a table."""
+        names = {"force": self.residue[0], "moment": self.residue[1]}
+        return {"residue": names, "force": self.force, "moment": self.moment}
+
+    def __str__(self) -> str:
+        d, m = len(self.force), len(self.moment)
+        heads = [f"force {a}" for a in "xyz"[:d]] + (["moment"] if m == 1 else [f"moment {a}" for a in "xyz"])
+        rows = [*self.parts, Share("sum", self.force, self.moment)]
+        if np.any(self.carried.force) or np.any(self.carried.moment):
+            rows.append(Share("(carried by the nodes)", self.carried.force, self.carried.moment))
+        width = max(len(row.name) for row in rows)
+        about = ", ".join(f"{a:g}" for a in self.about)
+        lines = [" " * width + "".join(f"{h:>14}" for h in heads)]
+        lines += [
+            f"{row.name:<{width}}" + "".join(f"{v:14.6g}" for v in (*row.force, *row.moment)) for row in rows
+        ]
+        lines.append(
+            f"moments about ({about}); relative to the load the sum is {self.residue[0]:.1e} (force) and "
+            f"{self.residue[1]:.1e} (moment)"
+        )
+        return "\n".join(lines)
+
+
+@dataclass
+class Equilibrium:
+    """The last converged state, as far as reactions and balance need it. Arrays are (nodes, ...).
+
+    Attributes:
+        residual: internal minus external forces, complete on owned rows.
+        w: rotation increments on which couples of the residual do work.
+        position: current positions (m).
+        loads, carried: spatial forces and couples of the loads, and carried ones, complete on owned rows.
+        terms: each term, with its forces and couples on the body on this rank.
+        points_moved: points have gone to other ranks since.
+    """
+
+    prescribed: Prescribed
+    nodes: Nodes
+    residual: np.ndarray
+    w: np.ndarray
+    position: np.ndarray
+    loads: np.ndarray
+    carried: np.ndarray
+    terms: list[tuple[str, np.ndarray]]
+    points_moved: bool = False
+
+    @classmethod
+    def of(cls, system: NodalSystem) -> Equilibrium:
+        """Of a system whose solution has just converged."""
+        d, x = system.layout.dim, system.x
+        terms: dict[int, tuple[str, np.ndarray]] = {}
+        for piece in system.terms.pieces:
+            name, forces = terms.get(id(piece.of), (piece.name, np.zeros_like(x)))
+            terms[id(piece.of)] = name, forces - system.terms.forces(x, partial(operator.is_, piece))
+        return cls(
+            system.prescribed,
+            system.nodes,
+            system.residual,
+            x[:, d:].copy(),
+            system.positions(),
+            system.spatial_loads(),
+            system.carried.copy(),
+            list(terms.values()),
+        )
+
+    # sums ---------------------------------------------------------------------------------------------
+    def _spatial(self, forces: np.ndarray, rows: int) -> np.ndarray:
+        """Forces and couples that do work on spins, of those that do it on increments, in the first rows."""
+        d, out = self.position.shape[1], forces[:rows]
+        if self.w.shape[1] == 3:  # what does work on Dw is J_r(Dw)^T times the couple
+            turned = np.linalg.solve(rotations.right_tangent(self.w[:rows]), out[:, d:, None])[:, :, 0]
+            out = np.hstack([out[:, :d], turned])
+        return out
+
+    def _sums(self, spatial: np.ndarray) -> np.ndarray:
+        """Force, couple and moment about the origin of spatial forces at the first nodes, on this rank."""
+        d = self.position.shape[1]
+        moment = moments(self.position[: len(spatial)], spatial[:, :d], spatial[:, d:])
+        return np.concatenate([spatial.sum(axis=0), moment.sum(axis=0)])
+
+    def _split(self, sums: np.ndarray, about: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Force, couple, and moment about a point, of their sums over all ranks."""
+        d = self.position.shape[1]
+        m = 1 if d == 2 else 3
+        force, couple, moment = sums[:d], sums[d:-m], sums[-m:]
+        none = np.zeros((1, 0))
+        return force, couple, moment - moments(about[None], force[None], none)[0]
+
+    def _held(self, support: Support) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Forces (owned, block) at the unknowns of a support that no earlier one holds, and those at the
+        others by the earlier one's name."""
+        own, at = self.nodes.owned, self.prescribed.supports.index(support)
+        first = np.full(self.residual[:own].shape, -1)
+        for number, one in enumerate(self.prescribed.supports[: at + 1]):
+            for column in one.columns:
+                rows = self.prescribed.masks[number][:own] & (first[:, column] < 0)
+                first[rows, column] = number
+        meant = np.zeros(first.shape, dtype=bool)
+        for column in support.columns:
+            meant[:, column] = self.prescribed.masks[at][:own]
+        forces = np.where(meant & (first == at), self.residual[:own], 0.0)
+        comm, others = self.prescribed.comm, {}
+        for number, one in enumerate(self.prescribed.supports[:at]):
+            rows = meant & (first == number)
+            if comm.allreduce(bool(np.any(rows)), op=MPI.LOR):
+                others[one.name] = np.where(rows, self.residual[:own], 0.0)
+        return forces, others
+
+    def reaction(self, support: Support, about: np.ndarray) -> Reaction:
+        """Reaction of a support that took part in the step. Collective."""
+        forces, others = self._held(support)
+        own, comm, d = self.nodes.owned, self.prescribed.comm, self.position.shape[1]
+        sums = comm.allreduce(self._sums(self._spatial(forces, own)))
+        shared = {name: comm.allreduce(f.sum(axis=0))[:d] for name, f in others.items()}
+        return Reaction(*self._split(sums, about), about, shared)
+
+    def free_residual(self, support: Support, still: Sequence[Support]) -> np.ndarray:
+        """Residual (nodes, block) at a support's unknowns that no other one of `still` holds."""
+        at = self.prescribed.supports.index(support)
+        out, mask = np.zeros_like(self.residual), self.prescribed.masks[at]
+        for column in support.columns:
+            rows = mask.copy()
+            for number, one in enumerate(self.prescribed.supports):
+                if one is not support and one in still and column in one.columns:
+                    rows &= ~self.prescribed.masks[number]
+            out[rows, column] = self.residual[rows, column]
+        return out
+
+    # balance ------------------------------------------------------------------------------------------
+    def _shares(self) -> Iterator[tuple[str, np.ndarray]]:
+        own = self.nodes.owned
+        yield "loads", self._sums(self.loads[:own])
+        for name, forces in self.terms:
+            yield name, self._sums(self._spatial(forces, len(forces)))
+        for support in self.prescribed.supports:
+            yield support.name, self._sums(self._spatial(self._held(support)[0], own))
+        yield "carried", self._sums(self._spatial(self.carried, own))
+
+    def balance(self, about: np.ndarray) -> Balance:
+        """Collective."""
+        comm, d = self.prescribed.comm, self.position.shape[1]
+        found = list(self._shares())
+        sums = comm.allreduce(np.array([s for _, s in found]))
+        split = [self._split(row, about) for row in sums]
+        shares = [Share(name, f, m) for (name, _), (f, _, m) in zip(found, split, strict=True)]
+        parts, carried = [s for s in shares[:-1] if s.name != "loads" or self._loaded()], shares[-1]
+        force = sum((s.force for s in parts), np.zeros(d))
+        moment = sum((s.moment for s in parts), np.zeros_like(carried.moment))
+        length, own = self._length(), self.nodes.owned
+        of_nodes = comm.allreduce(
+            float(np.abs(self.residual[:own, :d]).sum() + np.abs(self.loads[:own]).sum())
+        )
+        largest = max((float(np.linalg.norm(s.force)) for s in parts), default=0.0)
+        scale = largest if largest > 1e-9 * of_nodes else of_nodes
+        turning = max([scale * length, *(float(np.linalg.norm(s.moment)) for s in parts)])
+        residue = tuple(
+            float(np.linalg.norm(v)) / s if s else 0.0 for v, s in ((force, scale), (moment, turning))
+        )
+        return Balance(about, tuple(parts), carried, force, moment, (residue[0], residue[1]))
+
+    def _length(self) -> float:
+        """Diagonal (m) of the box around all nodes. Collective."""
+        here = self.position[: self.nodes.owned]
+        ends = np.stack([here.max(axis=0, initial=-np.inf), -here.min(axis=0, initial=np.inf)])
+        self.prescribed.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
+        return float(np.linalg.norm(ends.sum(axis=0)))
+
+    def _loaded(self) -> bool:
+        return bool(self.prescribed.comm.allreduce(bool(np.any(self.loads)), op=MPI.LOR))
+
+
+def point_about(about: Any, dim: int) -> np.ndarray:
+    """The point about which moments are taken (d,); default: the origin.
+
+    Raises:
+        InputError: not so many finite coordinates.
+    """
+    if about is None:
+        return np.zeros(dim)
+    try:
+        point = np.asarray(about, dtype=float)
+    except (TypeError, ValueError):
+        point = np.zeros(0)
+    if point.shape != (dim,) or not np.all(np.isfinite(point)):
+        raise InputError(f"about = {about!r}: {dim} finite coordinates are needed")
+    return point
+
+
+def surface_reaction(support: SurfaceSupport, about: np.ndarray) -> Reaction:
+    """Reaction of springs on a surface, which have taken part in a step."""
+    assert support.reaction is not None
+    assert support.moment is not None
+    force, couple = support.reaction
+    at = moments(about[None], force[None], np.zeros((1, 0)))[0]
+    return Reaction(force, couple, support.moment - at, about)

@@ -1,0 +1,226 @@
+"""Conditions that are taken away again: at once, or by a load that fades."""
+
+from __future__ import annotations
+
+import json
+import math
+from abc import abstractmethod
+from typing import Any
+
+import numpy as np
+
+from ..assembly.system import NodalSystem
+from ..assembly.transfer import point_values
+from ..conditions.amplitudes import Fade
+from ..conditions.loads import HandedOver
+from ..conditions.prescribed import Prescribed
+from ..conditions.supports import Support
+from ..errors import InputError
+from ..geometry.nodes import Nodes
+from ..kinematics import rotations
+from ..terms.base import Term
+from .conditions import Conditions
+from .given import Given
+from .reactions import Equilibrium
+
+
+def fading(factor: float, over: float | None, until: float | None) -> Fade | None:
+    """How a condition that is released at a load factor fades; None: it is gone at once.
+
+    Raises:
+        InputError: both are given, or no time at all.
+    """
+    if over is not None and until is not None:
+        raise InputError(f"release: over = {over!r} and until = {until!r}: one of them")
+    for name, value in (("over", over), ("until", until)):
+        if value is not None and (isinstance(value, bool) or not math.isfinite(value)):
+            raise InputError(f"release: {name} = {value!r}: a finite load factor")
+    if over is None and until is None:
+        return None
+    end = factor + over if over is not None else float(until or 0.0)
+    if end == factor:
+        raise InputError(f"release: nothing can fade between the load factors {factor:g} and {end:g}")
+    return Fade(factor, end)
+
+
+def hand_over(
+    support: Support,
+    still: tuple[Support, ...],
+    equilibrium: Equilibrium,
+    system: NodalSystem | None,
+    fade: Fade,
+) -> list[HandedOver]:
+    """Dead forces and couples on the points that do what a support did in the last step. Collective.
+
+    Raises:
+        InputError: the support, or the state of the nodes, isn't that of the last step any more.
+    """
+    if system is None or system.nodes is not equilibrium.nodes or equilibrium.points_moved:
+        raise InputError(
+            f"release: {support.name}: the grid has been reset since the last converged step; release it at "
+            "once, without over and until, or after another step"
+        )
+    d, r = system.layout.dim, system.layout.rotations
+    values = point_values(system, equilibrium.free_residual(support, still))
+    if r == 3:  # a dead couple m at a point does the work J_r(Dw) m
+        w = system.at_points(np.pad(equilibrium.w, ((0, 0), (d, 0))))[:, d:]
+        values[:, d:] = np.linalg.solve(rotations.right_tangent(w), values[:, d:, None])[:, :, 0]
+    out = []
+    for couple, part in ((False, values[:, :d]), (True, values[:, d:])):
+        if system.comm.allreduce(float(np.abs(part).max(initial=0.0))) > 0.0:
+            name = f"{support.name}, released"
+            out.append(HandedOver(name, couple, fade, np.ascontiguousarray(part)))
+    return out
+
+
+def described(condition: Any) -> str:
+    """A condition's name, for messages."""
+    return str(getattr(condition, "name", repr(condition)))
+
+
+class Releasable(Conditions):
+    """Conditions that can be released, and go on after a restart. All methods are collective."""
+
+    _equilibrium: Equilibrium | None = None  # the last converged step
+
+    def release(self, condition: Any, *, over: float | None = None, until: float | None = None) -> None:
+        """Take a condition away: a support, load, traction, pressure or term.
+
+        At once: from the next step on it does nothing any more. Or evenly over load factors: a load keeps its
+        present value and fades; the reaction of a support, or the springs' forces of a surface, become dead
+        forces (and couples) on the body, which fade. After that nothing is left of it; until then `loads` has
+        what a support has handed over.
+
+        Args:
+            condition: what `fix`, `load`, `body_load`, `traction` or `pressure` has returned, or a term.
+            over: load factors over which it fades.
+            until: load factor at which it has faded, instead of `over`.
+
+        Raises:
+            InputError: not a condition of this problem, or released already; both `over` and `until`, or no
+                time at all; a term that can't fade; nothing has been solved yet that could fade.
+        """
+        fade, given = fading(self.progress.factor, over, until), self.given.of(condition)
+        if given is None:
+            raise InputError(f"release: {described(condition)} is no condition of this problem")
+        if given.released is not None:
+            raise InputError(f"release: {given.name} was released at load factor {given.released:g} already")
+        if fade is not None and not self.progress.step:
+            raise InputError(
+                f"release: {given.name}: before the first load step there is nothing that could fade"
+            )
+        self._let_go(given, fade)
+        given.released, given.until = self.progress.factor, None if fade is None else fade.end
+
+    def _let_go(self, given: Given, fade: Fade | None) -> None:
+        self._stale = True
+        for part in getattr(given.condition, "parts", (given.condition,)):
+            if isinstance(part, Support):
+                if fade is not None:
+                    self._take_over(part, fade)
+                elif self.progress.step:
+                    self._leaving.append(part)
+                self._supports = [s for s in self._supports if s is not part]
+                self._dismiss(part)
+            elif not isinstance(part, Term):
+                if fade is None:
+                    self._remove_load(part)
+                part.amplitude.fade = fade
+            elif fade is not None:
+                part.fade(fade.begin, fade.end)
+            else:
+                if self.progress.step:
+                    self._leaving.append(part)
+                self._terms = [t for t in self._terms if t is not part]
+
+    def _take_over(self, support: Support, fade: Fade) -> None:
+        """Put loads that fade in the place of a support's reaction."""
+        if self._equilibrium is None or support not in self._equilibrium.prescribed.supports:
+            raise InputError(f"release: no load step has been solved yet with {support.name}")
+        handed = hand_over(support, self.supports, self._equilibrium, self.system, fade)
+        self._loads += handed
+        self._note_handed(handed, fade.begin)
+
+    @property
+    @abstractmethod
+    def system(self) -> NodalSystem | None:
+        """Nodes, their increments and residual as of the last step; None before the first one."""
+
+    def _left(self, nodes: Nodes) -> np.ndarray:
+        """Unknowns (nodes, block) of supports that have been released since the last converged step."""
+        left = [s for s in self._leaving if isinstance(s, Support)]
+        return Prescribed(nodes, left, self.layout, self.comm).fixed
+
+    def _note_handed(self, handed: list[HandedOver], factor: float) -> None:
+        """The loads of the last converged step include what was handed over then."""
+
+    def _dismiss(self, support: Support) -> None:
+        """A support has been released."""
+
+    def _remove_load(self, load: Any) -> None:
+        self._loads = [one for one in self._loads if one is not load]
+
+    def _settle(self) -> None:
+        """A step has converged."""
+        for support in self._supports:
+            support.committed = True
+        self._leaving = []
+        gone = [h for h in self._handed if not h.fade.share(self.progress.factor)]
+        self._loads = [load for load in self._loads if load not in gone]
+
+    def condition_state(self) -> dict[str, str]:
+        """What a restart file holds of the conditions: which there are, since when, and what was handed
+        over."""
+        handed = [[h.name, h.couple, h.fade.begin, h.fade.end] for h in self._handed]
+        return {"given": self.given.saved(), "handed": json.dumps(handed)}
+
+    def restore_conditions(self, state: dict[str, str], factor: float) -> None:
+        """Go on with conditions as `condition_state` has told; before `restore_terms` and `restore`. New ones
+        count from the load factor of the saved state.
+
+        Raises:
+            InputError: some that were saved haven't been given.
+        """
+        known = self.given.match(state["given"]) if "given" in state else [(g, {}) for g in self.given]
+        empty = np.zeros((0, 0))
+        self._loads += [
+            HandedOver(name, couple, Fade(*ends), empty)
+            for name, couple, *ends in json.loads(state.get("handed", "[]"))
+        ]
+        for given, row in known:
+            if row is None:
+                given.begun = factor
+                self._begin_again(given)
+                continue
+            if row:
+                given.begun, given.counts = row["begun"], row["counts"]
+                self._begin_again(given, row["met"])
+            elif isinstance(given.condition, Support):
+                given.condition.committed = True
+            if row.get("released") is not None and given.released is None:
+                given.released, given.until = row["released"], row["until"]
+                self._let_go_again(given, factor)
+
+    def _begin_again(self, given: Given, met: Any = None) -> None:
+        condition = given.condition
+        if isinstance(condition, Support):
+            condition.committed, condition.met = met is not None, met and tuple(met)
+            condition.total = condition.total and (met is not None or given.counts == "total")
+        elif isinstance(condition, Term):
+            condition.begin_at(given.begun, given.counts)
+        else:
+            for part in condition.parts:
+                part.amplitude.begin(given.begun, given.counts)
+
+    def _let_go_again(self, given: Given, factor: float) -> None:
+        """Release what had been released when the state was saved."""
+        assert given.released is not None
+        if isinstance(given.condition, Support):
+            self._supports = [s for s in self._supports if s is not given.condition]
+            self._dismiss(given.condition)
+            if (
+                given.until is None and given.released == factor
+            ):  # since the last step, as far as one can tell
+                self._leaving.append(given.condition)
+            return
+        self._let_go(given, None if given.until is None else Fade(given.released, given.until))
