@@ -1,11 +1,14 @@
 """What an evaluation at the points costs: kernel, residual, residual with tangent, set-up, empty space.
 
 The curved cantilever at 1 m cells, its points moved off the lattice so that GIMPM domains cross cells as they
-do after some steps. Prints microseconds a point (the least of many calls: machines are noisy), writes JSON.
+do after some steps. Then load steps of blocks in the plane and in space and of a plastic column, all settings
+default, with points that integrate over their boxes and, where this version can, without. Prints microseconds
+a point (the least of many calls: machines are noisy), writes JSON.
 """
 
 import argparse
 import ctypes
+import inspect
 import json
 import os
 import subprocess
@@ -16,6 +19,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import scenes
 from curved_cantilever import load_demo
 
 import polarmpm as pm
@@ -85,6 +89,77 @@ def first_use(code):
         ]
 
 
+# load steps ---------------------------------------------------------------------------------------
+def block(dim, number, material, **options):
+    """A block of 24 x 8 or 8 x 4 x 4 cells, held at one end, under its own weight."""
+    size = (24, 8) if dim == 2 else (8, 4, 4)
+    grid = pm.Grid.box((0, -2, -2)[:dim], [s + 2 for s in size], 1.0)
+    points = pm.seed(grid, bounds=((0,) * dim, size), material=material, points_per_cell=number)
+    problem = pm.QuasiStatic(grid, points, **options)
+    problem.fix(pm.plane(x=0.0), u=0, **({"theta": 0} if material.micropolar else {}))
+    problem.body_load(force=(0, -1e-3 * scenes.YOUNG / size[0], 0)[:dim])
+    return problem
+
+
+def column(number, **options):
+    """The sand column of `demos/biaxial.py`."""
+    return scenes.biaxial(number, **options)[0]
+
+
+def step_costs(repeat):
+    """CPU microseconds a point of an iteration, in the first steps, and its parts; by scene, then with and
+    without boxes."""
+    builds = {}
+    for dim, numbers in ((2, (2, 3, 4)), (3, (2, 3))):
+        for name, stuff in (("classical", scenes.classical()), ("micropolar", scenes.micropolar())):
+            for number in numbers:
+                where = f"{'plane' if dim == 2 else 'space'}, {name}, {number} points"
+                builds[where] = partial(block, dim, number, stuff)
+    for number in (2, 3):
+        builds[f"plastic column, {number} points"] = partial(column, number)
+    switch = "boxes" in inspect.signature(pm.QuasiStatic.__init__).parameters
+    found = {}
+    for where, build in builds.items():
+        choices = {"boxes": {"boxes": True}, "none": {"boxes": False}} if switch else {"none": {}}
+        runs = {name: [] for name in choices}
+        for _ in range(repeat):  # in turn, so that all see the same machine
+            for name, options in choices.items():
+                runs[name].append(step_cost(build(**options)))
+        found[where] = {
+            name: {key: min(r[key] for r in some) for key in some[0]} for name, some in runs.items()
+        }
+        if switch:
+            found[where]["ratio"] = (
+                found[where]["boxes"]["iteration_us"] / found[where]["none"]["iteration_us"]
+            )
+        print(where, json.dumps(found[where]), flush=True)
+    return found
+
+
+def step_cost(problem, steps=10):
+    """A fifth of the load in so many steps, the first one apart: iterations, and microseconds a point of one
+    of them."""
+    marching = problem.march(steps, to=0.2, adaptive=True, progress=False)
+    next(marching)
+    before, begin = dict(problem.timer.seconds), time.process_time()
+    for _ in marching:
+        pass
+    spent = time.process_time() - begin
+    iterations = sum(step.iterations for step in problem.steps[1:])
+    per = 1e6 / iterations / len(problem.points)
+    parts = {
+        f"{name}_us": per * (problem.timer.seconds.get(name, 0.0) - before.get(name, 0.0))
+        for name in ("assembly", "factor", "solve", "update")
+    }
+    return {
+        "points": len(problem.points),
+        "unknowns": problem.unknowns,
+        "iterations": iterations,
+        "iteration_us": per * spent,
+        **parts,
+    }
+
+
 _START = """
 import polarmpm as pm
 grid = pm.Grid.box((0, 0, 0), (2, 1, 1), 0.5)
@@ -100,29 +175,37 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeat", type=int, default=40)
     parser.add_argument("--output", type=Path, default=HERE / "results", metavar="DIR")
+    parser.add_argument("--steps-only", action="store_true", help="leave out all but the load steps")
     args = parser.parse_args()
+    found = {} if args.steps_only else evaluation_costs(args.repeat)
+    found["steps"] = step_costs(max(1, args.repeat // 10))
+    text = json.dumps(found, indent=2)
+    print(text)
+    args.output.mkdir(parents=True, exist_ok=True)
+    (args.output / "assembly.json").write_text(text + "\n")
+
+
+def evaluation_costs(repeat):
+    """Microseconds a point of evaluations, and seconds of set-ups, of the curved cantilever."""
     demo, found = load_demo(), {}
     for basis in ("mpm", "gimpm"):
         problem, _ = problem_of(demo, basis)
         n, system = len(problem.points), problem.system
         found[basis] = {
             "points": n,
-            "kernel_us": 1e6 / n * kernel_seconds(problem, args.repeat),
-            "residual_us": 1e6 / n * least(lambda s=system: s.evaluate(False), args.repeat),
-            "residual_and_tangent_us": 1e6 / n * least(lambda s=system: s.evaluate(True), args.repeat),
+            "kernel_us": 1e6 / n * kernel_seconds(problem, repeat),
+            "residual_us": 1e6 / n * least(lambda s=system: s.evaluate(False), repeat),
+            "residual_and_tangent_us": 1e6 / n * least(lambda s=system: s.evaluate(True), repeat),
             "factor_us": 1e6 / n * least(partial(factor, system), 5),
         }
     small, large = [], []
-    for _ in range(args.repeat):  # in turn, so that both see the same machine
+    for _ in range(repeat):  # in turn, so that both see the same machine
         small.append(problem_of(demo, "mpm")[1])
         large.append(problem_of(demo, "mpm", ((0, -400, -80), (800, 400, 640)))[1])
     found["empty_space"] = {"seconds": min(small), "seconds_of_ten_times_the_box": min(large)}
     cold, warm = first_use(_START)
     found["start"] = {"first_use_s": cold, "warm_s": warm}
-    text = json.dumps(found, indent=2)
-    print(text)
-    args.output.mkdir(parents=True, exist_ok=True)
-    (args.output / "assembly.json").write_text(text + "\n")
+    return found
 
 
 if __name__ == "__main__":
