@@ -47,14 +47,14 @@ def test_means_over_boxes(dim):
         for i in range(dim):
             reach = np.abs(np.rint(grid.local(x[p : p + 1])) - grid.local(x[p : p + 1]))[0, i]
             over = half[p, i] / size[i] - reach
-            if 0 < over < 0.02:
+            if 0 < over < 0.01:
                 continue  # so little over a plane is not worth the nodes
             compared += 1
             at = np.tile(x[p], (80, 1))
             at[:, i] += half[p, i] * t
             plain = SPLINES.weights(grid, at)
             mean = 0.5 * sum(weight[k] * dense(grid, plain, k, i) for k in range(80))
-            np.testing.assert_allclose(dense(grid, w, p, i), mean, atol=2e-3)
+            np.testing.assert_allclose(dense(grid, w, p, i), mean, atol=1e-12 if over < 0 else 1e-3)
     assert compared > 50 * dim
 
 
@@ -129,9 +129,9 @@ def test_stress_of_a_column_converges():
     """Points cross planes at every reset: averaged splines are of second order, plain ones stay where they
     are."""
     coarse, fine = (column(cells, "bspline-averaged") for cells in (8, 32))
-    assert coarse < 2e-3
+    assert coarse < 2e-4
     assert np.log2(coarse / fine) > 2 * 1.5
-    assert column(32, "bspline") > 10 * fine
+    assert column(32, "bspline") > 100 * fine
 
 
 def bent() -> pm.QuasiStatic:

@@ -117,6 +117,34 @@ def test_slivers_of_seeded_bodies_move_with_the_grid(basis):
             np.testing.assert_array_equal(5 - found[free], expected[free])
 
 
+@EACH
+@pytest.mark.parametrize("number", [1, 2, 3, 5])
+@pytest.mark.parametrize("end", [4.0, 4.05, 4.4, 4.97])
+def test_points_on_planes_have_no_side(basis, number, end):
+    """Weights of a block of which many points are on planes, its end in the middle of a cell or not, with
+    second derivatives: mirrored in a mirrored grid."""
+    splines = basis_of(basis)
+    along, across = np.arange(2.0, end + 1e-9, 1 / number), np.arange(1.0, 3.0 + 1e-9, 1 / number)
+    x = np.stack(np.meshgrid(np.append(along, end), across, indexing="ij"), axis=-1).reshape(-1, 2)
+    x = np.array_split(x, COMM.size)[COMM.rank]
+    grid, half = pm.Grid.box((0, 0), (7, 4), 1.0), np.full(x.shape, 0.5 / number)
+
+    def dense(at: np.ndarray, axis: int) -> np.ndarray:
+        w = splines.weights(grid, at, half, splines.supporting_cells(grid, at), 3)
+        out = np.zeros((len(at), 3, 12))
+        for p in range(len(at)):
+            n = w.count[p, axis]
+            out[p, :, w.lowest[p, axis] : w.lowest[p, axis] + n] = w.table[p, axis, :, :n]
+        return out[:, :, : grid.shape[axis] + splines.degree]
+
+    for axis in (0, 1):
+        mirror = np.where(np.arange(2) == axis, -1.0, 1.0)
+        mirrored = dense(x * mirror + (1.0 - mirror) / 2 * grid.shape, axis)
+        np.testing.assert_allclose(
+            mirrored[:, :, ::-1] * [[1.0], [-1.0], [1.0]], dense(x, axis), rtol=0, atol=1e-9
+        )
+
+
 def block(
     dim: int, material: pm.Material, offset: float, basis: str = "bspline", **options
 ) -> pm.QuasiStatic:

@@ -33,7 +33,7 @@ def test_the_lists_are_read_only():
     assert isinstance(problem.terms, tuple)
     with pytest.raises(AttributeError):
         problem.supports = []
-    with pytest.raises(pm.InputError, match="remove: .* problem.release takes one away"):
+    with pytest.raises(pm.InputError, match=r"remove: .* problem\.release takes one away"):
         problem.supports.remove(prop)
 
 
@@ -52,8 +52,8 @@ def test_a_support_that_is_gone(options):
     lowest = by_id(free.points, free.points.displacement).min(axis=0)[1]
     assert expected[1] < -0.1
     exact = options is None or options["reset"] is None
-    assert found == pytest.approx(lowest, rel=1e-6 if exact else 0.03)
-    assert problem.reaction(wall).force[1] == pytest.approx(40.0, rel=1e-6 if exact else 0.03)
+    assert found == pytest.approx(lowest, rel=1e-6 if exact else 3e-3)
+    assert problem.reaction(wall).force[1] == pytest.approx(40.0, rel=1e-6 if exact else 3e-3)
     with pytest.raises(pm.InputError, match=r"support 2 \(<lambda>\) was released at load factor 1"):
         problem.reaction(prop)
 

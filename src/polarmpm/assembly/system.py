@@ -76,8 +76,6 @@ class NodalSystem(ABC):
         residual: internal minus external and carried forces of the last evaluation; complete on owned rows.
         carried: forces on the nodes that stand for what neither the basis nor initial stresses could balance
             at the last reset.
-        leaving: unknowns (nodes, block) that supports held in the last converged state which have been
-            released since; a reset carries nothing of their reactions along.
         step: where the iterations of the present step stand.
         terms: what acts on the nodes besides the body's stresses and loads.
         length: size of a cell (m) in each direction, which tells what a displacement means as a strain.
@@ -104,7 +102,6 @@ class NodalSystem(ABC):
         self.loads: np.ndarray = np.zeros(shape)
         self.external: np.ndarray = self.loads
         self.carried: np.ndarray = np.zeros(shape)
-        self.leaving: np.ndarray | None = None
         self.step = StepState(np.zeros(shape))
         # a couple counts as a force at the distance of a cell, so that measures don't depend on units
         self._cell = float(np.prod(length)) ** (1.0 / len(length))
@@ -233,8 +230,7 @@ class NodalSystem(ABC):
 
     def imbalance(self) -> np.ndarray:
         """Internal minus external forces (nodes, block) at free unknowns, complete on owned rows, but for
-        terms that a reset doesn't carry along or that have just been added, and unknowns that supports
-        held which have been released since (`leaving`). Collective."""
+        terms that a reset doesn't carry along or that have just been added. Collective."""
 
         def apart(piece: Piece) -> bool:
             return piece.fresh or not piece.carried
@@ -244,10 +240,7 @@ class NodalSystem(ABC):
             left_out = self.terms.forces(self.x, apart)
             self.nodes.add_to_owners(left_out)
             forces = forces - left_out
-        held = self.prescribed.fixed
-        if self.leaving is not None:
-            held = held | self.leaving
-        free: np.ndarray = np.where(held, 0.0, forces)
+        free: np.ndarray = np.where(self.prescribed.fixed, 0.0, forces)
         return free
 
     def forget_rotations(self) -> None:

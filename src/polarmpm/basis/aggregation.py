@@ -5,17 +5,18 @@ layer's thickness, in each direction. The points of such a layer are weighted in
 the cell behind the face, continued through it (cell aggregation). Then every function that is left reaches
 well into the body. Polynomials of the splines' degree are still represented exactly.
 
-How thin a sliver is must not be decided by rounding, or a body that is moved by whole cells has another
-answer. So the limits are as far as can be (.0045 and .006 cells) from where points of fresh bodies lie: at
-the centres and faces of up to twelve equal boxes a cell, at Gauss positions, at multiples of a fortieth,
-where the centroids of boxes cut at simple places are.
+A point on a plane is in the cells on both sides, or a mirrored body would have other slivers. How thin a
+sliver is must not be decided by rounding, or a body that is moved by whole cells has another answer. So the
+limits are as far as can be (.0045 and .006 cells) from where points of fresh bodies lie: at the centres and
+faces of up to twelve equal boxes a cell, at Gauss positions, at multiples of a fortieth, where the
+centroids of boxes cut at simple places are.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..geometry.grid import Grid
+from ..geometry.grid import Grid, box_indices, snap
 from ..tools.parallel import Route, values_by_number
 
 
@@ -29,8 +30,8 @@ def supporting_cells(grid: Grid, x: np.ndarray, thickness: float) -> np.ndarray:
     """
     comm, dim = grid.comm, grid.dim
     index = grid.cells_of(x)
-    right = grid.within(x, index)
-    own, at = np.unique(grid.cell_number(index), return_inverse=True)
+    members, right = _members(grid, x, index)
+    own, at = np.unique(grid.cell_number(members), return_inverse=True)
     depth = np.zeros((len(own), 2 * dim))  # how far the points reach from the lower and the upper faces
     np.maximum.at(depth, at, np.hstack([right, 1.0 - right]))
     # each cell has one rank that knows all of its points
@@ -53,4 +54,19 @@ def supporting_cells(grid: Grid, x: np.ndarray, thickness: float) -> np.ndarray:
     step *= leans[:, None]
     # the cell behind the face may be a sliver in another direction
     step += at_target()[:, :-1] * leans[:, None]
-    return index + values_by_number(comm, cells, step.astype(float), own).astype(np.int64)[at]
+    moved = values_by_number(comm, cells, step.astype(float), own).astype(np.int64)
+    supporting: np.ndarray = index + moved[at[: len(x)]]
+    return supporting
+
+
+def _members(grid: Grid, x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lattice indices (m, d) of the cells that points at x (n, d) (m) are in, and coordinates (m, d) in them:
+    first those of `index` (n, d), then those below the planes that points are on."""
+    right = grid.within(x, index)
+    on = (snap(right) == 0.0) & (index > 0)
+    members, coordinates = [index], [right]
+    for below in box_indices((2,) * grid.dim)[1:]:
+        rows = np.all(on | (below == 0), axis=1)
+        members.append(index[rows] - below)
+        coordinates.append(right[rows] + below)
+    return np.concatenate(members), np.concatenate(coordinates)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry.grid import Grid, snap
+from .base import Weights
+from .parts import joined, on_planes, supported
 from .splines import Splines
 
 
@@ -18,6 +20,26 @@ class QuadraticSplines(Splines):
 
     def positions(self, grid: Grid, numbers: np.ndarray) -> np.ndarray:
         return grid.position(np.clip(grid.node_index(numbers) - 0.5, 0.0, grid.shape))
+
+    def weights(
+        self,
+        grid: Grid,
+        x: np.ndarray,
+        half_length: np.ndarray | None = None,
+        cells: np.ndarray | None = None,
+        orders: int = 2,
+    ) -> Weights:
+        """A point on a plane has the mean of the second derivatives on both sides, or a mirrored body would
+        have another answer; values and gradients are the same."""
+        own = super().weights(grid, x, half_length, cells, orders)
+        if orders == 2:
+            return own
+        step = supported(grid, own.lowest, -on_planes(grid, x, own.lowest))
+
+        def other(rows: np.ndarray, there: np.ndarray) -> np.ndarray:
+            return self.derivatives(grid, x[rows], there, orders)
+
+        return joined(own.lowest, step, np.full(x.shape, 0.5), own.table, other)
 
     def lines(self, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
         right, size = snap(grid.within(x, cells)), grid.sizes(cells)

@@ -75,7 +75,7 @@ def _write_rows(path: Path, problem: Problem, arrays: dict[str, np.ndarray], fir
             for name, value in asdict(problem.progress).items():
                 file.attrs[f"progress/{name}"] = value
             for name, text in problem.condition_state().items():
-                file.attrs[f"conditions/{name}"] = text
+                file.create_dataset(f"conditions/{name}", data=np.frombuffer(text.encode(), dtype=np.uint8))
             if isinstance(problem, QuasiStatic):
                 file.attrs["shares"] = problem.load_shares.state()
         for name, rows in arrays.items():
@@ -120,7 +120,7 @@ def load(problem: Problem, path: str | os.PathLike[str]) -> None:
             rows = _read_all(file, problem.comm)
             saved = {f.name: file.attrs[f"progress/{f.name}"].item() for f in fields(Progress)}
             shares = _shares(file, problem.comm)
-            conditions = {k[11:]: str(v) for k, v in file.attrs.items() if k.startswith("conditions/")}
+            conditions = {k: v[:].tobytes().decode() for k, v in file.get("conditions", {}).items()}
     except OSError as e:
         error = InputError(f"restart file {path} can't be read: {e}")
     except InputError as e:
@@ -165,7 +165,7 @@ def _check(problem: Problem, file: h5py.File, path: Any) -> None:
 
 
 def _read_all(file: h5py.File, comm: MPI.Comm) -> dict[str, np.ndarray]:
-    groups = [group for group in file if group != "counts"]
+    groups = [group for group in file if group not in ("counts", "conditions")]
     names = [f"{group}/{name}" for group in groups for name in file[group]]
     whole = [name for name in names if name.startswith("terms/")]
     return {name: file[name][:] if name in whole else _read(file, name, comm) for name in names}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from mpi4py import MPI
@@ -328,9 +328,11 @@ class Problem(Releasable):
         for observer in self.observers:
             observer.after_reset(self)
 
-    def _prescribed(self, nodes: Nodes) -> Prescribed:
+    def _prescribed(self, nodes: Nodes, supports: Sequence[Support] | None = None) -> Prescribed:
+        """Prescribed unknowns of some supports; by default of those that act."""
         with self.timer("conditions"):
-            made = Prescribed(nodes, self.supports, self.layout, self.comm, self.cell_size)
+            acting = self.supports if supports is None else supports
+            made = Prescribed(nodes, acting, self.layout, self.comm, self.cell_size)
             made.start_from(self.progress.factor, made.base)
             return made
 

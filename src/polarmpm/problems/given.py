@@ -22,8 +22,8 @@ class Present(tuple[Any, ...]):
     def __getattr__(self, name: str) -> Any:
         if name in ("append", "clear", "extend", "insert", "pop", "remove"):
             raise InputError(
-                f"{name}: the conditions of a problem can't be changed here; problem.fix, load, add ... put them "
-                "in, problem.release takes one away"
+                f"{name}: the conditions of a problem can't be changed here; fix, load, add and their like "
+                "put one in, problem.release takes one away"
             )
         raise AttributeError(f"a tuple of conditions has no attribute {name!r}")
 

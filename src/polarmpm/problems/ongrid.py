@@ -16,6 +16,7 @@ from ..bodies.reference import Reference
 from ..bodies.seeding import check_inside
 from ..conditions.holding import check_held
 from ..conditions.movinggrid import MovingGrid
+from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.couples import CoupleForm
 from ..forms.points import PointForm
@@ -96,25 +97,28 @@ class OnGrid(Problem):
                 self._migrate()
         with self.timer("reset"):
             interpolation = self._interpolate(None)
-        system = self._build(interpolation)
+        balanced = self.balanced_reset and p.step > 0
+        held = self._held_before() if balanced else None
+        system = self._build(interpolation, supports=held)
         p.carried_work -= in_boxes
         p.reset_due, p.since_reset = False, 0
         p.reset_factor = p.rotation_factor = p.factor
-        if self.balanced_reset and p.step:
-            system.leaving = self._left(system.nodes)
+        if balanced:
             self._put_balance(system)
             self._resets.carry(system)
-        return self._without_leaving_terms(system)
-
-    def _without_leaving_terms(self, system: LoadedPoints) -> LoadedPoints:
-        """The system without terms that have been released since the last converged step; they were there so
-        that what they did isn't carried along."""
-        if not self._drop_pieces(system.interpolation):
+        if not self._drop_pieces(interpolation) and held is None:
             return system
-        made = self._build(system.interpolation)
+        made = self._build(interpolation)
         made.carried[:] = system.carried
         system.destroy()
         return made
+
+    def _held_before(self) -> list[Support] | None:
+        """Supports with which the last step has converged: what has come or gone since is to be felt, not
+        carried along. None if they are the present ones."""
+        left = [s for s in self._leaving if isinstance(s, Support)]
+        held = [s for s in self.supports if s.committed] + left
+        return held if left or len(held) < len(self.supports) else None
 
     def _drop_pieces(self, interpolation: Interpolation) -> bool:
         """Take away what terms contribute that have been released; whether there was something."""
@@ -171,11 +175,18 @@ class OnGrid(Problem):
         self.load_shares.built(self.points, made.nodes)
         return made
 
-    def _build(self, interpolation: Interpolation, x: np.ndarray | None = None) -> LoadedPoints:
-        """The system on nodes with increments x (nodes, block) since the reset."""
-        prescribed, c = self._prescribed(interpolation.nodes), self._compiled
-        volume = interpolation.spread(self.points.volume[:, None])[: interpolation.nodes.owned, 0]
-        check_held(prescribed, volume / np.prod(self.grid.smallest), self.progress.step)
+    def _build(
+        self,
+        interpolation: Interpolation,
+        x: np.ndarray | None = None,
+        supports: Sequence[Support] | None = None,
+    ) -> LoadedPoints:
+        """The system on nodes with increments x (nodes, block) since the reset, with other supports than
+        those that act if they are given."""
+        prescribed, c = self._prescribed(interpolation.nodes, supports), self._compiled
+        if supports is None:
+            volume = interpolation.spread(self.points.volume[:, None])[: interpolation.nodes.owned, 0]
+            check_held(prescribed, volume / np.prod(self.grid.smallest), self.progress.step)
         kind: Callable[..., LoadedPoints] = PointSystem
         if self.assembly == "projection":
             # lazy import: direct sums need no assembler of dolfinx
