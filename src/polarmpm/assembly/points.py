@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 from abc import abstractmethod
 from collections.abc import Sequence
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 from mpi4py import MPI
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
     from ..forms.returnmapping import ReturnMapping
 
 
-_FEW = 2  # points a node
 _RENEWED = 3  # tangent of a step from which on that of the boxes is near the solution's
 _STUBBORN = 5  # tangent from which on a step needs the boxes' own each time
 _UNFELT = 1e-12  # of a tangent's diagonal, added to it
@@ -253,8 +251,8 @@ class PointSystem(LoadedPoints):
         iteration, it is good enough."""
         values, boxes, step = self.pattern.values, self._boxes, self.step
         step.tangents += 1
-        later = step.tangents >= _STUBBORN or (self._factors_cost and step.tangents == _RENEWED)
-        due = step.boxes is None or lifted is not None or later
+        renewed = step.tangents == _RENEWED or step.tangents >= _STUBBORN
+        due = step.boxes is None or lifted is not None or renewed
         values[:] = 0.0 if boxes is None or due else step.boxes
         if boxes is None or not due:
             return
@@ -275,13 +273,6 @@ class PointSystem(LoadedPoints):
             lost = not np.all(np.isfinite(internal))
             if self.comm.allreduce(lost, op=MPI.LOR):
                 raise LocalFailure("the box of a material point is turned inside out")
-
-    @cached_property
-    def _factors_cost(self) -> bool:
-        """Whether another iteration costs more than another tangent of the boxes: in space, with few points a
-        node."""
-        few: bool = self.interpolation.points.total <= _FEW * self.nodes.total
-        return self.layout.dim == 3 and few
 
     def _assemble(
         self,
