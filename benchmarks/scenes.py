@@ -133,7 +133,8 @@ def arch_grid(arch, cell):
 
 
 def arch(body, cell, number=None, degree=None, force=600.0, surface=False):
-    """The arch under an out-of-plane force at its end, and the end's displacement (m)."""
+    """The arch under an out-of-plane force at its end, and the end's displacement (m). With a `degree`, a
+    number or "default", points of a mesh that fits; `surface`: the force acts on the end face."""
     material = demo("curved_cantilever").MATERIAL
     grid = arch_grid(body, cell)
     if degree is None:
@@ -142,7 +143,8 @@ def arch(body, cell, number=None, degree=None, force=600.0, surface=False):
     else:
         length = body.radius * body.angle
         mesh = body.mesh(round(length / min(cell, body.side)), max(1, round(body.side / cell)))
-        points = pm.seed_mesh(grid, mesh, material=material, degree=degree)
+        options = {} if degree == "default" else {"degree": degree}
+        points = pm.seed_mesh(grid, mesh, material=material, **options)
     problem = pm.QuasiStatic(grid, points)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     tip = points.farthest(body.direction)

@@ -62,10 +62,9 @@ def arch(quick=False):
                 add(name, REFERENCE, Arch(centre, z), cell, number)
     for k, (centre, z) in enumerate(places[:2]):
         add(f"1 m, default points, end face, position {k + 1}", REFERENCE, Arch(centre, z), 1.0, surface=True)
-        for degree in (None,) if quick else (2, 7):
-            options = {"degree": degree} if degree else {}
-            name = f"1 m, mesh, degree {degree or 'default'}, position {k + 1}"
-            add(name, REFERENCE, Arch(centre, z), 1.0, **(options or {"degree": 2}))
+        for degree in ("default",) if quick else ("default", 7):
+            name = f"1 m, mesh, degree {degree}, position {k + 1}"
+            add(name, REFERENCE, Arch(centre, z), 1.0, degree=degree)
     for name, (radius, side, angle, force) in {} if quick else OTHERS.items():
         centre, z = places[0] + (100 - radius // 1, 0)
         body = Arch(centre, z, radius, side, angle)
