@@ -16,8 +16,8 @@ from ..errors import TrustWarning
 from ..forms.points import PointForm
 from ..kernels.kernel import Kernel
 
-# shares of a step's work inside the boxes above which an answer may be far off: while no point has flowed, and
-# then, as the boxes of points that have flowed count for little
+# shares of a step's work inside the boxes above which an answer may be far off: while no point has flowed,
+# and then, as the boxes of points that have flowed count for little
 DOUBTFUL, DOUBTFUL_FLOW = 0.5, 0.2
 HOPELESS = 1.0  # above which the boxes alone hold the body
 _REMEDY = "take more points a cell (points_per_cell), or smaller cells"
