@@ -52,8 +52,10 @@ def test_a_support_that_is_gone(options):
     lowest = by_id(free.points, free.points.displacement).min(axis=0)[1]
     assert expected[1] < -0.1
     exact = options is None or options["reset"] is None
-    assert found == pytest.approx(lowest, rel=1e-6 if exact else 3e-3)
-    assert problem.reaction(wall).force[1] == pytest.approx(40.0, rel=1e-6 if exact else 3e-3)
+    # resets on the way move the answer, those of domains more than others
+    domains = options is not None and options.get("basis") == "gimpm"
+    assert found == pytest.approx(lowest, rel=1e-6 if exact else 0.03 if domains else 3e-3)
+    assert problem.reaction(wall).force[1] == pytest.approx(40.0, rel=1e-6)
     with pytest.raises(pm.InputError, match=r"support 2 \(<lambda>\) was released at load factor 1"):
         problem.reaction(prop)
 

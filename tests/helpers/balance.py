@@ -15,7 +15,7 @@ def in_balance(problem: pm.QuasiStatic) -> tuple[float, float]:
     own, d, r = system.owned, problem.layout.dim, problem.layout.rotations
     forces, couples = problem._converged_loads
     f = np.where(system.prescribed.fixed, system.residual, 0.0)[:own]
-    w = problem._equilibrium[2][:own]
+    w = problem._equilibrium.w[:own]
     m = f[:, d:]
     if r == 3:  # what does work on Dw is J_r(Dw) times the couple
         m = np.linalg.solve(rotations.right_tangent(w), m[:, :, None])[:, :, 0]

@@ -138,7 +138,7 @@ def test_points_need_nothing_of_dolfinx():
         "points = pm.seed(grid, material=rubber)\n"
         "problem = pm.QuasiStatic(grid, points, basis='mpm')\n"
         "problem.fix(pm.plane(x=0.0), u=0)\n"
-        "problem.load(points.farthest((1, 0)), force=1.0)\n"
+        "problem.load(points.farthest((1, 0)), force=(1.0, 0.0))\n"
         "list(problem.march(1, progress=False))\n"
         "assert not {'dolfinx', 'ffcx'} & set(sys.modules)\n"
     )

@@ -9,7 +9,7 @@ import pytest
 
 import polarmpm as pm
 from polarmpm.errors import LocalFailure
-from polarmpm.problems import points as pointproblem
+from polarmpm.problems import ongrid
 from polarmpm.solvers import newton
 from polarmpm.solvers.newton import Outcome
 from polarmpm.solvers.stepping import Schedule, march
@@ -236,13 +236,13 @@ def test_points_that_leave_the_grid():
 def resets(monkeypatch) -> list[int]:
     """Grows by one entry with every new set of weighting functions."""
     count: list[int] = []
-    original = pointproblem.Interpolation
+    original = ongrid.Interpolation
 
     def counting(*args, **options):
         count.append(1)
         return original(*args, **options)
 
-    monkeypatch.setattr(pointproblem, "Interpolation", counting)
+    monkeypatch.setattr(ongrid, "Interpolation", counting)
     return count
 
 

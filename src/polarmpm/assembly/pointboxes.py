@@ -143,6 +143,7 @@ class PointBoxes:
         kernels = native.PointKernels()
         native.fill(kernels, kernel=kernel.address)
         self.put(kernels, kernel)
+        native.fill(kernels, box_share=np.ones(len(self.rows)))  # what the strains are, not what they count
         work = native.library().polarmpm_box_work
         if work(ctypes.byref(self.batch), ctypes.byref(kernels), start, end, inside, whole):
             raise MemoryError("no memory for the work in the points' boxes")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 from abc import abstractmethod
 from collections.abc import Sequence
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 from mpi4py import MPI
@@ -13,6 +12,7 @@ from mpi4py import MPI
 import numpy as np
 
 from ..conditions.prescribed import Prescribed
+from ..errors import LocalFailure
 from ..geometry.nodes import ActiveNodes
 from ..kernels import native
 from ..kernels.kernel import Kernel
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from ..forms.returnmapping import ReturnMapping
 
 
-_FEW = 2  # points a node
 _RENEWED = 3  # tangent of a step from which on that of the boxes is near the solution's
 _STUBBORN = 5  # tangent from which on a step needs the boxes' own each time
 _UNFELT = 1e-12  # of a tangent's diagonal, added to it
@@ -58,6 +57,7 @@ class LoadedPoints(NodalSystem):
         length, pieces = np.array(grid.smallest), interpolation.pieces
         super().__init__(interpolation.nodes, layout, prescribed, length, grid.comm, timer, pieces)
         self.interpolation, self.kernels, self.couple_kernel = interpolation, kernels, couple_kernel
+        self._boxes = interpolation.boxes
         self.mappings = [self._mapping(b) for b in interpolation.batches]
         self._at_points: tuple[np.ndarray, np.ndarray] | None = None  # forces and couples
         self._couples: list[tuple[np.ndarray, np.ndarray]] = [
@@ -76,6 +76,10 @@ class LoadedPoints(NodalSystem):
         for mapping in plastic:
             mapping.start_elastic = on
         return bool(plastic)
+
+    def leave_out_boxes(self, on: bool) -> bool:
+        self._boxes = None if on else self.interpolation.boxes
+        return self.interpolation.boxes is not None
 
     @property
     def symmetric(self) -> bool:
@@ -129,8 +133,8 @@ class LoadedPoints(NodalSystem):
         if self.couple_kernel is not None:
             rows, couples = self._couples[k]
             native.fill(kernels, couple=self.couple_kernel.address, couple_of=rows, couples=couples)
-        if self.interpolation.boxes is not None:
-            self.interpolation.boxes[k].put(kernels, self.kernels[k][0])
+        if self._boxes is not None:
+            self._boxes[k].put(kernels, self.kernels[k][0])
         mapping = self.mappings[k]
         if mapping is not None:
             self._put_yielding(mapping, k, tangent, kernels)
@@ -228,6 +232,7 @@ class PointSystem(LoadedPoints):
             self._begin_tangent(lifted)
         for k, batch in enumerate(self.interpolation.batches):
             self._assemble(k, batch, matrix if tangent else None, internal, lifted)
+        self._check_sides(internal)
         self.nodes.add_to_owners(internal)
         self.external = self.loads
         if len(self.terms):
@@ -244,10 +249,10 @@ class PointSystem(LoadedPoints):
     def _begin_tangent(self, lifted: np.ndarray | None) -> None:
         """Begin the tangent's sums with what the points' boxes add; where that is at hand from an earlier
         iteration, it is good enough."""
-        values, boxes, step = self.pattern.values, self.interpolation.boxes, self.step
+        values, boxes, step = self.pattern.values, self._boxes, self.step
         step.tangents += 1
-        later = step.tangents >= _STUBBORN or (self._factors_cost and step.tangents == _RENEWED)
-        due = step.boxes is None or lifted is not None or later
+        renewed = step.tangents == _RENEWED or step.tangents >= _STUBBORN
+        due = step.boxes is None or lifted is not None or renewed
         values[:] = 0.0 if boxes is None or due else step.boxes
         if boxes is None or not due:
             return
@@ -257,12 +262,17 @@ class PointSystem(LoadedPoints):
             own.add_moduli(kernel, self.pattern.matrix, self.x, before, lifted, whole=bent)
         step.boxes = values.copy()
 
-    @cached_property
-    def _factors_cost(self) -> bool:
-        """Whether another iteration costs more than another tangent of the boxes: in space, with few points a
-        node."""
-        few: bool = self.interpolation.points.total <= _FEW * self.nodes.total
-        return self.layout.dim == 3 and few
+    def _check_sides(self, internal: np.ndarray) -> None:
+        """A correction may be too large for the sides of boxes before it is for the points: they have no
+        energy where they are turned inside out.
+
+        Raises:
+            LocalFailure: some have none; on every rank.
+        """
+        if self._boxes is not None:
+            lost = not np.all(np.isfinite(internal))
+            if self.comm.allreduce(lost, op=MPI.LOR):
+                raise LocalFailure("the box of a material point is turned inside out")
 
     def _assemble(
         self,

@@ -174,6 +174,10 @@ class NodalSystem(ABC):
         no such choice."""
         return False
 
+    def leave_out_boxes(self, on: bool) -> bool:
+        """Whether points stand for themselves alone from now on; False where they do anyway."""
+        return False
+
     def positions(self) -> np.ndarray:
         """Current positions (nodes, d) (m)."""
         x: np.ndarray = self.nodes.position + self.x[:, : self.layout.dim]

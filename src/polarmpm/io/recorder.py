@@ -38,7 +38,8 @@ class Recorder:
         problem: whose states are written.
         fields: any of displacement (m), rotation (rotation vector, rad), F, stretch (U), wryness (1/m),
             stress (Cauchy, Pa), couple_stress (N/m), mean_pressure (Pa), energy (per reference volume, Pa),
-            volume (m^3; m^2 in plane strain), id, material; with plastic materials hardening (chi) and
+            volume (m^3; m^2 in plane strain), id, material, unresolved (share of the last step's work that is
+            done inside a point's box); with plastic materials hardening (chi) and
             dissipation (per reference volume, Pa). Tensors have 9 components, row by row. A field of your
             own is a `Field`, a function of the points, or a `MaterialField`, a UFL expression:
             `pm.Field("J", lambda points: np.linalg.det(points.F))`,

@@ -155,7 +155,27 @@ class Problem(Releasable):
             outcome = newton.solve(system, self.controls)
             outcome.history[:0] = tried
             system.start_elastic(False)
+        if not outcome.converged and system.leave_out_boxes(True):
+            outcome = self._start_without_boxes(system, start.x, increments, outcome)
         self._finish(system, start, outcome, factor)
+        return outcome
+
+    def _start_without_boxes(
+        self, system: NodalSystem, start: np.ndarray, increments: np.ndarray, failed: Outcome
+    ) -> Outcome:
+        """Iterate from the equilibrium without the points' boxes on: far from the solution their sides have
+        strains that mean nothing."""
+        initial, system.x = system.step.initial, start
+        system.set_prescribed(increments)
+        alone = newton.solve(system, self.controls)
+        system.leave_out_boxes(False)
+        outcome, tried = failed, failed.history + alone.history
+        if alone.converged:
+            system.set_prescribed(increments)
+            system.step.initial = initial
+            outcome = newton.solve(system, self.controls)
+            tried += outcome.history
+        outcome.history = tried
         return outcome
 
     def march_arc_length(

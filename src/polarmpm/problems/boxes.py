@@ -16,7 +16,9 @@ from ..errors import TrustWarning
 from ..forms.points import PointForm
 from ..kernels.kernel import Kernel
 
-DOUBTFUL = 0.5  # share of a step's work inside the boxes above which an answer may be far off
+# shares of a step's work inside the boxes above which an answer may be far off: while no point has flowed,
+# and then, as the boxes of points that have flowed count for little
+DOUBTFUL, DOUBTFUL_FLOW = 0.5, 0.2
 HOPELESS = 1.0  # above which the boxes alone hold the body
 _REMEDY = "take more points a cell (points_per_cell), or smaller cells"
 
@@ -28,14 +30,14 @@ class BoxRecord:
         kept: energy (J) in the boxes of this rank's points (np,), put in by a restart for the time until
             there is a system again; else None.
         largest: largest share of a step's work inside the boxes so far, and that step's number.
+        in_doubt: some step's share was larger than it should be.
     """
 
     def __init__(self, points: Points, forms: Sequence[PointForm], comm: MPI.Comm):
         self.points, self.forms, self.comm = points, forms, comm
         self.kept: np.ndarray | None = None
-        self.largest = (0.0, 0)
+        self.largest, self.in_doubt = (0.0, 0), False
         self._kernels: list[Kernel] = []
-        self._warned = False
 
     def energies(self, system: LoadedPoints | None) -> np.ndarray:
         """Strain energy (J) in the variation over the boxes of this rank's points (np,)."""
@@ -89,9 +91,10 @@ class BoxRecord:
         if share is None:
             return
         self.largest = max(self.largest, (share, step))
-        if share > DOUBTFUL and not self._warned:
-            self._warned = True
-            if self.comm.rank == 0:
+        flowed = self.points.plastic and bool(np.any(self.points.hardening > 0.0))
+        if share > (DOUBTFUL_FLOW if self.comm.allreduce(flowed, op=MPI.LOR) else DOUBTFUL):
+            warned, self.in_doubt = self.in_doubt, True
+            if self.comm.rank == 0 and not warned:
                 warnings.warn(
                     f"step {step}: {100 * share:.0f} % of its work is done inside the points' boxes, where "
                     f"neither the grid nor the points resolve it; the answer may be far off: {_REMEDY}",
@@ -104,6 +107,6 @@ class BoxRecord:
         share, step = self.largest
         if not step:
             return "no measure of trust: points without boxes, or no step yet"
-        verdict = "in doubt: " + _REMEDY if share > DOUBTFUL else "resolved to the grid's own error"
+        verdict = "in doubt: " + _REMEDY if self.in_doubt else "resolved to the grid's own error"
         most = f"at most {100 * share:.0f} % of a step's work is done inside the points' boxes (step {step})"
         return f"{most}: {verdict}"

@@ -16,6 +16,7 @@ from ..bodies.reference import Reference
 from ..bodies.seeding import check_inside
 from ..conditions.holding import check_held
 from ..conditions.movinggrid import MovingGrid
+from ..conditions.prescribed import Prescribed
 from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.couples import CoupleForm
@@ -99,6 +100,8 @@ class OnGrid(Problem):
             interpolation = self._interpolate(None)
         balanced = self.balanced_reset and p.step > 0
         held = self._held_before() if balanced else None
+        if held is not None:  # before anything is changed
+            self._check_held(interpolation, self._prescribed(interpolation.nodes))
         system = self._build(interpolation, supports=held)
         p.carried_work -= in_boxes
         p.reset_due, p.since_reset = False, 0
@@ -112,6 +115,10 @@ class OnGrid(Problem):
         made.carried[:] = system.carried
         system.destroy()
         return made
+
+    def _check_held(self, interpolation: Interpolation, prescribed: Prescribed) -> None:
+        volume = interpolation.spread(self.points.volume[:, None])[: interpolation.nodes.owned, 0]
+        check_held(prescribed, volume / np.prod(self.grid.smallest), self.progress.step)
 
     def _held_before(self) -> list[Support] | None:
         """Supports with which the last step has converged: what has come or gone since is to be felt, not
@@ -185,8 +192,7 @@ class OnGrid(Problem):
         those that act if they are given."""
         prescribed, c = self._prescribed(interpolation.nodes, supports), self._compiled
         if supports is None:
-            volume = interpolation.spread(self.points.volume[:, None])[: interpolation.nodes.owned, 0]
-            check_held(prescribed, volume / np.prod(self.grid.smallest), self.progress.step)
+            self._check_held(interpolation, prescribed)
         kind: Callable[..., LoadedPoints] = PointSystem
         if self.assembly == "projection":
             # lazy import: direct sums need no assembler of dolfinx
