@@ -18,7 +18,7 @@ from .partition import distribute
 from .points import Points
 
 _CHUNK = 1_000_000  # positions tested at once
-_SEEN = {2: 11, 3: 7}  # parts of a cell a direction, by the dimension
+_SEEN = {2: 11, 3: 9}  # parts of a cell a direction, by the dimension
 _ROUNDING = 1e-9  # of a box's half lengths: bounds that near to its faces are on them
 
 Inside = Callable[[np.ndarray], np.ndarray]
@@ -39,7 +39,7 @@ def seed(
     Each cell is divided into boxes, one a point. A box that the body's surface cuts becomes a point at the
     centroid of its part inside, with the volume and the second moments of that part: the points have the
     body's volume, centroid and second moments, those of `bounds` exactly. Details of the body thinner than an
-    eighth of a cell in the plane, and a fifth in space, or than a third of a box may be missed.
+    eighth of a cell in the plane, and a sixth in space, or than a third of a box may be missed.
 
     Args:
         grid: background grid.

@@ -148,6 +148,7 @@ class QuasiStatic(OnGrid):
         self.rotation_limit = 1.0
         self.boxes = _check_boxes(boxes, self.basis)
         self.box_record = BoxRecord(points, self.forms, grid.comm)
+        self._size = 0.0  # largest gradient of the last step's increments on this rank
         self.load_shares = LoadShares(grid.comm, rebalance)
         self._conservation = Conservation(grid.comm)
         self.balanced_reset = balanced_reset
@@ -246,7 +247,7 @@ class QuasiStatic(OnGrid):
         outcome.converged = not outcome.reason
 
     def _note(self, outcome: Outcome) -> None:
-        self.box_record.note(outcome.unresolved, self.progress.step)
+        self.box_record.note(outcome.unresolved, self.progress.step, self._size)
 
     def trust(self) -> str:
         """How far the run can be trusted, in a line: the largest share of a step's work that is done inside
@@ -255,6 +256,7 @@ class QuasiStatic(OnGrid):
 
     def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
         assert self._compiled.motion is not None
+        self._size = float(np.abs(increments.gradient).max(initial=0.0))
         system.interpolation.update_points(increments, self._compiled.motion)
         self._conservation.check(system.interpolation, system.x)
         if self.points.plastic:
