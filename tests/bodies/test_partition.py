@@ -19,7 +19,7 @@ import pytest
 import polarmpm as pm
 from polarmpm.bodies import partition
 from polarmpm.io import read_table
-from polarmpm.problems import points as pointproblem
+from polarmpm.problems import ongrid as pointproblem
 from polarmpm.problems.conservation import Conservation, Totals
 from polarmpm.tools.parallel import Route, traffic
 from tests.conftest import COMM, MICROPOLAR, by_id

@@ -146,8 +146,11 @@ class Interpolation:
         for boxes in self.boxes or ():
             boxes.pack(r)
 
-    def rebase_rotations(self) -> None:
-        """Count rotation increments from the points' current rotations on; weights and F stay."""
+    def rebase_rotations(self, x: np.ndarray) -> None:
+        """Count rotation increments from the points' current rotations on, at nodal increments x (nodes,
+        block); weights and F stay."""
+        for boxes in self.boxes or ():
+            boxes.rebase_rotations(self.reference, x)
         self.reference.rebase_rotations(self.points)
         self.pack()
 

@@ -49,7 +49,6 @@ class PointBoxes:
         F, self._half_axes0 = reference.F[rows, :d, :d], points.half_axes0[rows]
         axes = np.einsum("pij,pkj->pki", F, self._half_axes0)
         self._arrays: dict[str, np.ndarray] = {"box_axes": np.ascontiguousarray(axes)}
-        self.pack(reference)
 
     @property
     def share(self) -> np.ndarray:
@@ -57,21 +56,55 @@ class PointBoxes:
         return self._arrays["box_share"]
 
     def pack(self, reference: Reference) -> None:
-        """Take in the state of the points: which of them have flowed, and the base of the rotations.
+        """Take in the state of the points, after the batch has: which of them have flowed, and the base of
+        the rotations.
 
         Nodal rotations count from their base on. Of those before it the points know the derivative along
-        their half axes from what their wryness has grown by since the reset.
+        their half axes from what their wryness has grown by since the reset, that of their gradients from
+        `rebase_rotations`.
         """
         r, d, rows, p = self.layout.rotations, self.layout.dim, self.rows, self.points
         share = np.ones(len(rows))
         if p.plastic:
             share[p.hardening[rows] > 0.0] = FLOWED
-        turns: np.ndarray = np.zeros((len(rows), d, r))
+        turns: np.ndarray = np.zeros((len(rows), d, r * (1 + d)))
         if r:
             grown = (reference.wryness - reference.reset_wryness)[rows]
             along = np.einsum("pij,pkj->pki", grown[:, :, :d], self._half_axes0)
-            turns = np.einsum("pij,pkj->pki", rotations.to_tensor(reference.q[rows]), along)[:, :, 3 - r :]
-        self._arrays |= {"box_share": share, "box_turns": np.ascontiguousarray(turns)}
+            turns[:, :, :r] = (along @ np.swapaxes(rotations.to_tensor(reference.q[rows]), 1, 2))[
+                :, :, 3 - r :
+            ]
+            framed = reference.side_gradients[rows] @ self._to_frame(reference)[:, None]
+            turns[:, :, r:] = framed.reshape(len(rows), d, r * d)
+        self._arrays |= {"box_share": share, "box_turns": turns}
+
+    def _to_frame(self, reference: Reference) -> np.ndarray:
+        """F~^-1 T (n, d, d): from gradients in the unloaded body to those in the frame of the state."""
+        d = self.layout.dim
+        frame = self.batch.kept["state"][:, : d * d].reshape(-1, d, d)
+        there: np.ndarray = np.linalg.solve(reference.F[self.rows, :d, :d], frame)
+        return there
+
+    def rebase_rotations(self, reference: Reference, x: np.ndarray) -> None:
+        """Put into the reference state how the wryness at the sides has come to differ from that at the
+        points; before the rotations get a new base, at nodal increments x (nodes, block)."""
+        layout, d, r, n = self.layout, self.layout.dim, self.layout.rotations, len(self.rows)
+        z, zk = self.gather(x)
+        back = np.linalg.inv(self._to_frame(reference))
+        turn_back = np.swapaxes(rotations.to_tensor(reference.q[self.rows]), 1, 2)
+        turn = rotations.to_tensor(self.points.q[self.rows])
+
+        def wryness(at: np.ndarray) -> np.ndarray:
+            """What z (n, unknowns) adds to it, (n, 3, d)."""
+            w, gradient = np.zeros((n, 3)), np.zeros((n, 3, d))
+            w[:, 3 - r :] = layout.part(at, "rotation")
+            gradient[:, 3 - r :] = layout.part(at, "rotation", 1) @ back
+            added: np.ndarray = turn_back @ rotations.right_tangent(w) @ gradient
+            return added
+
+        for k in range(d):
+            odd = 0.5 * (wryness(z + zk[:, k]) - wryness(z - zk[:, k]))
+            reference.side_gradients[self.rows, k] = (turn @ odd)[:, 3 - r :]
 
     def put(self, kernels: native.PointKernels, kernel: Kernel | None) -> None:
         """Put the boxes into the kernels of the batch; without a kernel of the elastic residual there are z_k

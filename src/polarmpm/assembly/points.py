@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from ..forms.returnmapping import ReturnMapping
 
 
-_RENEWED = 3  # tangent of a step from which on that of the boxes is summed anew
-_UNFELT = 1e-12  # of a tangent's diagonal, added to it
+_RENEWED = 3  # tangent of a step from which on that of the boxes is summed each time
+_UNFELT = 1e-12  # of a tangent's diagonal, added to it where there are fewer points than nodes
 _WEAK = 0.2  # share of a cell: nodes beyond edges of the body, and beyond faces that hardly enter a cell
 
 
@@ -183,7 +183,7 @@ class LoadedPoints(NodalSystem):
 
     def rebase_rotations(self) -> None:
         """Count rotation increments from the points' current rotations on. Collective."""
-        self.interpolation.rebase_rotations()
+        self.interpolation.rebase_rotations(self.x)
         if self.initial is not None:
             self.initial.pack()
         self.forget_rotations()
@@ -202,7 +202,6 @@ class PointSystem(LoadedPoints):
         solver: str = "auto",
     ):
         super().__init__(interpolation, kernels, couple_kernel, prescribed, timer)
-        self._box_tangent: np.ndarray | None = None  # values of the matrix that the points' boxes have given
         symmetric = self.symmetric
         batches = [b.batch for b in interpolation.batches] + self.terms.batches()
         with timer("pattern"):
@@ -221,6 +220,7 @@ class PointSystem(LoadedPoints):
             self.solver = make_solver(
                 solver, Tangent(matrix, symmetric, self.near_null_space, plastic, large, shared)
             )
+        self._few = interpolation.points.total < self.nodes.total
 
     # assembly ---------------------------------------------------------------------------------------
     def assemble(self, tangent: bool, lift: np.ndarray | None = None) -> Assembled:
@@ -247,24 +247,19 @@ class PointSystem(LoadedPoints):
         return Assembled(internal - self._dead_forces(), lifted)
 
     def _begin_tangent(self, lifted: np.ndarray | None) -> None:
-        """Begin the tangent's sums with what the points' boxes add. What is at hand from earlier steps is
-        good enough for the first iterations of a step."""
+        """Begin the tangent's sums with what the points' boxes add; where that is at hand from an earlier
+        iteration, it is good enough. Nothing is kept from step to step: a restart couldn't repeat it."""
         values, boxes, step = self.pattern.values, self._boxes, self.step
         step.tangents += 1
-        values[:] = 0.0
-        if boxes is None:
+        due = step.boxes is None or lifted is not None or step.tangents >= _RENEWED
+        values[:] = 0.0 if boxes is None or due else step.boxes
+        if boxes is None or not due:
             return
-        due = self._box_tangent is None or step.tangents >= _RENEWED
-        if due or lifted is not None:
-            # right after a reset the sides have the moduli of the points
-            whole = due and bool(np.any(self.x))
-            for own, form, (_, kernel) in zip(boxes, self.interpolation.forms, self.kernels, strict=True):
-                before = self.before if form.predicts else None
-                own.add_moduli(kernel, self.pattern.matrix, self.x, before, lifted, whole=whole)
-        if due:
-            self._box_tangent = values.copy()
-        else:
-            values[:] = self._box_tangent
+        whole = bool(np.any(self.x))  # right after a reset the sides have the moduli of the points
+        for own, form, (_, kernel) in zip(boxes, self.interpolation.forms, self.kernels, strict=True):
+            before = self.before if form.predicts else None
+            own.add_moduli(kernel, self.pattern.matrix, self.x, before, lifted, whole=whole)
+        step.boxes = values.copy()
 
     def _check_sides(self, internal: np.ndarray) -> None:
         """A correction may be too large for the sides of boxes before it is for the points: they have no
@@ -314,17 +309,6 @@ class PointSystem(LoadedPoints):
             self.comm.Allreduce(MPI.IN_PLACE, most, op=MPI.MAX)
             pattern.values[pattern.diagonal] += shift * np.tile(most, self.nodes.owned)
 
-    def rebase_rotations(self) -> None:
-        super().rebase_rotations()
-        self.forget_tangent()
-
-    def leave_out_boxes(self, on: bool) -> bool:
-        self.forget_tangent()
-        return super().leave_out_boxes(on)
-
-    def forget_tangent(self) -> None:
-        self._box_tangent = None
-
     def diagonal(self) -> np.ndarray:
         diagonal: np.ndarray = self.pattern.values[self.pattern.diagonal].reshape(-1, self.layout.block)
         return diagonal
@@ -334,8 +318,8 @@ class PointSystem(LoadedPoints):
             values, diagonal = self.pattern.values, self.pattern.diagonal
             # prescribed unknowns, and nodes that points on a plane or a corner touch without any weight
             values[diagonal[values[diagonal] == 0.0]] = 1.0
-            # a body of few points has motions of nodes that no point feels: rounding must not choose them
-            values[diagonal] *= 1.0 + _UNFELT
+            if self._few:  # there are motions of nodes that no point feels: rounding must not choose them
+                values[diagonal] *= 1.0 + _UNFELT
             with self.timer("factor"):
                 self.pattern.put(self.solver.matrix)
                 self.solver.factor()

@@ -18,6 +18,8 @@ class Reference:
     Attributes:
         x, F, q, wryness: as of `Points`.
         reset_wryness: wryness at the last reset.
+        side_gradients: derivatives along the points' half axes of the gradients of the rotations before their
+            base, (np, d, r, d): dw/dx~ F~ of what has turned since the reset.
         initial_stress: what a balanced reset has added to the stresses, per reference volume, (np, b, d) for
             b unknowns of a node: S0 of a classical material; B0 (Pa) and below it M0 (N/m) of a micropolar
             one (docs/theory.md).
@@ -28,13 +30,15 @@ class Reference:
     q: np.ndarray
     wryness: np.ndarray
     reset_wryness: np.ndarray
+    side_gradients: np.ndarray
     initial_stress: np.ndarray
 
     @classmethod
     def of(cls, points: Points, block: int) -> Reference:
         """The points' current state, without an initial stress; `block`: unknowns of a node."""
-        x, w, none = points.x, points.wryness, np.zeros((len(points), block, points.dim))
-        return cls(x.copy(), points.F.copy(), points.q.copy(), w.copy(), w.copy(), none)
+        x, w, n, d = points.x, points.wryness, len(points), points.dim
+        sides, stress = np.zeros((n, d, block - d, d)), np.zeros((n, block, d))
+        return cls(x.copy(), points.F.copy(), points.q.copy(), w.copy(), w.copy(), sides, stress)
 
     def rebase_rotations(self, points: Points) -> None:
         """Count rotations from the points' current ones on; an initial stress turns with its base."""

@@ -118,8 +118,9 @@ INLINE void gather_sides(const int dim, const int rot, const PointKernels *kerne
     for (int k = 0; k < dim; ++k) {
         double *own = zk + k * nz * step;
         interpolate(dim, rot, nv, sv, w->sides + ((int64_t)k * LANES + l) * SHAPES * sv, x, own, step);
-        for (int i = 0; i < rot; ++i)
-            own[value_slot(dim, rot, dim + i) * step] += kernels->box_turns[(p * dim + k) * rot + i];
+        const int turning = rot * (1 + dim);  /* rotations, then their gradients */
+        for (int i = 0; i < turning; ++i)
+            own[(value_slot(dim, rot, dim) + i) * step] += kernels->box_turns[(p * dim + k) * turning + i];
     }
 }
 

@@ -11,7 +11,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 12,            /* raised with every change of a structure or signature; native.py reads it here */
+    INTERFACE = 13,            /* raised with every change of a structure or signature; native.py reads it here */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */
@@ -67,7 +67,7 @@ typedef struct {
     int32_t ninitial;          /* at most INITIAL_MAX */
     kernel_t box_kernel;       /* residual of the elastic energy, for the points' boxes; NULL without boxes */
     const double *box_axes;    /* [point][dim][dim] half axes, one a row */
-    const double *box_turns;   /* [point][dim][rot] what the rotations' derivatives along them begin with */
+    const double *box_turns;   /* [point][dim][rot (1 + dim)] what z_k begins with, of rotations and their gradients */
     const double *box_share;   /* [point] share of the boxes' energy */
 } PointKernels;
 

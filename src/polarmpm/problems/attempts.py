@@ -20,7 +20,6 @@ def solve(system: NodalSystem, start: np.ndarray, increments: np.ndarray, contro
     if not outcome.converged and system.start_elastic(True):
         # where points unload, the elastic tangent is the better one to begin with
         tried, system.x = outcome.history, start
-        system.forget_tangent()
         system.set_prescribed(increments)
         outcome = newton.solve(system, controls)
         outcome.history[:0] = tried

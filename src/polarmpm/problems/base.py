@@ -308,7 +308,6 @@ class Problem(Releasable):
                     observer.after_commit(self, self.progress.rotation_factor != base)
             else:
                 system.x = start.x
-                system.forget_tangent()
 
     def _commit_terms(self, system: NodalSystem, start: np.ndarray) -> None:
         """Tell the terms of a step that has converged, from increments (nodes, block) at its start."""
