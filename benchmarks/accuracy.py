@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import records
-from strangers import ANGLES
+import strangers
 
 HERE = Path(__file__).parent
 NO_ANSWER = "–"
@@ -112,7 +112,7 @@ def seconds(pairs, k):
 def strips(results):
     lines = []
     for thickness in ("2", "1", "0.5", "0.25"):
-        for word in ANGLES:
+        for word in strangers.ANGLES:
             scenes = [f"{thickness} thick, {word}, {n} points" for n in (1, 2, 3, 4)]
             lines.append([thickness, word, *(both(results.pair("strips", s)) for s in scenes)])
     records.table(["thickness / cells", "direction", *(f"{n} points" for n in (1, 2, 3, 4))], lines)
@@ -190,7 +190,7 @@ def known(results):
 
 def measure(results):
     """Errors over the measure of trust."""
-    rows = [r for r in results.group("measure")]
+    rows = results.group("measure")
     lines = []
     for low, high in ((0, 0.05), (0.05, 0.2), (0.2, 0.5), (0.5, 1.0)):
         mine = [r for r in rows if not r["failure"] and low <= r["unresolved"] < high]
@@ -203,13 +203,10 @@ def measure(results):
         warned = sum(bool(r["warned"]) for r in mine)
         lines.append([f"{low:g} to {high:g}", len(mine), warned, *counts, f"{np.median(errors):.2g}"])
     none = [r for r in rows if r["failure"]]
-    lines.append(["no answer", len(none), "", "", "", "", ""])
+    lines.append(["no answer", len(none), sum(bool(r["warned"]) for r in none), "", "", "", ""])
     head = ["U", "runs", "warned", "within 1 %", "1 to 10 %", "more than 10 %", "median error (%)"]
     records.table(head, lines)
-    print(len(rows), "runs")
-    for r in sorted(rows, key=lambda r: -abs(r["error"] or 0)):
-        if r["failure"] or abs(r["error"]) > 0.03:
-            print(f"  {r['scene']}: {percent(r)} %, U {r['unresolved']}, {'warned' if r['warned'] else ''}")
+    strangers.verdict(rows)
 
 
 def invariance(results):
@@ -274,7 +271,7 @@ def draw_arches(axis, results):
 def draw_strips(axis, results):
     top, floor = 300.0, 1e-3
     thicknesses = ("0.25", "0.5", "1", "2")
-    for (word, _), marker, shift in zip(ANGLES.items(), "o^s", (0.9, 1.0, 1.11), strict=True):
+    for (word, _), marker, shift in zip(strangers.ANGLES.items(), "o^s", (0.9, 1.0, 1.11), strict=True):
         for found, colour, when in ((results.before, BEFORE, "before"), (results.now, NOW, "now")):
             rows = [found["strips", f"{t} thick, {word}, 2 points"] for t in thicknesses]
             values = [top if r["failure"] else max(floor, 100 * abs(r["error"])) for r in rows]
