@@ -74,6 +74,10 @@ def span(rows):
 
 
 # tables ---------------------------------------------------------------------------------------------
+def number_of_points(n):
+    return "1 point" if n == 1 else f"{n} points"
+
+
 def arches(results):
     lines = []
     for cell, numbers in ((1, ("default", "3", "4")), (2, ("2", "3", "4", "6"))):
@@ -115,7 +119,7 @@ def strips(results):
         for word in strangers.ANGLES:
             scenes = [f"{thickness} thick, {word}, {n} points" for n in (1, 2, 3, 4)]
             lines.append([thickness, word, *(both(results.pair("strips", s)) for s in scenes)])
-    records.table(["thickness / cells", "direction", *(f"{n} points" for n in (1, 2, 3, 4))], lines)
+    records.table(["thickness / cells", "direction", *(number_of_points(n) for n in (1, 2, 3, 4))], lines)
 
 
 def blocks(results):
@@ -131,7 +135,7 @@ def blocks(results):
             )
         count = results.now["blocks", f"{name}, 2 points"]["value"].split()[-1]
         lines.append([name, count, *line[1:]])
-    records.table(["bodies", "number", *(f"{n} points" for n in (1, 2, 3, 4, 6))], lines)
+    records.table(["bodies", "number", *(number_of_points(n) for n in (1, 2, 3, 4, 6))], lines)
 
 
 def failed(row):
@@ -141,7 +145,7 @@ def failed(row):
 def column(results):
     lines = []
     for basis in ("bspline", "bspline-averaged", "gimpm"):
-        for number in (2, 3, 4):
+        for number in (2,) if basis == "gimpm" else (2, 3, 4):
             rows = [
                 results.now["column", f"{basis}, {number} points, {n} cells"] for n in (8, 16, 32, 64, 128)
             ]
@@ -156,20 +160,14 @@ KNOWN = [  # what, group, scene
     ("the same, reset every step", "AMPLE", "0.5 m, reset every step"),
     ("AMPLE's beam, cells of a quarter", "AMPLE", "0.25 m, default resets"),
     ("the same, reset every step", "AMPLE", "0.25 m, reset every step"),
-    ("Kirsch's hole, stress, cells of a/4", "closed forms", "Kirsch, 0.25 a"),
-    ("Kirsch's hole, cells of a/8", "closed forms", "Kirsch, 0.125 a"),
-    ("thick cylinder, cells of a/4", "closed forms", "cylinder, 0.25 a"),
+    ("Kirsch's hole, strains, cells of a/8", "closed forms", "Kirsch, 0.125 a"),
     ("thick cylinder, cells of a/8", "closed forms", "cylinder, 0.125 a"),
-    ("torsion of a round bar, classical", "closed forms", "torsion, classical"),
-    ("torsion, micropolar", "closed forms", "torsion, micropolar"),
-    ("bending, micropolar, along the grid", "closed forms", "bending, micropolar, 0 rad"),
-    ("bending, micropolar, at 0.5 rad", "closed forms", "bending, micropolar, 0.5 rad"),
-    ("Hill's limit pressure, cells of a/4", "plastic", "Hill, 0.25 a"),
-    ("Hill, cells of a/8", "plastic", "Hill, 0.125 a"),
-    ("Cook, nu = 0.3, cells of 6 m", "Cook", "nu = 0.3, 6 m"),
-    ("Cook, nu = 0.3, 1.5 m", "Cook", "nu = 0.3, 1.5 m"),
-    ("Cook, nu = 0.4999, 6 m", "Cook", "nu = 0.4999, 6 m"),
-    ("Cook, nu = 0.4999, 1.5 m", "Cook", "nu = 0.4999, 1.5 m"),
+    ("torsion of a round bar, micropolar", "closed forms", "torsion, micropolar"),
+    ("Hill's limit pressure, cells of a/8", "plastic", "Hill, 0.125 a"),
+    ("Cook, ν = 0.3, cells of 6 m", "Cook", "nu = 0.3, 6 m"),
+    ("Cook, ν = 0.3, 1.5 m", "Cook", "nu = 0.3, 1.5 m"),
+    ("Cook, ν = 0.4999, 6 m", "Cook", "nu = 0.4999, 6 m"),
+    ("Cook, ν = 0.4999, 1.5 m", "Cook", "nu = 0.4999, 1.5 m"),
     ("footing, N_c, 4 cells", "plastic", "footing N_c, 4 cells"),
     ("footing, N_c, 8 cells", "plastic", "footing N_c, 8 cells"),
     ("biaxial test, peak", "plastic", "biaxial, peak (kPa)"),
