@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from ..forms.returnmapping import ReturnMapping
 
 
-_RENEWED = 3  # tangent of a step from which on that of the boxes is near the solution's
-_STUBBORN = 5  # tangent from which on a step needs the boxes' own each time
+_RENEWED = 3  # tangent of a step from which on that of the boxes is summed anew
 _UNFELT = 1e-12  # of a tangent's diagonal, added to it
 _WEAK = 0.2  # share of a cell: nodes beyond edges of the body, and beyond faces that hardly enter a cell
 
@@ -203,6 +202,7 @@ class PointSystem(LoadedPoints):
         solver: str = "auto",
     ):
         super().__init__(interpolation, kernels, couple_kernel, prescribed, timer)
+        self._box_tangent: np.ndarray | None = None  # values of the matrix that the points' boxes have given
         symmetric = self.symmetric
         batches = [b.batch for b in interpolation.batches] + self.terms.batches()
         with timer("pattern"):
@@ -247,20 +247,24 @@ class PointSystem(LoadedPoints):
         return Assembled(internal - self._dead_forces(), lifted)
 
     def _begin_tangent(self, lifted: np.ndarray | None) -> None:
-        """Begin the tangent's sums with what the points' boxes add; where that is at hand from an earlier
-        iteration, it is good enough."""
+        """Begin the tangent's sums with what the points' boxes add. What is at hand from earlier steps is
+        good enough for the first iterations of a step."""
         values, boxes, step = self.pattern.values, self._boxes, self.step
         step.tangents += 1
-        renewed = step.tangents == _RENEWED or step.tangents >= _STUBBORN
-        due = step.boxes is None or lifted is not None or renewed
-        values[:] = 0.0 if boxes is None or due else step.boxes
-        if boxes is None or not due:
+        values[:] = 0.0
+        if boxes is None:
             return
-        bent = bool(np.any(self.x))  # right after a reset the sides have the moduli of the points
-        for own, form, (_, kernel) in zip(boxes, self.interpolation.forms, self.kernels, strict=True):
-            before = self.before if form.predicts else None
-            own.add_moduli(kernel, self.pattern.matrix, self.x, before, lifted, whole=bent)
-        step.boxes = values.copy()
+        due = self._box_tangent is None or step.tangents >= _RENEWED
+        if due or lifted is not None:
+            # right after a reset the sides have the moduli of the points
+            whole = due and bool(np.any(self.x))
+            for own, form, (_, kernel) in zip(boxes, self.interpolation.forms, self.kernels, strict=True):
+                before = self.before if form.predicts else None
+                own.add_moduli(kernel, self.pattern.matrix, self.x, before, lifted, whole=whole)
+        if due:
+            self._box_tangent = values.copy()
+        else:
+            values[:] = self._box_tangent
 
     def _check_sides(self, internal: np.ndarray) -> None:
         """A correction may be too large for the sides of boxes before it is for the points: they have no
@@ -309,6 +313,17 @@ class PointSystem(LoadedPoints):
             most = self.diagonal().max(axis=0, initial=0.0)
             self.comm.Allreduce(MPI.IN_PLACE, most, op=MPI.MAX)
             pattern.values[pattern.diagonal] += shift * np.tile(most, self.nodes.owned)
+
+    def rebase_rotations(self) -> None:
+        super().rebase_rotations()
+        self.forget_tangent()
+
+    def leave_out_boxes(self, on: bool) -> bool:
+        self.forget_tangent()
+        return super().leave_out_boxes(on)
+
+    def forget_tangent(self) -> None:
+        self._box_tangent = None
 
     def diagonal(self) -> np.ndarray:
         diagonal: np.ndarray = self.pattern.values[self.pattern.diagonal].reshape(-1, self.layout.block)

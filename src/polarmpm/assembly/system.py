@@ -50,7 +50,6 @@ class StepState:
         rounding: squares of the forces that rounding makes, see `NodalSystem._rounding_squares`; None before
             the first tangent.
         tangents: how many there have been.
-        boxes: values of the matrix that the points' boxes have given; None before the first tangent.
     """
 
     lift: np.ndarray
@@ -60,7 +59,6 @@ class StepState:
     correction: np.ndarray | None = None
     rounding: np.ndarray | None = None
     tangents: int = 0
-    boxes: np.ndarray | None = None
 
 
 class NodalSystem(ABC):
@@ -177,6 +175,9 @@ class NodalSystem(ABC):
     def leave_out_boxes(self, on: bool) -> bool:
         """Whether points stand for themselves alone from now on; False where they do anyway."""
         return False
+
+    def forget_tangent(self) -> None:  # noqa: B027
+        """Keep nothing of the tangents so far: they were those of iterates that have led nowhere."""
 
     def positions(self) -> np.ndarray:
         """Current positions (nodes, d) (m)."""

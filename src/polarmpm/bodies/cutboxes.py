@@ -1,11 +1,11 @@
 """Boxes that the surface of a body cuts: volume, centroid and second moments of what lies inside.
 
-The body is known by a predicate of positions only. Samples, four a direction, corners included, tell which
-boxes are cut, and which of their 3^d sub-cells. Those are divided into simplices around their centres; where
-the surface crosses the edges of a simplex is found by bisection, and a plane through the crossings cuts it.
-Sub-cells in which the surface is far from plane are halved first. That is exact for plane surfaces at any
-angle, of second order where the surface is curved or has an edge, and commutes with the symmetries of the
-lattice.
+The body is known by a predicate of positions only. Samples, corners included, tell which
+boxes are cut, and which of their sub-cells, three or more a direction. Those are divided into simplices
+around their centres; where the surface crosses the edges of a simplex is found by bisection, and a plane
+through the crossings cuts it. Sub-cells in which the surface is far from plane are halved first. That is
+exact for plane surfaces at any angle, of second order where the surface is curved or has an edge, and
+commutes with the symmetries of the lattice.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ..geometry.grid import box_indices
 Test = Callable[[np.ndarray], np.ndarray]
 Ask = Callable[[np.ndarray, np.ndarray], np.ndarray]  # the same for rows of cells and positions in them
 
-_PARTS = 3  # sub-cells a direction
+_PARTS = 3  # sub-cells a direction, at least
 _PULL = 1.0 - 1e-9  # samples on a box's faces lie just inside, whichever side the predicate counts a face to
 _STEPS = 14  # of bisection
 # Where an interval is divided, from the end inside the body: not in its middle, so that surfaces at a simple
@@ -54,21 +54,22 @@ class InsidePart:
     cut: np.ndarray
 
 
-def inside_parts(x: np.ndarray, half: np.ndarray, test: Test) -> InsidePart:
+def inside_parts(x: np.ndarray, half: np.ndarray, test: Test, parts: int = _PARTS) -> InsidePart:
     """What lies inside the body of boxes around x (n, d) (m) with half lengths (n, d) (m).
 
     Args:
+        parts: sub-cells a direction.
         test: positions (m, d) -> whether they are inside the body (m,); not asked about no positions.
     """
     d = x.shape[1]
-    corners = box_indices((_PARTS + 1,) * d)
-    unit = (2.0 * corners / _PARTS - 1.0) * _PULL
+    corners = box_indices((parts + 1,) * d)
+    unit = (2.0 * corners / parts - 1.0) * _PULL
     state = test((x[:, None] + unit * half[:, None]).reshape(-1, d)).reshape(len(x), len(corners))
     share, centre = np.all(state, axis=1).astype(float), x.copy()
     covariance = half[:, :, None] ** 2 / 3.0 * np.eye(d)
     cut = np.flatnonzero(np.any(state, axis=1) & (share == 0))
     if len(cut):
-        volume, first, second = _moments(x[cut], half[cut], state[cut], test)
+        volume, first, second = _moments(x[cut], half[cut], state[cut], test, parts)
         part = volume / 2.0**d
         some, whole = part > _NEGLIGIBLE, part > 1.0 - _NEGLIGIBLE
         share[cut] = np.where(whole, 1.0, np.where(some, part, 0.0))
@@ -128,14 +129,14 @@ def _division(dim: int) -> _Division:
 
 
 def _moments(
-    x: np.ndarray, half: np.ndarray, state: np.ndarray, test: Test
+    x: np.ndarray, half: np.ndarray, state: np.ndarray, test: Test, parts: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Volume (n,), first (n, d) and second moments (n, d, d) of cut boxes, from the states (n, 4^d) of their
-    samples."""
+    """Volume (n,), first (n, d) and second moments (n, d, d) of cut boxes, from the states
+    (n, (parts + 1)^d) of their samples."""
     n, d = x.shape
     sums = _Sums(n, d)
     whole = _Cells(np.arange(n), np.zeros((n, d)), 1.0, np.zeros((n, 0), dtype=bool))
-    waiting = [(whole.divided(_PARTS, state, sums), _LEVELS)]
+    waiting = [(whole.divided(parts, state, sums), _LEVELS)]
     while waiting:
         cells, levels = waiting.pop()
         for begin in range(0, len(cells.box), _BLOCK):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass
 from typing import Any
@@ -17,6 +18,7 @@ from .partition import distribute
 from .points import Points
 
 _CHUNK = 1_000_000  # positions tested at once
+_SEEN = {2: 11, 3: 9}  # parts of a cell a direction, by the dimension
 _ROUNDING = 1e-9  # of a box's half lengths: bounds that near to its faces are on them
 
 Inside = Callable[[np.ndarray], np.ndarray]
@@ -36,8 +38,8 @@ def seed(
 
     Each cell is divided into boxes, one a point. A box that the body's surface cuts becomes a point at the
     centroid of its part inside, with the volume and the second moments of that part: the points have the
-    body's volume, centroid and second moments, those of `bounds` exactly. Details of the body thinner than a
-    third of a box may be missed.
+    body's volume, centroid and second moments, those of `bounds` exactly. Details of the body thinner than an
+    eighth of a cell in the plane, and a sixth in space, or than a third of a box may be missed.
 
     Args:
         grid: background grid.
@@ -63,7 +65,7 @@ def seed(
         raise InputError(f"cut = {cut!r}: True or False")
     lower, upper = _bounds(grid, bounds if bounds is not None else getattr(inside, "bounds", None))
     searched = grid.part(lower, np.maximum(upper, lower))
-    body = _Body(inside, bounds, cut and layout == "uniform")
+    body = _Body(inside, bounds, cut and layout == "uniform", _parts(per_cell))
     made = _found(searched, body, per_cell, xi, share)
     axes0 = made.axes if layout == "uniform" else np.zeros_like(made.axes)
     points = Points(made.x, made.volume, made.half, material, grid.comm, half_axes=axes0)
@@ -73,6 +75,12 @@ def seed(
         )
     distribute(grid, points)
     return points
+
+
+def _parts(per_cell: np.ndarray) -> int:
+    """Into how many parts a direction a box is divided to see where the body is: few points a cell must not
+    overlook a thin body."""
+    return max(3, math.ceil(_SEEN[len(per_cell)] / int(per_cell.min())))
 
 
 @dataclass
@@ -100,10 +108,11 @@ class _Body:
     inside: Inside | None
     bounds: Any
     cut: bool
+    parts: int  # of a box in each direction, on whose corners the predicate is asked
 
     def chunk(self, dim: int) -> int:
         """Boxes to be treated at once."""
-        return _CHUNK // (4**dim if self.cut and self.inside is not None else 1)
+        return _CHUNK // ((self.parts + 1) ** dim if self.cut and self.inside is not None else 1)
 
     def boxes(self, x: np.ndarray, half: np.ndarray, volume: np.ndarray) -> _Boxes:
         """What is inside of boxes around x (n, d) with half lengths (n, d) and volumes (n,)."""
@@ -114,7 +123,7 @@ class _Body:
             if self.bounds is None:
                 return _Boxes.along_grid(x, volume, half)
             return _clipped(x, half, volume, self.bounds)
-        part = inside_parts(x, half, lambda y: _keep(y, self.inside, None))
+        part = inside_parts(x, half, lambda y: _keep(y, self.inside, None), self.parts)
         made = _Boxes.along_grid(part.centre, volume[part.kept] * part.share, half[part.kept])
         covariance = part.covariance[part.cut]
         made.axes[part.cut] = half_axes(covariance)

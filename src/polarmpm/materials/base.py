@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 import ufl
 
-from ..errors import InputError
+from ..errors import InputError, TrustWarning
 from ..tools.checks import require_finite
 
 _LOCKING = 0.49  # Poisson's ratio, see docs/stability.md
@@ -152,16 +152,29 @@ class UserEnergy(Material):
         return self.function(*args)
 
 
-def warn_of_locking(materials: Sequence[Material], functions: str, remedy: str) -> None:
-    """Warn whoever makes a problem of linear functions and a nearly incompressible material."""
+def warn_of_locking(
+    materials: Sequence[Material],
+    functions: str,
+    remedy: str,
+    *,
+    beyond: float = _LOCKING,
+    how: str = "displacements are far too small",
+) -> None:
+    """Warn whoever makes a problem of a nearly incompressible material and functions that don't suit it.
+
+    Args:
+        beyond: Poisson's ratio above which they lock.
+        how: what that means.
+    """
     for material in materials:
         known = material.moduli("lam", "mu")
         if len(known) < 2 or known["lam"] <= 0:
             continue
         nu = known["lam"] / (2 * (known["lam"] + known["mu"]))
-        if nu > _LOCKING:
+        if nu > beyond:
             warnings.warn(
                 f"{type(material.elastic_part).__name__}: at Poisson's ratio {nu:.6g} {functions} lock, as "
-                f"they do beyond {_LOCKING}: displacements are far too small; take {remedy}",
+                f"they do beyond {beyond}: {how}; take {remedy}",
+                TrustWarning,
                 stacklevel=3,
             )

@@ -19,13 +19,14 @@ from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.stresses import MaterialField
 from ..geometry.nodes import Nodes
-from ..solvers import arclength, newton
+from ..solvers import arclength
 from ..solvers.arclength import ArcSchedule, Path
 from ..solvers.newton import Controls, Outcome
 from ..solvers.stepping import Schedule, Step, march
 from ..terms.surfaces import SurfaceSupport
 from ..tools.parallel import errors_on_all_ranks
 from ..tools.timing import Timer
+from . import attempts
 from .observer import Observer
 from .reactions import Balance, Equilibrium, Reaction, point_about, surface_reaction
 from .release import Releasable
@@ -147,35 +148,8 @@ class Problem(Releasable):
             start = self._begin(system, factor)
             increments = self._prescribed_at(system, factor)
             system.set_prescribed(increments)
-        outcome = newton.solve(system, self.controls)
-        if not outcome.converged and system.start_elastic(True):
-            # where points unload, the elastic tangent is the better one to begin with
-            tried, system.x = outcome.history, start.x
-            system.set_prescribed(increments)
-            outcome = newton.solve(system, self.controls)
-            outcome.history[:0] = tried
-            system.start_elastic(False)
-        if not outcome.converged and system.leave_out_boxes(True):
-            outcome = self._start_without_boxes(system, start.x, increments, outcome)
+        outcome = attempts.solve(system, start.x, increments, self.controls)
         self._finish(system, start, outcome, factor)
-        return outcome
-
-    def _start_without_boxes(
-        self, system: NodalSystem, start: np.ndarray, increments: np.ndarray, failed: Outcome
-    ) -> Outcome:
-        """Iterate from the equilibrium without the points' boxes on: far from the solution their sides have
-        strains that mean nothing."""
-        initial, system.x = system.step.initial, start
-        system.set_prescribed(increments)
-        alone = newton.solve(system, self.controls)
-        system.leave_out_boxes(False)
-        outcome, tried = failed, failed.history + alone.history
-        if alone.converged:
-            system.set_prescribed(increments)
-            system.step.initial = initial
-            outcome = newton.solve(system, self.controls)
-            tried += outcome.history
-        outcome.history = tried
         return outcome
 
     def march_arc_length(
@@ -334,6 +308,7 @@ class Problem(Releasable):
                     observer.after_commit(self, self.progress.rotation_factor != base)
             else:
                 system.x = start.x
+                system.forget_tangent()
 
     def _commit_terms(self, system: NodalSystem, start: np.ndarray) -> None:
         """Tell the terms of a step that has converged, from increments (nodes, block) at its start."""

@@ -19,6 +19,7 @@ from ..kernels.kernel import Kernel
 # shares of a step's work inside the boxes above which an answer may be far off: while no point has flowed,
 # and then, as the boxes of points that have flowed count for little
 DOUBTFUL, DOUBTFUL_FLOW = 0.5, 0.2
+SMALL = 0.05  # increments (their gradients) of which boxes miss nothing, however large their share is
 HOPELESS = 1.0  # above which the boxes alone hold the body
 _REMEDY = "take more points a cell (points_per_cell), or smaller cells"
 
@@ -86,13 +87,18 @@ class BoxRecord:
             return ""
         return f"all of the step's work is done inside the points' boxes: there is no equilibrium; {_REMEDY}"
 
-    def note(self, share: float | None, step: int) -> None:
-        """Take note of a converged step; warns, once in a run, of an answer that is in doubt."""
+    def note(self, share: float | None, step: int, size: float) -> None:
+        """Take note of a converged step; warns, once in a run, of an answer that is in doubt.
+
+        Args:
+            size: largest gradient of the increments at this rank's points.
+        """
         if share is None:
             return
         self.largest = max(self.largest, (share, step))
         flowed = self.points.plastic and bool(np.any(self.points.hardening > 0.0))
-        if share > (DOUBTFUL_FLOW if self.comm.allreduce(flowed, op=MPI.LOR) else DOUBTFUL):
+        limit = DOUBTFUL_FLOW if self.comm.allreduce(flowed, op=MPI.LOR) else DOUBTFUL
+        if share > limit and self.comm.allreduce(size, op=MPI.MAX) > SMALL:
             warned, self.in_doubt = self.in_doubt, True
             if self.comm.rank == 0 and not warned:
                 warnings.warn(

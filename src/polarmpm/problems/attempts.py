@@ -1,0 +1,49 @@
+"""Ways to the equilibrium of a load step, one after the other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..assembly.system import NodalSystem
+from ..solvers import newton
+from ..solvers.newton import Controls, Outcome
+
+
+def solve(system: NodalSystem, start: np.ndarray, increments: np.ndarray, controls: Controls) -> Outcome:
+    """Newton's method in a system whose step has begun, and where that fails from other starts. Collective.
+
+    Args:
+        start: nodal increments (nodes, block) at the beginning of the step.
+        increments: what the prescribed unknowns are to reach (nodes, block).
+    """
+    outcome = newton.solve(system, controls)
+    if not outcome.converged and system.start_elastic(True):
+        # where points unload, the elastic tangent is the better one to begin with
+        tried, system.x = outcome.history, start
+        system.forget_tangent()
+        system.set_prescribed(increments)
+        outcome = newton.solve(system, controls)
+        outcome.history[:0] = tried
+        system.start_elastic(False)
+    if not outcome.converged and system.leave_out_boxes(True):
+        outcome = _start_without_boxes(system, start, increments, controls, outcome)
+    return outcome
+
+
+def _start_without_boxes(
+    system: NodalSystem, start: np.ndarray, increments: np.ndarray, controls: Controls, failed: Outcome
+) -> Outcome:
+    """Iterate from the equilibrium without the points' boxes on: far from the solution their sides have
+    strains that mean nothing."""
+    initial, system.x = system.step.initial, start
+    system.set_prescribed(increments)
+    alone = newton.solve(system, controls)
+    system.leave_out_boxes(False)
+    outcome, tried = failed, failed.history + alone.history
+    if alone.converged:
+        system.set_prescribed(increments)
+        system.step.initial = initial
+        outcome = newton.solve(system, controls)
+        tried += outcome.history
+    outcome.history = tried
+    return outcome
