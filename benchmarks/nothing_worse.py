@@ -120,7 +120,7 @@ def manufactured(basis, number):
 
 
 def fitted():
-    """B4 with the settings that docs/accuracy.md recommends."""
+    """B4 by splines, with points at the Gauss positions of a mesh that fits."""
     from trust import fitted as build
 
     case = build("bspline", number=4, resets=0, balanced=True)

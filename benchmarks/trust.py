@@ -1,9 +1,10 @@
-"""What to trust: how the curved cantilever's answer moves with resets, steps, cells, points and position.
+"""How the curved cantilever's answer moves with resets, steps, cells, points and position, settings given.
 
 Two errors make up the published agreement of material points: bending that locks, which stiffens, and resets
 that let go what the new basis can't balance, which softens. The map shows both, method by method, against the
-converged micropolar solution; then the recommended settings over positions in the grid, numbers of load steps
-and of points. Each run has a process of its own. `--quick` leaves out the expensive ones.
+converged micropolar solution; then balanced splines with points at the Gauss positions of a mesh (recommended
+before points integrated over their boxes) over positions in the grid, numbers of load steps and of points.
+Each run has a process of its own. `--quick` leaves out the expensive ones. Default settings: `strangers.py`.
 """
 
 import argparse
@@ -145,7 +146,7 @@ def other_discretisations(quick):
 
 
 def recommended_discretisations(quick):
-    """The recommended settings, and the same with a reset after every step at the ends of the ranges."""
+    """Splines and Gauss points, and the same with a reset after every step at the ends of the ranges."""
     discretisations = []
     for resets, method in ((0, "recommended"), (None, "reset every step")):
         for centre, bottom in POSITIONS:
