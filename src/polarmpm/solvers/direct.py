@@ -85,6 +85,7 @@ class DirectSolver:
         pc = ksp.getPC()
         pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
         if self._method == "small":
+            PETSc.Options().setValue("mat_cholmod_print", 0)  # an indefinite tangent is no news
             pc.setFactorSolverType("cholmod")
             return ksp
         pc.setFactorSolverType("mumps")
