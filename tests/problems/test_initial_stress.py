@@ -51,7 +51,8 @@ CASES: dict[str, tuple[Callable[[], pm.QuasiStatic], float]] = {
     "bspline": (lambda: cantilever(), 1e-9),
     "bspline3": (lambda: cantilever(basis="bspline3"), 1e-9),
     "mpm": (lambda: cantilever(basis="mpm"), 1e-9),
-    "gimpm": (lambda: cantilever(basis="gimpm"), 1e-4),
+    "gimpm": (lambda: cantilever(basis="gimpm"), 1e-8),
+    "hanging nodes": (lambda: cantilever(NEO_HOOKEAN, basis="mpm"), 1e-8),
     "classical": (lambda: cantilever(NEO_HOOKEAN), 1e-9),
     "hencky": (lambda: cantilever(HENCKY), 1e-9),
     "general": (lambda: cantilever(GENERAL), 1e-9),
@@ -247,7 +248,7 @@ def test_forces_are_carried_where_a_step_fails_with_stresses(along, monkeypatch)
     assert not problem.system.initial.active()
     force, moment = in_balance(problem)
     assert force < 1e-9
-    assert moment < 1e-3
+    assert moment < 1e-8
     assert problem.attempt(0.5).converged  # between two resets
     assert in_balance(problem)[0] < 1e-9
 

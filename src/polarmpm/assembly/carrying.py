@@ -11,6 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from mpi4py import MPI
+
 import numpy as np
 
 from ..solvers.linear import SingularTangent
@@ -119,6 +121,17 @@ def _norm(system: LoadedPoints, forces: np.ndarray) -> float:
     """Of forces (nodes, block), complete on owned rows; couples count as forces. Collective."""
     own = np.sum((forces[: system.owned] * system.as_force) ** 2)
     return float(np.sqrt(system.comm.allreduce(own)))
+
+
+def close_again(system: LoadedPoints) -> None:
+    """Close the carried forces at the present positions: dead forces come to have a moment as the body turns.
+    The equilibrium stays, as forces on prescribed unknowns move nothing; the reactions of the last evaluation
+    follow. Collective."""
+    before, fixed = system.carried, system.prescribed.fixed
+    if system.comm.allreduce(bool(np.any(before)), op=MPI.LOR):
+        free = np.where(fixed, 0.0, before)
+        system.carried = free + closing(system, free)
+        system.residual = system.residual + before - system.carried
 
 
 def closing(system: LoadedPoints, forces: np.ndarray) -> np.ndarray:

@@ -75,6 +75,9 @@ class Problem(Releasable):
         """Measure how far an acceptable solution, from increments `start` (nodes, block) on, can be trusted;
         it may be refused."""
 
+    def _close(self, system: Any) -> None:
+        """Close what resets have carried along at the positions of a converged step."""
+
     def _note(self, outcome: Outcome) -> None:
         """Take note of what `_trust` has found, of a step that is converged and committed."""
 
@@ -294,6 +297,7 @@ class Problem(Releasable):
                 external, carried = step_work(system, start, system.working_loads(), self._left(system.nodes))
                 self.progress.external_work += external
                 self.progress.carried_work += carried
+                self._close(system)
                 self._equilibrium = Equilibrium.of(system)
                 self._last_x, self.progress.factor_change = self.points.x, factor - self.progress.factor
                 for observer in self.observers:

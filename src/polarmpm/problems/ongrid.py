@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..assembly import carrying
 from ..assembly.interpolation import Interpolation
 from ..assembly.points import LoadedPoints, PointSystem
 from ..assembly.transfer import motion_of
@@ -145,6 +146,9 @@ class OnGrid(Problem):
         if s is None or self.progress.since_reset:
             return False
         return self._resets.fall_back(s, lambda: self._put_balance(s))
+
+    def _close(self, system: LoadedPoints) -> None:
+        carrying.close_again(system)
 
     def _fell_back(self, converged: bool) -> None:
         if not converged and self._system is not None:

@@ -88,8 +88,8 @@ class Balance:
     Attributes:
         about: the point of the moments (m), (d,).
         parts: loads, terms and supports, each with its force and moment on the body.
-        carried: dead forces on nodes that balanced resets carry along. They are no load; the moment that they
-            come to have as the body turns is missing in the sum.
+        carried: dead forces on nodes that balanced resets carry along. They are no load, and closed by forces
+            on prescribed unknowns: where there are such, they have neither a sum nor a moment.
         force, moment: sum of the parts (N, N m); zero in balance.
         residue: the sizes of these two, relative to the largest force of a part, and to it times the size of
             the body (or the largest moment, where that is more).
