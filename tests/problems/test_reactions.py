@@ -93,7 +93,7 @@ def test_balance_of_all_kinds(options):
 
 @pytest.mark.parametrize("basis", ["bspline", "mpm"])
 def test_what_a_balanced_reset_carries(basis):
-    """Nothing that loads and reactions would miss: it has neither a sum nor a moment, where the body is now."""
+    """Nothing that loads and reactions would miss: neither a sum nor a moment where the body is now."""
     problem = bar({"reset": 1, "basis": basis})
     problem.fix(pm.plane(x=0.0), u=0)
     problem.load(end_of(problem), force=(0.0, -30.0))
