@@ -16,7 +16,6 @@ from mpi4py import MPI
 import numpy as np
 
 from ..solvers.linear import SingularTangent
-from .initialstress import frames
 from .points import LoadedPoints
 
 _SOFTEST = 1e-8  # stiffness of directions that the material has none in (turns), over that of the others
@@ -45,7 +44,7 @@ class Moduli:
         before = (still,) if system.interpolation.forms[k].predicts else ()
         of_material = system.kernels[k][1](inputs, *before)
         assert system.initial is not None
-        kernels, frame = system.initial.kernels, frames(batch)
+        kernels, frame = system.initial.kernels, batch.batch.frames
         stress = self.stresses(of_material[:, :nz])
         geometric = kernels.blocks(still, frame, kernels.form.pack(stress, frame))
         self.blocks: np.ndarray = np.zeros((n, nz + nz * nz))
@@ -66,7 +65,7 @@ class Moduli:
     def stresses(self, work: np.ndarray) -> np.ndarray:
         """Stresses (n, b, d) that do the work (n, nz) on variations of z in the points' frames."""
         rows = [self._layout.part(work, field, 1) for field in ("displacement", "rotation")]
-        stresses: np.ndarray = np.concatenate(rows, axis=1) @ np.swapaxes(frames(self._batch), 1, 2)
+        stresses: np.ndarray = np.concatenate(rows, axis=1) @ np.swapaxes(self._batch.batch.frames, 1, 2)
         return stresses
 
     def times(self, z: np.ndarray) -> np.ndarray:

@@ -91,8 +91,7 @@ class ElementSystem(NodalSystem):
     def spatial_loads(self) -> np.ndarray:
         loads, d = self._body_loads(), self.layout.dim
         if self.layout.rotations == 3:  # what does work on Dw is J_r(Dw)^T times the couple
-            turned = np.linalg.solve(rotations.right_tangent(self.x[:, d:]), loads[:, d:, None])[:, :, 0]
-            loads = np.hstack([loads[:, :d], turned])
+            loads = np.hstack([loads[:, :d], rotations.couples_on_spins(self.x[:, d:], loads[:, d:])])
         return loads
 
     @cached_property

@@ -8,14 +8,7 @@ import numpy as np
 
 from ..forms.initialstress import InitialKernels
 from ..kernels import native
-from .interpolation import Interpolation, PointBatch
-
-
-def frames(batch: PointBatch) -> np.ndarray:
-    """The points' frames (n, d, d), in which kernels take gradients."""
-    d = batch.batch.dim
-    frames: np.ndarray = batch.batch.kept["state"][:, : d * d].reshape(-1, d, d)
-    return frames
+from .interpolation import Interpolation
 
 
 class InitialStress:
@@ -33,7 +26,7 @@ class InitialStress:
         stress = self.interpolation.reference.initial_stress
         self._any = bool(np.any(stress))
         pack, batches = self.kernels.form.pack, self.interpolation.batches
-        self._packed = [np.ascontiguousarray(pack(stress[b.rows], frames(b))) for b in batches]
+        self._packed = [np.ascontiguousarray(pack(stress[b.rows], b.batch.frames)) for b in batches]
 
     def active(self) -> bool:
         """Whether there are any. Collective."""
@@ -53,7 +46,7 @@ class InitialStress:
         total, nz = 0.0, self.interpolation.layout.unknowns
         for b, packed in zip(self.interpolation.batches, self._packed, strict=True):
             z = self.interpolation.kernel_inputs(b, x)[:, :nz]
-            total += float(self.kernels.energy(z, frames(b), packed)[:, 0] @ b.batch.kept["volume"])
+            total += float(self.kernels.energy(z, b.batch.frames, packed)[:, 0] @ b.batch.kept["volume"])
         return total
 
     def replace(self, stress: np.ndarray) -> None:

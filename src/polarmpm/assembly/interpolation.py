@@ -31,7 +31,7 @@ from ..terms.base import Boxes, Piece, Term
 from ..terms.settings import GridSetting
 from ..tools.parallel import errors_on_all_ranks
 from .nodesets import Groups, group_points, node_sets_of, ownership_priorities, reached_cells
-from .pointboxes import PointBoxes, all_boxes, has_boxes
+from .pointboxes import PointBoxes, has_boxes
 
 
 @dataclass
@@ -96,8 +96,7 @@ class Interpolation:
         self.reach = int(grid.comm.allreduce(max(sides) - 1, op=MPI.MAX))
         self.boxes: list[PointBoxes] | None = None
         if filled:
-            pairs = [(b.batch, b.rows) for b in self.batches]
-            self.boxes = all_boxes(pairs, self.layout, points, r)
+            self.boxes = [PointBoxes(b.batch, self.layout, points, b.rows, r) for b in self.batches]
         self.pack()
 
     def _batch(

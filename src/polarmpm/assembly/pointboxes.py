@@ -14,7 +14,6 @@ grows.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -81,8 +80,7 @@ class PointBoxes:
     def _to_frame(self, reference: Reference) -> np.ndarray:
         """F~^-1 T (n, d, d): from gradients in the unloaded body to those in the frame of the state."""
         d = self.layout.dim
-        frame = self.batch.kept["state"][:, : d * d].reshape(-1, d, d)
-        there: np.ndarray = np.linalg.solve(reference.F[self.rows, :d, :d], frame)
+        there: np.ndarray = np.linalg.solve(reference.F[self.rows, :d, :d], self.batch.frames)
         return there
 
     def rebase_rotations(self, reference: Reference, x: np.ndarray) -> None:
@@ -181,10 +179,3 @@ class PointBoxes:
         if work(ctypes.byref(self.batch), ctypes.byref(kernels), start, end, inside, whole):
             raise MemoryError("no memory for the work in the points' boxes")
         return inside, whole
-
-
-def all_boxes(
-    batches: Sequence[tuple[native.Batch, np.ndarray]], layout: Layout, points: Points, reference: Reference
-) -> list[PointBoxes]:
-    """The boxes of batches with the rows of their points."""
-    return [PointBoxes(batch, layout, points, rows, reference) for batch, rows in batches]

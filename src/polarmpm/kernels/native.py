@@ -19,6 +19,13 @@ INTERFACE = structures.constant("_points.h", "INTERFACE")  # what the headers sa
 class Batch(Structure):
     """Points of one material, sorted by node set."""
 
+    @property
+    def frames(self) -> np.ndarray:
+        """The points' frames (n, dim, dim), with which their states begin."""
+        d = self.dim
+        frames: np.ndarray = self.kept["state"][:, : d * d].reshape(-1, d, d)
+        return frames
+
 
 @declared_in("_points.h")
 class Matrix(Structure):

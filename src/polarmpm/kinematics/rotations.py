@@ -78,6 +78,13 @@ def hat(w: Array) -> Array:
     return t
 
 
+def couples_on_spins(w: Array, couples: Array) -> Array:
+    """Couples (n, 3) that do work on spins, of those m that do it on increments of the rotation vectors
+    w (n, 3): J_r(w)^-1 m."""
+    turned: Array = np.linalg.solve(right_tangent(w), couples[:, :, None])[:, :, 0]
+    return turned
+
+
 def right_tangent(w: Array) -> Array:
     """J_r(w) = I - (1 - cos t)/t^2 hat(w) + (t - sin t)/t^3 hat(w)^2, t = |w|."""
     t = np.linalg.norm(w, axis=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -61,9 +62,9 @@ class OnGrid(Problem):
     _attempted: tuple[np.ndarray, np.ndarray] | None
     _converged_loads: tuple[np.ndarray, np.ndarray] | None
 
+    @abstractmethod
     def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
         """Forces (np, d) and couples (np, r) at the local points at a load factor."""
-        raise NotImplementedError
 
     def _prepare(self) -> LoadedPoints:
         """The system of the present grid; reset if that is due, renewed if conditions have changed."""

@@ -173,8 +173,7 @@ class Equilibrium:
         """Forces and couples that do work on spins, of those that do it on increments, in the first rows."""
         d, out = self.position.shape[1], forces[:rows]
         if self.w.shape[1] == 3:  # what does work on Dw is J_r(Dw)^T times the couple
-            turned = np.linalg.solve(rotations.right_tangent(self.w[:rows]), out[:, d:, None])[:, :, 0]
-            out = np.hstack([out[:, :d], turned])
+            out = np.hstack([out[:, :d], rotations.couples_on_spins(self.w[:rows], out[:, d:])])
         return out
 
     def _sums(self, spatial: np.ndarray) -> np.ndarray:

@@ -64,7 +64,7 @@ def hand_over(
     values = point_values(system, equilibrium.free_residual(support, still))
     if r == 3:  # a dead couple m at a point does the work J_r(Dw) m
         w = system.at_points(np.pad(equilibrium.w, ((0, 0), (d, 0))))[:, d:]
-        values[:, d:] = np.linalg.solve(rotations.right_tangent(w), values[:, d:, None])[:, :, 0]
+        values[:, d:] = rotations.couples_on_spins(w, values[:, d:])
     out = []
     for couple, part in ((False, values[:, :d]), (True, values[:, d:])):
         if system.comm.allreduce(float(np.abs(part).max(initial=0.0))) > 0.0:

@@ -40,10 +40,7 @@ def _multigrid(tangent: Tangent) -> LinearSolver:
     )
 
 
-SOLVERS: dict[str, Solver] = {
-    "direct": Solver(_direct),
-    "multigrid": Solver(_multigrid, whole_rows=True),
-}
+SOLVERS: dict[str, Solver] = {"direct": Solver(_direct), "multigrid": Solver(_multigrid, whole_rows=True)}
 
 
 def register_solver(name: str, make: Callable[[Tangent], LinearSolver], *, whole_rows: bool = False) -> None:

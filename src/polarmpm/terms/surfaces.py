@@ -195,7 +195,7 @@ class SurfaceSupport(SurfaceCondition):
     def rebase_rotations(self) -> None:
         d, w = self.layout.dim, self.theta - self._at["theta"]
         if self.layout.rotations == 3:  # what does work on Dw now does it on the spin
-            self.multiplier[:, d:] = _spin_forces(w, self.multiplier[:, d:])
+            self.multiplier[:, d:] = rotations.couples_on_spins(w, self.multiplier[:, d:])
         super().rebase_rotations()
 
     def converged(self, y: np.ndarray) -> None:
@@ -205,7 +205,7 @@ class SurfaceSupport(SurfaceCondition):
         self.gap = self._gap(y)
         on_body = -self.surface.area[:, None] * force
         if self.layout.rotations == 3:
-            on_body[:, d:] = _spin_forces(self.form.slots.part(y, "rotation"), on_body[:, d:])
+            on_body[:, d:] = rotations.couples_on_spins(self.form.slots.part(y, "rotation"), on_body[:, d:])
         self.reaction = on_body[:, :d].sum(axis=0), on_body[:, d:].sum(axis=0)
         place, couples = self.surface.x + self.u, on_body[:, d:]
         self.moment = moments(place, on_body[:, :d], couples).sum(axis=0)
@@ -236,8 +236,3 @@ class SurfaceSupport(SurfaceCondition):
         super().restore(arrays)
         self.multiplier = np.array(arrays["multiplier"], dtype=float)
         self._offset, self._last = (np.array(arrays[name], dtype=float) for name in ("offset", "last"))
-
-
-def _spin_forces(w: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """Couples (n, 3), which do work on the spin, of forces that do it on increments of w (n, 3)."""
-    return np.linalg.solve(rotations.right_tangent(w), forces[:, :, None])[:, :, 0]
