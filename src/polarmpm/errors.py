@@ -2,15 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
+
+
+def _rebuilt(kind: type[PolarMPMError], args: tuple[Any, ...], state: dict[str, Any]) -> PolarMPMError:
+    error = kind.__new__(kind, *args)
+    error.args = args
+    error.__dict__.update(state)
+    return error
 
 
 class PolarMPMError(Exception):
-    """Base of all errors of the package."""
+    """Base of all errors of the package. All can be pickled, so that they pass through process pools and
+    between ranks."""
+
+    def __reduce__(self) -> tuple[Callable[..., PolarMPMError], tuple[Any, ...]]:
+        return _rebuilt, (type(self), self.args, dict(self.__dict__))
 
 
 class InputError(PolarMPMError, ValueError):
     """An argument is out of its admissible range; nothing has been changed."""
+
+
+class OutputError(PolarMPMError, OSError):
+    """A file couldn't be written, such as on a full disc; raised on all ranks alike, naming file and reason.
+    The last converged state and what was in the file before are intact, and the run can go on."""
+
+
+class ErrorOnAnotherRank(PolarMPMError, RuntimeError):
+    """A function of the script has failed on another rank, which raises its own error; see
+    `tools.parallel.errors_on_all_ranks`.
+
+    Attributes:
+        rank: the lowest rank on which it failed.
+    """
+
+    def __init__(self, rank: int, error: str):
+        self.rank = rank
+        super().__init__(f"rank {rank}: {error}")
 
 
 class PointsOutsideGrid(PolarMPMError, ValueError):

@@ -1,18 +1,187 @@
-"""Checks of arguments."""
+"""Checks of arguments, the same wording everywhere: each returns the value in the type the code works with.
+
+A check takes the argument's name first and raises InputError with name, value and what is allowed. Numbers
+and whole numbers may be NumPy's. What only one rank can see is for `tools.parallel.errors_on_all_ranks`.
+"""
 
 from __future__ import annotations
 
 import math
+import operator
+import os
+from collections.abc import Callable, Collection, Sequence
 from numbers import Real
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
+
+from mpi4py import MPI
+
+import numpy as np
 
 from ..errors import InputError
+
+T = TypeVar("T")
+_SHOWN = 80  # characters of a value in a message
+
+
+def shown(value: Any) -> str:
+    """A value as messages show it: on one line, and short."""
+    if isinstance(value, np.ndarray) and value.size > 6:
+        return f"an array of shape {value.shape}"
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:  # a user's class may have a broken repr
+        text = f"an instance of {type(value).__name__}"
+    return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
+
+
+def refuse(name: str, value: Any, allowed: str) -> InputError:
+    """The error to raise: `raise refuse("steps", steps, "a positive whole number")`."""
+    return InputError(f"{name} = {shown(value)}: {allowed}")
+
+
+def number(
+    name: str,
+    value: Any,
+    *,
+    least: float = -math.inf,
+    above: float = -math.inf,
+    most: float = math.inf,
+    below: float = math.inf,
+    allowed: str = "",
+) -> float:
+    """A finite number with least <= value <= most and above < value < below."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    good = isinstance(value, Real) and not isinstance(value, bool | np.bool_)
+    good = good and math.isfinite(value) and least <= value <= most and above < value < below
+    if not good:
+        raise refuse(name, value, allowed or _range("a finite number", least, above, most, below))
+    return float(value)
+
+
+def whole(
+    name: str, value: Any, *, least: float = -math.inf, most: float = math.inf, allowed: str = ""
+) -> int:
+    """A whole number with least <= value <= most; NumPy's are taken, floats and booleans are not."""
+    try:
+        n = None if isinstance(value, bool | np.bool_) else operator.index(value)
+    except TypeError:
+        n = None
+    if n is None or not least <= n <= most:
+        raise refuse(name, value, allowed or _range("a whole number", least, -math.inf, most, math.inf))
+    return n
+
+
+def _range(what: str, least: float, above: float, most: float, below: float) -> str:
+    if least == 0 and most == below == math.inf:
+        return f"{what}, not negative"
+    if (above == 0 or (least == 1 and what == "a whole number")) and most == below == math.inf:
+        return f"{what.replace('a ', 'a positive ', 1)}"
+    ends = [f"of at least {least:g}"] if least > -math.inf else []
+    ends += [f"above {above:g}"] if above > -math.inf else []
+    ends += [f"of at most {most:g}"] if most < math.inf else []
+    ends += [f"below {below:g}"] if below < math.inf else []
+    return " ".join([what, " and ".join(ends)]).strip()
+
+
+def flag(name: str, value: Any) -> bool:
+    """True or False, nothing that merely counts as such."""
+    if not isinstance(value, bool | np.bool_):
+        raise refuse(name, value, "True or False")
+    return bool(value)
+
+
+def choice(name: str, value: Any, allowed: Collection[T]) -> T:
+    """One of the allowed values."""
+    for one in allowed:
+        if type(one) is type(value) and one == value:
+            return one
+    raise refuse(name, value, "one of " + ", ".join(map(repr, allowed)))
+
+
+def array(name: str, value: Any, shape: Sequence[int | None], what: str = "") -> np.ndarray:
+    """Finite numbers (float64) of a shape; None in it allows any length.
+
+    Args:
+        what: says what the array is, for the message: "one volume for each point".
+    """
+    found = numeric(name, value, what)
+    if found.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, found.shape, strict=True)):
+        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        raise refuse(
+            name, value, f"an array of shape ({wanted}) is needed{_of(what)}; its shape is {found.shape}"
+        )
+    if not np.isfinite(found).all():
+        raise refuse(name, value, f"finite numbers are needed{_of(what)}")
+    return found
+
+
+def numeric(name: str, value: Any, what: str = "") -> np.ndarray:
+    """Real numbers (float64) of whatever shape; not a number and infinite ones, too."""
+    try:
+        raw = np.asarray(value)
+        good = raw.dtype.kind in "iuf"
+        found = raw.astype(float) if good else raw
+    except (TypeError, ValueError):
+        good = False
+    if not good:
+        raise refuse(name, value, f"numbers are needed{_of(what)}")
+    return found
+
+
+def _of(what: str) -> str:
+    return f" ({what})" if what else ""
+
+
+def vector(name: str, value: Any, dim: int, what: str = "") -> np.ndarray:
+    """A vector (dim,) of finite numbers."""
+    return array(name, value, (dim,), what or f"a vector of {dim} components")
+
+
+def text(name: str, value: Any, allowed: str = "a text that isn't empty") -> str:
+    """A string that isn't empty."""
+    if not isinstance(value, str) or not value:
+        raise refuse(name, value, allowed)
+    return value
+
+
+def path(name: str, value: Any, what: str = "the name of a file") -> Path:
+    """Name of a file or folder, made absolute: a later os.chdir must not move it."""
+    try:
+        raw = os.fspath(value)
+    except TypeError:
+        raw = ""
+    if not isinstance(raw, str) or not raw or "\0" in raw:
+        raise refuse(name, value, f"{what} is needed")
+    return Path(os.path.abspath(raw))
+
+
+def instance(name: str, value: Any, types: type[T] | tuple[type[T], ...], what: str) -> T:
+    """An object of a type: `instance("points", points, Points, "material points, as pm.seed makes them")`."""
+    if not isinstance(value, types):
+        raise refuse(name, value, f"{what} needed")
+    return value
+
+
+def function(name: str, value: Any, what: str = "a function is") -> Callable[..., Any]:
+    """Something that can be called."""
+    if not callable(value):
+        raise refuse(name, value, f"{what} needed")
+    called: Callable[..., Any] = value
+    return called
+
+
+def communicator(name: str, value: Any) -> MPI.Intracomm:
+    """Ranks that work together."""
+    if not isinstance(value, MPI.Intracomm) or value == MPI.COMM_NULL:
+        raise refuse(name, value, "a communicator of mpi4py, such as MPI.COMM_WORLD, is needed")
+    return value
 
 
 def require_finite(name: str, value: Any) -> None:
     """Raise InputError unless `value` is a finite number."""
-    if not isinstance(value, Real) or not math.isfinite(value):
-        raise InputError(f"{name} = {value!r} is not a finite number")
+    number(name, value)
 
 
 def require(condition: bool, name: str, value: float, allowed: str) -> None:

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import ErrorOnAnotherRank, PolarMPMError
 
 _TAG = 7361  # of messages between ranks
 
@@ -141,20 +141,35 @@ def sharing_ranks(comm: MPI.Comm, numbers: np.ndarray, most: int) -> np.ndarray:
     return route.backward(table[offsets])
 
 
-def raise_on_all_ranks(comm: MPI.Comm, error: Exception | None) -> None:
-    """Raise on every rank what any rank has found wrong (the lowest rank's error)."""
-    errors = comm.allgather(error)
-    for e in errors:
-        if e is not None:
-            raise e
+def raise_on_all_ranks(comm: MPI.Comm, error: BaseException | None) -> None:
+    """Raise on every rank what any rank has found wrong. Collective.
+
+    Our own errors are the same everywhere, the lowest rank's. Others, such as those of a script's function,
+    are raised as they are where they have happened, and as `ErrorOnAnotherRank` elsewhere.
+    """
+    if comm.size == 1:
+        if error is not None:
+            raise error
+        return
+    told = error if error is None or isinstance(error, PolarMPMError) else f"{type(error).__name__}: {error}"
+    found = [(rank, e) for rank, e in enumerate(comm.allgather(told)) if e is not None]
+    if not found:
+        return
+    rank, first = found[0]
+    if isinstance(first, PolarMPMError):
+        raise first
+    if error is not None and not isinstance(error, PolarMPMError):
+        raise error
+    raise ErrorOnAnotherRank(rank, first)
 
 
 @contextmanager
 def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
-    """Local work whose InputError is raised on every rank, so that none waits in vain. Collective."""
-    error = None
+    """Local work, or a call of the script's functions, whose errors are raised on every rank, so that none
+    waits in vain. What is inside must not be collective. Collective itself."""
+    error: Exception | None = None
     try:
         yield
-    except InputError as e:
+    except Exception as e:
         error = e
     raise_on_all_ranks(comm, error)
