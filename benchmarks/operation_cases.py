@@ -89,7 +89,7 @@ def run(
 
 
 def attempt(function: Callable[[], object], words: tuple[str, ...] = ()) -> tuple[str, str]:
-    """Verdict and note on a call in this process that has to be refused, with one of some words in its text."""
+    """Verdict and note on a call in this process that has to be refused, with one of some words."""
     from polarmpm import PolarMPMError
 
     try:

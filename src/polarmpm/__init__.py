@@ -11,10 +11,12 @@ from .bodies.meshseeding import seed_mesh
 from .bodies.points import Points, Selection
 from .bodies.seeding import seed
 from .errors import (
+    ErrorOnAnotherRank,
     InputError,
     KernelError,
     NotConserved,
     NotConverged,
+    OutputError,
     PointsOutsideGrid,
     PolarMPMError,
     SupportLost,
@@ -70,6 +72,7 @@ __all__ = [
     "DruckerPrager",
     "Edge",
     "Elements",
+    "ErrorOnAnotherRank",
     "EverySteps",
     "Facets",
     "Field",
@@ -86,6 +89,7 @@ __all__ = [
     "NotConserved",
     "NotConverged",
     "Observer",
+    "OutputError",
     "Piece",
     "Plastic",
     "Points",
