@@ -2,7 +2,8 @@
 
 The cases are lists CASES of tuples (code, expected, words) in modules of their own, one for each half of the
 package. The code's last line is the call, its value goes into the note; the names of `names()` are at hand.
-What is expected: "bad": an error of the package with one of the words; "ok": an answer; "either" of both.
+What is expected: "bad": an error of the package with one of the words, or one that the code's own function
+raises; "ok": an answer; "either" of both.
 """
 
 import contextlib
@@ -13,6 +14,7 @@ import random
 import resource
 import signal
 import tempfile
+import traceback
 import warnings
 
 from mpi4py import MPI
@@ -89,14 +91,24 @@ def _called(code, scene):
     except pm.PolarMPMError as e:
         return "refused", str(e)
     except BaseException as e:
-        return "raw", f"{type(e).__name__}: {e}"
+        return ("own" if _passed_on(e) else "raw"), f"{type(e).__name__}: {e}"
+
+
+def _passed_on(error):
+    """Whether it comes from a function of the code that the package has called, or is Python's own word on
+    arguments that are missing."""
+    files = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
+    ours = any(f.startswith(os.path.dirname(pm.__file__)) for f in files)
+    if isinstance(error, TypeError) and "argument" in str(error) and not ours:
+        return True
+    return files[-1] == "<string>" and ours
 
 
 def _verdict(kind, note, expected, words):
     if kind == "answer":
         return "silent" if expected == "bad" else "right"
-    if kind == "raw":
-        return "raw"
+    if kind in ("raw", "own"):
+        return "clear" if kind == "own" and expected != "ok" else "raw"
     words = (words,) if isinstance(words, str) else words
     clear = expected != "ok" and (not words or any(w.lower() in note.lower() for w in words))
     return "clear" if clear else "unclear"

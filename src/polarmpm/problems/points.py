@@ -13,9 +13,10 @@ from ..assembly.points import LoadedPoints
 from ..basis.base import Basis
 from ..basis.registry import basis_of, names
 from ..bodies.partition import LoadShares
-from ..bodies.points import Points, Selection
+from ..bodies.points import Points
 from ..bodies.reference import Increments, Reference
 from ..bodies.seeding import check_inside
+from ..bodies.selection import Selection
 from ..conditions.loads import Applied, HandedOver, Load, point_loads
 from ..conditions.movinggrid import MovingGrid
 from ..conditions.supports import Support
