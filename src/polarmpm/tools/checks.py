@@ -10,6 +10,7 @@ import inspect
 import math
 import operator
 import os
+import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from numbers import Real
 from pathlib import Path
@@ -22,6 +23,7 @@ import numpy as np
 from ..errors import InputError
 
 T = TypeVar("T")
+_ADDRESS = re.compile(" at 0x[0-9a-f]+")
 _SHOWN = 80  # characters of a value in a message
 
 
@@ -30,7 +32,7 @@ def shown(value: Any) -> str:
     if isinstance(value, np.ndarray) and value.size > 6:
         return f"an array of shape {value.shape}"
     try:
-        text = " ".join(repr(value).split())
+        text = _ADDRESS.sub("", " ".join(repr(value).split()))  # addresses differ between ranks
     except Exception:  # a user's class may have a broken repr
         text = f"an instance of {type(value).__name__}"
     return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
@@ -207,8 +209,8 @@ def mask(name: str, value: Any, number: int) -> np.ndarray:
         found = np.array(None)
     if found.dtype != bool or found.shape != (number,):
         raise InputError(
-            f"{name}: returned {shown(value)} of type {found.dtype} and shape {found.shape}; a bool for each of "
-            f"the {number} positions is needed, such as x[:, 0] > 0"
+            f"{name}: returned {shown(value)} of type {found.dtype} and shape {found.shape}; a bool for each "
+            f"of the {number} positions is needed, such as x[:, 0] > 0"
         )
     return found
 
@@ -223,6 +225,22 @@ def communicator(name: str, value: Any) -> MPI.Intracomm:
 def require_finite(name: str, value: Any) -> None:
     """Raise InputError unless `value` is a finite number."""
     number(name, value)
+
+
+def put_numbers(owner: Any, *names: str) -> None:
+    """Make attributes of a frozen dataclass finite floats, or raise InputError."""
+    for name in names:
+        object.__setattr__(owner, name, number(name, getattr(owner, name)))
+
+
+def numbers_by_name(name: str, value: Any) -> dict[str, float]:
+    """Finite numbers under names that can be written as attributes, p.name."""
+    if not isinstance(value, Mapping):
+        raise refuse(name, value, 'numbers by name are needed, such as {"a": 1.0}')
+    for key in value:
+        if not isinstance(key, str) or not key.isidentifier():
+            raise InputError(f"{name}: {shown(key)} is no name; it is to be written as an attribute, p.a")
+    return {str(key): number(key, one) for key, one in value.items()}
 
 
 def require(condition: bool, name: str, value: float, allowed: str) -> None:
