@@ -50,6 +50,10 @@ class Grid:
     comm: MPI.Comm = field(default_factory=lambda: MPI.COMM_WORLD)
 
     def __post_init__(self) -> None:
+        if type(self) is Grid:  # lattices with lines of their own may have no cell size
+            self._check()
+
+    def _check(self) -> None:
         origin = checks.numeric("origin", self.origin, "the lower corner")
         if origin.shape not in ((2,), (3,)):
             raise checks.refuse("origin", self.origin, "two or three coordinates (m) are needed")
@@ -160,7 +164,7 @@ class Grid:
         """The lattice of the cells from index `lower` (d,) up to `upper` (d,), which isn't in it."""
         lower, upper = np.asarray(lower, dtype=np.int64), np.asarray(upper, dtype=np.int64)
         origin, shape = self.corners(lower), upper - lower
-        made = object.__new__(Grid)  # unchecked, as it may be empty
+        made = object.__new__(type(self))  # unchecked, as it may be empty
         made.__dict__.update(
             {**self.__dict__, "origin": tuple(map(float, origin)), "shape": tuple(map(int, shape))}
         )
