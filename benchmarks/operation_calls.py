@@ -83,7 +83,7 @@ def _called(code, scene):
         names_ = dict(scene)
         exec("\n".join(before), names_)
         try:
-            call = compile(last, "call", "eval")
+            call = compile(last, "<string>", "eval")
         except SyntaxError:
             exec(code, names_)
             return "answer", ""

@@ -357,7 +357,7 @@ class Points:
         """
         with errors_on_all_ranks(self.comm):
             checks.function("predicate", predicate, "a predicate of positions is", takes=("x",))
-            mask = checks.mask("predicate", predicate(self.x), len(self))
+            mask = checks.mask("predicate", predicate(self.x.copy()), len(self))  # it may change what it gets
         return self._select(mask)
 
     def farthest(self, direction: Sequence[float], tolerance: float | None = None) -> Selection:

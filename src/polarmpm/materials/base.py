@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import ufl
+from ufl.corealg.traversal import unique_pre_traversal
 
 from ..errors import InputError, TrustWarning
 from ..tools import checks
@@ -131,8 +132,8 @@ def evaluate_scalar(what: str, function: Callable[..., Any], *arguments: Any) ->
         raise InputError(f"material: {what} can't be evaluated: {type(e).__name__}: {e}{_hint(e)}") from e
     if value.ufl_shape or value.ufl_free_indices:
         raise InputError(f"material: {what} has the shape {value.ufl_shape}; a scalar is needed")
-    if isinstance(value, ufl.classes.ComplexValue):
-        raise InputError(f"material: {what} is the complex number {value}; a real one is needed")
+    if any(isinstance(node, ufl.classes.ComplexValue) for node in unique_pre_traversal(value)):
+        raise InputError(f"material: {what} has complex numbers in it; real ones are needed")
     return value
 
 
@@ -140,6 +141,24 @@ def _hint(error: Exception) -> str:
     """What is likely wrong where a function for numbers is called with UFL."""
     foreign = "ufl" in str(error).lower() and ("loop of ufunc" in str(error) or "must be real" in str(error))
     return "; write it in UFL, such as ufl.exp for np.exp" if foreign or "ufunc" in str(error) else ""
+
+
+def evaluate_measures(material: Material, F: Any) -> tuple[Any, ...]:
+    """Strain measures of a classical material.
+
+    Raises:
+        InputError: they raise an error, or aren't UFL expressions in a tuple.
+    """
+    what = f"material: the measures of {type(material).__name__}"
+    try:
+        found = material.measures(F)
+    except InputError:
+        raise
+    except Exception as e:  # a user's class and UFL may raise anything
+        raise InputError(f"{what} can't be evaluated: {type(e).__name__}: {e}{_hint(e)}") from e
+    if not isinstance(found, tuple | list) or not all(isinstance(m, ufl.classes.Expr) for m in found):
+        raise InputError(f"{what} are {checks.shown(found)}; a tuple of UFL expressions is needed")
+    return tuple(found)
 
 
 def evaluate_energy(material: Material, strains: Sequence[Any], parameters: Any) -> Any:
