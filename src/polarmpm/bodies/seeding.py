@@ -180,7 +180,7 @@ def _found(searched: Grid, body: _Body, per_cell: np.ndarray, xi: np.ndarray, sh
 
 def _points_per_cell(value: Any, dim: int) -> np.ndarray:
     allowed = f"a positive whole number, or {dim} of them"
-    several = isinstance(value, Sequence | np.ndarray) and np.ndim(value) == 1
+    several = checks.several(value)
     if several and len(value) != dim:
         raise checks.refuse("points_per_cell", value, allowed)
     number = [
