@@ -14,7 +14,7 @@ from operation_calls import forked
 from operation_cases import Case
 
 ROOT = Path(__file__).parents[1]
-_EXAMPLES, _QUICK = 300, 10  # of each property
+_EXAMPLES, _QUICK = 600, 10  # of each property
 _SECONDS = 300
 _TRIALS = 2  # seeds for each property
 _LARGEST = 1000  # characters of what a child says
