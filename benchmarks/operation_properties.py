@@ -14,7 +14,7 @@ from operation_calls import forked
 from operation_cases import Case
 
 ROOT = Path(__file__).parents[1]
-_EXAMPLES, _QUICK = 600, 10  # of each property
+_EXAMPLES, _QUICK = 400, 10  # of each property
 _SECONDS = 300
 _TRIALS = 2  # seeds for each property
 _LARGEST = 1000  # characters of what a child says
@@ -46,7 +46,7 @@ def properties():
 
 
 def _fed(module, name, examples, case):
-    from hypothesis import HealthCheck, settings
+    from hypothesis import HealthCheck, Phase, settings
 
     test = getattr(importlib.import_module(module), name)
     test._hypothesis_internal_use_settings = settings(
@@ -56,6 +56,7 @@ def _fed(module, name, examples, case):
         derandomize=False,
         suppress_health_check=list(HealthCheck),
         report_multiple_bugs=False,
+        phases=[Phase.generate],
         print_blob=False,
     )
     test._hypothesis_internal_use_seed = case

@@ -13,13 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import polarmpm as pm
-from polarmpm.forms.choice import make_form
-from polarmpm.forms.trial import try_energy
 from polarmpm.materials.base import check_material
-from tests.conftest import MICROPOLAR, NEO_HOOKEAN
+from tests.conftest import COMM, MICROPOLAR, NEO_HOOKEAN
 from tests.helpers.weird import Rude, anything, attempt, flags, numbers, thorough
 
 OPTIONS = thorough(60)
+GRID = pm.Grid.box((0, 0), (1, 1), 1.0, COMM)
 VALUES = st.floats(0.1, 3.0) | numbers | anything
 MODULI = ("lam", "mu", "kappa", "alpha", "beta", "gamma")
 ENGINEERING = ("E", "nu", "n", "l_b", "l_t", "psi")
@@ -122,8 +121,7 @@ def test_energies(function, values, micropolar, isotropic):
         return
 
     def prepare() -> bool:
-        _ = make_form(material, 2).energy
-        try_energy(material)
+        pm.QuasiStatic(GRID, pm.seed(GRID, material=material, points_per_cell=1))
         return True
 
     if attempt(prepare) and material.isotropic and material.micropolar:
@@ -162,7 +160,7 @@ def test_yield_functions(elastic, function, values, options):
     material = attempt(pm.UserPlasticity, elastic, function, values, **options)
     if material is not None:
         assert "\n" not in repr(material)
-        attempt(lambda: make_form(material, 2).energy)
+        attempt(lambda: pm.QuasiStatic(GRID, pm.seed(GRID, material=material, points_per_cell=1)))
 
 
 @OPTIONS
