@@ -44,10 +44,12 @@ from .terms.surfaceterms import SurfaceTerm
 if TYPE_CHECKING:
     from .materials.cones import DruckerPrager, VonMises
     from .materials.plastic import Continuation, Plastic, UserPlasticity
+    from .materials.pyramids import MohrCoulomb, Tresca
     from .materials.regions import ConeApex, Edge, Region, SmoothPart, YieldSurface
 
 _PLASTIC = {
     **dict.fromkeys(("DruckerPrager", "VonMises"), "cones"),
+    **dict.fromkeys(("MohrCoulomb", "Tresca"), "pyramids"),
     **dict.fromkeys(("Continuation", "Plastic", "UserPlasticity"), "plastic"),
     **dict.fromkeys(("ConeApex", "Edge", "Region", "SmoothPart", "YieldSurface"), "regions"),
 }
@@ -84,6 +86,7 @@ __all__ = [
     "Material",
     "MaterialField",
     "MicropolarElastic",
+    "MohrCoulomb",
     "NeoHookean",
     "Never",
     "NotConserved",
@@ -107,6 +110,7 @@ __all__ = [
     "SurfaceTerm",
     "Table",
     "Term",
+    "Tresca",
     "TrustWarning",
     "UserEnergy",
     "UserPlasticity",
