@@ -8,8 +8,9 @@ from .basis.registry import register as register_basis
 from .bodies.elements import Elements
 from .bodies.facets import Facets
 from .bodies.meshseeding import seed_mesh
-from .bodies.points import Points, Selection
+from .bodies.points import Points
 from .bodies.seeding import seed
+from .bodies.selection import Selection
 from .errors import (
     ErrorOnAnotherRank,
     InputError,

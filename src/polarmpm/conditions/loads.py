@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..bodies.points import Points, Selection
+from ..bodies.points import Points
+from ..bodies.selection import Selection
 from ..errors import InputError
 from ..kinematics.layout import Layout
 from .amplitudes import Amplitude, Fade

@@ -10,7 +10,7 @@ from typing import Any
 import ufl
 
 from ..errors import InputError
-from ..tools.checks import choice, require, require_finite
+from ..tools.checks import choice, put_numbers, refuse, require, shown
 from .base import Material
 from .plastic import Continuation, Plastic, check_elastic, check_names
 from .regions import SPRING, ConeApex, Region, SmoothPart
@@ -19,22 +19,24 @@ CONES = ("compression", "extension", "plane strain", "inscribed")
 TIPS = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4)  # rounded tips over k, see `continuation`
 
 
-def check_flow(elastic: Any, name: str, strength: Any, H: Any, l_p: Any) -> None:
+def check_flow(material: Any, name: str) -> None:
     """Checks of what the cone and the cylinder share; `name` is the argument that gives the strength."""
+    elastic = material.elastic
     check_elastic(elastic)
-    require_finite("H", H)
-    require_finite(name, strength)
+    put_numbers(material, "H", name)
+    strength = getattr(material, name)
     require(strength > 0, name, strength, f"{name} > 0")
     if elastic.micropolar:
-        if l_p is None:
+        if material.l_p is None:
             raise InputError("l_p = None: a micropolar material needs the plastic length, l_p > 0")
-        require_finite("l_p", l_p)
-        require(l_p > 0, "l_p", l_p, "l_p > 0")
-    elif l_p is not None:
-        raise InputError(f"l_p = {l_p!r}: a classical material has no plastic length")
-    if H < 0 and not elastic.micropolar:
+        put_numbers(material, "l_p")
+        require(material.l_p > 0, "l_p", material.l_p, "l_p > 0")
+    elif material.l_p is not None:
+        raise refuse("l_p", material.l_p, "a classical material has no plastic length")
+    if material.H < 0 and not elastic.micropolar:
         warnings.warn(
-            f"H = {H:g}: softening without a length scale; the width of a shear band is that of the cells",
+            f"H = {material.H:g}: softening without a length scale; the width of a shear band is that of the "
+            "cells",
             stacklevel=4,
         )
 
@@ -70,7 +72,7 @@ def plane_friction(cone: str, phi: float, psi: float) -> float:
     return min(1.0, a * root / (math.sqrt(3) * (1 - a * b / 9)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DruckerPrager(Plastic):
     """Drucker-Prager plasticity with linear hardening, T (4.34)-(4.40); classical or micropolar.
 
@@ -113,16 +115,14 @@ class DruckerPrager(Plastic):
     cone: str | None = None
 
     def __post_init__(self) -> None:
-        for name in ("phi", "psi", "tip"):
-            require_finite(name, getattr(self, name))
+        put_numbers(self, "phi", "psi", "tip")
         require(self.tip >= 0, "tip", self.tip, "tip >= 0")
         allowed = "0 <= phi < pi/2, in radians (math.radians converts degrees)"
         require(0 <= self.phi < math.pi / 2, "phi", self.phi, allowed)
         require(0 <= self.psi <= self.phi, "psi", self.psi, f"0 <= psi <= phi = {self.phi:g} rad")
         if (self.c is None) == (self.k is None):
-            raise InputError(f"c = {self.c!r}, k = {self.k!r}: exactly one of both is needed")
-        name, strength = ("c", self.c) if self.k is None else ("k", self.k)
-        check_flow(self.elastic, name, strength, self.H, self.l_p)
+            raise InputError(f"c = {shown(self.c)}, k = {shown(self.k)}: exactly one of both is needed")
+        check_flow(self, "c" if self.k is None else "k")
         check_names(self)
         self._check_cone()
 
@@ -130,10 +130,10 @@ class DruckerPrager(Plastic):
         if self.cone is not None:
             choice("cone", self.cone, CONES)
         elif self.phi > 0:
-            shown = math.degrees(math.asin(plane_friction(CONES[0], self.phi, self.psi)))
+            acts = math.degrees(math.asin(plane_friction(CONES[0], self.phi, self.psi)))
             warnings.warn(
                 f'cone = None: "compression", the outer cone, is taken. In plane strain its phi = '
-                f"{math.degrees(self.phi):.3g} degrees act as {shown:.3g} degrees; name a cone: "
+                f"{math.degrees(self.phi):.3g} degrees act as {acts:.3g} degrees; name a cone: "
                 + ", ".join(f'"{cone}"' for cone in CONES),
                 stacklevel=4,
             )
@@ -212,7 +212,7 @@ class DruckerPrager(Plastic):
         return Continuation("tip", tuple(tip for tip in tips if tip > self.tip))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class VonMises(Plastic):
     """Von Mises plasticity with linear hardening, T (4.32) with the generalised q (4.38).
 
@@ -229,7 +229,7 @@ class VonMises(Plastic):
     l_p: float | None = None
 
     def __post_init__(self) -> None:
-        check_flow(self.elastic, "k", self.k, self.H, self.l_p)
+        check_flow(self, "k")
         check_names(self)
 
     @property

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import ufl
 
-from ..tools.checks import require, require_finite
+from ..tools.checks import put_numbers, require
 from .base import Material
 from .cones import TIPS, check_flow
 from .plastic import Continuation, Plastic, check_names
@@ -103,7 +103,7 @@ class _Tip:
         return p.spring
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MohrCoulomb(Plastic):
     """Mohr-Coulomb plasticity with linear hardening of the cohesion, and a tension cut-off; classical or
     micropolar. See the module.
@@ -143,17 +143,16 @@ class MohrCoulomb(Plastic):
     corner: float = math.radians(25.0)
 
     def __post_init__(self) -> None:
-        for name in ("phi", "psi", "tip", "corner"):
-            require_finite(name, getattr(self, name))
+        put_numbers(self, "phi", "psi", "tip", "corner")
         allowed = "0 <= phi < pi/2, in radians (math.radians converts degrees)"
         require(0 <= self.phi < math.pi / 2, "phi", self.phi, allowed)
         require(0 <= self.psi <= self.phi, "psi", self.psi, f"0 <= psi <= phi = {self.phi:g} rad")
         require(0 <= self.corner < math.pi / 6, "corner", self.corner, "0 <= corner < pi/6, in radians")
-        check_flow(self.elastic, "c", self.c, self.H, self.l_p)
+        check_flow(self, "c")
         strength = math.sqrt(3) * self.c * math.cos(self.phi)
         require(0 <= self.tip < strength, "tip", self.tip, f"0 <= tip < sqrt(3) c cos(phi) = {strength:g} Pa")
         if self.cut is not None:
-            require_finite("cut", self.cut)
+            put_numbers(self, "cut")
             require(self.cut > 0, "cut", self.cut, "cut > 0 (Pa)")
             if self.phi > 0:
                 most = self.c / math.tan(self.phi)

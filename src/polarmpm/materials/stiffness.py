@@ -11,7 +11,7 @@ from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
 from ..tools import compat
-from .base import Material, evaluate_energy
+from .base import Material, evaluate_energy, evaluate_measures
 
 
 def stiffness_at_rest(material: Material) -> tuple[float, float]:
@@ -33,7 +33,7 @@ def _second_derivative(material: Material, place: tuple[int, int], *, wryness: b
     if material.micropolar:
         arguments: Any = (zero, strain) if wryness else (strain, zero)
     else:
-        arguments = material.measures(ufl.Identity(3) + strain)
+        arguments = evaluate_measures(material, ufl.Identity(3) + strain)
     w = evaluate_energy(material, arguments, SimpleNamespace(**material.parameters()))
     second = ufl.diff(ufl.diff(w, t), t)
     try:

@@ -10,7 +10,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..bodies.points import Points, Selection
+from ..bodies.points import Points
+from ..bodies.selection import Selection
 from ..conditions.amplitudes import Amplitude, check_counts
 from ..conditions.loads import AnyLoad, Applied, HandedOver, Load, make_loads
 from ..conditions.supports import Support, make_support

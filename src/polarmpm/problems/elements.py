@@ -23,6 +23,7 @@ from ..conditions.prescribed import Prescribed
 from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.elements import ElementForms
+from ..forms.trial import try_energy
 from ..geometry.planes import PlaneSpec
 from ..geometry.surfaces import Surface
 from ..kinematics import rotations
@@ -98,6 +99,8 @@ class QuasiStaticFEM(Problem):
         self.elements = elements
         self.forms = _make_forms(elements)
         _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
+        for material in elements.points.materials:
+            try_energy(material)
         if elements.degree == 1 and elements.comm.rank == 0:
             warn_of_locking(elements.points.materials, "elements of degree 1", "degree 2")
         self._surface_loads: list[SurfaceLoad] = []

@@ -13,15 +13,18 @@ from ..assembly.points import LoadedPoints
 from ..basis.base import Basis
 from ..basis.registry import basis_of, names
 from ..bodies.partition import LoadShares
-from ..bodies.points import Points, Selection
+from ..bodies.points import Points
 from ..bodies.reference import Increments, Reference
 from ..bodies.seeding import check_inside
+from ..bodies.selection import Selection
+from ..bodies.validity import Seal, check_state
 from ..conditions.loads import Applied, HandedOver, Load, point_loads
 from ..conditions.movinggrid import MovingGrid
 from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.choice import make_form
 from ..forms.stresses import MaterialField
+from ..forms.trial import try_energy
 from ..geometry.grid import Grid
 from ..geometry.planes import PlaneSpec
 from ..geometry.surfaces import Surface
@@ -133,11 +136,13 @@ class QuasiStatic(OnGrid):
         self.assembly, self.solver = _check_assembly(assembly, self.basis), check_solver(solver)
         if points.dim != grid.dim:
             raise InputError(f"points have {points.dim} dimensions, the grid has {grid.dim}")
+        check_state(points)
         check_inside(grid, points)
         super().__init__(grid.comm, points, grid.dim, controls)
         self.forms = [make_form(m, grid.dim) for m in points.materials]
         for form in self.forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
+            try_energy(form.material)
         if grid.comm.rank == 0:
             functions = f"the functions of basis={self.basis.name!r}"
             if self.basis.locks:
@@ -158,6 +163,8 @@ class QuasiStatic(OnGrid):
         self._compiled = Compiled()
         self._resets = BalancedResets(self.layout, self.comm, self.timer)
         self._system: LoadedPoints | None = None
+        self._seal: Seal | None = None
+        self._arrangement = points.arrangements
         # forces and couples at the points of the last attempt and of the last converged step
         self._attempted: tuple[np.ndarray, np.ndarray] | None = None
         self._converged_loads: tuple[np.ndarray, np.ndarray] | None = None
@@ -272,6 +279,7 @@ class QuasiStatic(OnGrid):
                 for term in self.terms:
                     term.rebase_rotations()
                 p.rotation_factor = factor
+        self._seal = Seal(self.points)
 
     def _with_boxes(self, change: Callable[[], None]) -> None:
         """Change what the boxes' energy depends on besides the increments; what it loses counts as
@@ -331,6 +339,7 @@ class QuasiStatic(OnGrid):
         """
         self.progress, self._equilibrium, self._conservation = progress, None, Conservation(self.comm)
         self.keep(kept)
+        self._seal, self._arrangement = None, self.points.arrangements
         if self._system is not None:
             self._system.destroy()
             self._system = None

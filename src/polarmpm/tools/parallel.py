@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..errors import ErrorOnAnotherRank, PolarMPMError
+from ..errors import ErrorOnAnotherRank, InputError, PolarMPMError
 
 _TAG = 7361  # of messages between ranks
 
@@ -139,6 +139,27 @@ def sharing_ranks(comm: MPI.Comm, numbers: np.ndarray, most: int) -> np.ndarray:
     table = np.full((len(asked), most), -1, dtype=np.int64)
     table[offsets, place] = source
     return route.backward(table[offsets])
+
+
+def name_of(comm: MPI.Comm) -> str:
+    """What a communicator is called in pickles, where it can't be itself.
+
+    Raises:
+        InputError: it is neither COMM_WORLD nor COMM_SELF.
+    """
+    for name in ("COMM_WORLD", "COMM_SELF"):
+        if comm == getattr(MPI, name):
+            return name
+    raise InputError(
+        f"comm: an object on a communicator of {comm.size} rank(s) of its own can't be pickled; COMM_WORLD "
+        "and COMM_SELF are allowed"
+    )
+
+
+def communicator_named(name: str) -> MPI.Intracomm:
+    """The communicator of a name from `name_of`, of the process that asks."""
+    found: MPI.Intracomm = getattr(MPI, name)
+    return found
 
 
 def raise_on_all_ranks(comm: MPI.Comm, error: BaseException | None) -> None:
