@@ -15,10 +15,13 @@ from mpi4py import MPI
 import numpy as np
 
 from ..errors import InputError
+from ..geometry.surfaces import Surface
 from ..kinematics import rotations
 from ..kinematics.stretch import domain_half_length, right_stretch
 from ..materials.base import Material, check_material
+from ..tools.checks import refuse, whole
 from ..tools.parallel import Route
+from .regions import Regions
 
 # name -> (shape after the point axis; "d" is the space dimension, type)
 FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
@@ -94,6 +97,7 @@ class Points:
             following two only in bodies with plastic materials.
         hardening: accumulated plastic strain chi, scalar.
         dissipation: plastic dissipation per reference volume so far (Pa), scalar.
+        regions, surfaces: physical groups of the mesh that the points come from; see `region` and `surface`.
     """
 
     id: np.ndarray
@@ -137,6 +141,8 @@ class Points:
         along = half_length[:, None, :] * np.eye(self.dim)
         self.half_axes0 = along if half_axes is None else half_axes.copy()
         self.unresolved = np.zeros(n)
+        self.regions: tuple[Regions, ...] = ()
+        self.surfaces: dict[str | int, Surface] = {}
         self._has_plastic_state = False
         self._fingerprints: tuple[int, ...] = ()  # the present one, then those before other points joined
         self._add_plastic_state()
@@ -245,6 +251,10 @@ class Points:
         theirs["id"] = theirs["id"] + first
         theirs["material"] = theirs["material"] + number
         self.replace({name: np.concatenate([a, theirs[name]]) for name, a in self.arrays().items()})
+        self.regions += tuple(r.joined(first) for r in other.regions)
+        for group, surface in other.surfaces.items():
+            mine_too = self.surfaces.get(group)
+            self.surfaces[group] = surface if mine_too is None else mine_too.joined(surface)
         self._fingerprints = (*self.fingerprints(), *known)  # selections of these points stay valid
 
     def assign(self, selection: Selection, material: Material) -> None:
@@ -311,6 +321,33 @@ class Points:
             )
         return self._select(mask)
 
+    def region(self, name: str | int) -> Selection:
+        """Points seeded in a region of a mesh, a physical group of its cells, by its name or tag, wherever
+        they are now. Collective.
+
+        Raises:
+            InputError: no such region, or points that don't come from a mesh with regions.
+        """
+        if not isinstance(name, str):
+            name = whole("region", name, allowed="the name or the number of a physical group is needed")
+        masks = [m for m in (r.mask(self.id, name) for r in self.regions) if m is not None]
+        if not masks:
+            raise refuse("region", name, _among([k for r in self.regions for k in r.known], "regions"))
+        return self._select(np.any(masks, axis=0))
+
+    def surface(self, name: str | int) -> Surface:
+        """The boundary of the undeformed body in a physical group of facets of the mesh that it was seeded
+        from, by its name or tag: for `fix`, `load`, `traction` and `pressure`, as `Elements.surface`.
+
+        Raises:
+            InputError: no such group on the boundary, or points that don't come from a mesh with groups.
+        """
+        if not isinstance(name, str):
+            name = whole("surface", name, allowed="the name or the number of a physical group is needed")
+        if name not in self.surfaces:
+            raise refuse("surface", name, _among(list(map(repr, self.surfaces)), "groups of boundary facets"))
+        return self.surfaces[name]
+
     def farthest(self, direction: Sequence[float], tolerance: float | None = None) -> Selection:
         """The layer of points farthest in a direction, within `tolerance` (m). Collective.
 
@@ -365,6 +402,12 @@ class Points:
         """Mean displacement (m) of a selection, shape (d,). Collective."""
         mean: np.ndarray = self.mean(self.displacement, selection)
         return mean
+
+
+def _among(known: list[str], what: str) -> str:
+    if not known:
+        return f"these points have no {what}; pm.seed_mesh keeps those of a mesh with physical groups"
+    return f"the {what} are {', '.join(dict.fromkeys(known))}"
 
 
 def _mixed(numbers: np.ndarray) -> np.ndarray:

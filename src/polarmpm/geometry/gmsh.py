@@ -33,10 +33,16 @@ def read_grouped(source: Any, comm: Any) -> GroupedMesh:
             error = e.strerror or str(e)
         except Exception as e:  # gmsh raises bare Exceptions
             error = str(e).strip() or type(e).__name__
-    head = None if found is None else (found.cell, found.degree, found.names, found.cells.shape[1], found.x.shape[1])
+    head = (
+        None
+        if found is None
+        else (found.kind, found.degree, found.names, found.cells.shape[1], found.x.shape[1])
+    )
     error, head = comm.bcast((error, head), root=0)
     if error:
-        raise InputError(f"mesh = {repr(os.fspath(source)) if path else 'the gmsh model'} can't be read: {error}")
+        raise InputError(
+            f"mesh = {repr(os.fspath(source)) if path else 'the gmsh model'} can't be read: {error}"
+        )
     if found is not None:
         return found
     cell, degree, names, nodes, dim = head

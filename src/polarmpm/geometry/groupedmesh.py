@@ -12,7 +12,12 @@ from .mshfile import KINDS, Block, Listed, NotAMesh
 
 _USABLE = (2, 3, 4, 5, 9, 10, 11, 12)  # gmsh's types of degree 1 and 2 with all of their nodes
 _ENTITIES = ("point", "curve", "surface", "volume")
-_FACETS = {"triangle": "line", "quadrilateral": "line", "tetrahedron": "triangle", "hexahedron": "quadrilateral"}
+_FACETS = {
+    "triangle": "line",
+    "quadrilateral": "line",
+    "tetrahedron": "triangle",
+    "hexahedron": "quadrilateral",
+}
 _SAME = 1e-9  # of the body's size: nodes that are nearer than that are at the same place
 
 
@@ -21,7 +26,7 @@ class GroupedMesh:
     """Cells of one type with groups of cells and facets.
 
     Attributes:
-        cell, degree: name of the type, degree of the geometry.
+        kind, degree: name of the type, degree of the geometry.
         x: nodes (n, d) (m), each of some cell.
         cells: their nodes (m, k), in dolfinx' order.
         tags: physical group of each cell (m,).
@@ -29,7 +34,7 @@ class GroupedMesh:
         names: {(dimension, name): tag}.
     """
 
-    cell: str
+    kind: str
     degree: int
     x: np.ndarray
     cells: np.ndarray
@@ -81,7 +86,9 @@ def _by_name(listed: Listed, dim: int) -> dict[tuple[int, str], int]:
     for (d, tag), name in sorted(listed.names.items()):
         other = found.setdefault((d, name), tag)
         if other != tag and d >= dim - 1:
-            raise NotAMesh(f"two physical groups of {d} dimensions, {other} and {tag}, have the name {name!r}")
+            raise NotAMesh(
+                f"two physical groups of {d} dimensions, {other} and {tag}, have the name {name!r}"
+            )
     return found
 
 
@@ -92,7 +99,8 @@ def _blocks(listed: Listed, dim: int) -> list[Block]:
         if len(set(b.groups)) > 1:
             both = " and ".join(repr(_name(listed, dim, t)) for t in b.groups[:2])
             raise NotAMesh(
-                f"the physical groups {both} share the {_ENTITIES[dim]} {b.entity}; one group can be given to each"
+                f"the physical groups {both} share the {_ENTITIES[dim]} {b.entity}; "
+                "one group can be given to each"
             )
     return found
 
@@ -113,8 +121,8 @@ def _one_kind(blocks: list[Block]) -> int:
     if len(kinds) > 1 or kinds[0] not in _USABLE:
         titles = [f"{KINDS[k][0].capitalize()} {KINDS[k][3]}" for k in kinds]
         raise NotAMesh(
-            f"its cells are {' and '.join(titles)}; one of triangles, quadrilaterals, tetrahedra and hexahedra, of "
-            "degree 1 or 2 with all nodes of their degree, is allowed"
+            f"its cells are {' and '.join(titles)}; one of triangles, quadrilaterals, tetrahedra and "
+            "hexahedra, of degree 1 or 2 with all nodes of their degree, is allowed"
         )
     return kinds[0]
 
@@ -123,9 +131,9 @@ def _facets(listed: Listed, dim: int, cell: str) -> list[Block]:
     found = _blocks(listed, dim - 1)
     for b in found:
         if KINDS[b.kind][0] != _FACETS[cell]:
+            group, kind = _name(listed, dim - 1, b.groups[0]), KINDS[b.kind][0]
             raise NotAMesh(
-                f"the physical group {_name(listed, dim - 1, b.groups[0])!r} has cells of the type {KINDS[b.kind][0]}, "
-                f"which aren't facets of a {cell}"
+                f"the physical group {group!r} has cells of the type {kind}, which aren't facets of a {cell}"
             )
     return found
 
@@ -183,14 +191,21 @@ def labels(table: np.ndarray) -> np.ndarray:
 
 
 # cells and facets -------------------------------------------------------------------------------------
-def _check_cells(cells: np.ndarray, x: np.ndarray, cell: str, tags: np.ndarray, names: dict[int, str]) -> None:
+def _check_cells(
+    cells: np.ndarray, x: np.ndarray, cell: str, tags: np.ndarray, names: dict[int, str]
+) -> None:
     """No cell twice, nor one upon another, nor one with a node twice."""
     ranked = np.sort(cells, axis=1)
     bad = np.any(ranked[:, 1:] == ranked[:, :-1], axis=1)
     if bad.any():
-        raise NotAMesh(f"{bad.sum()} of its cells have a node twice, such as the one at {_at(_middle(x, cells, bad))}")
+        raise NotAMesh(
+            f"{bad.sum()} of its cells have a node twice, such as the one at {_at(_middle(x, cells, bad))}"
+        )
     corners = cells[:, : max(map(max, compat.facet_corners(cell))) + 1]
-    for table, what in ((corners, "are listed twice"), (places(x)[corners], "lie upon others, with nodes of their own")):
+    for table, what in (
+        (corners, "are listed twice"),
+        (places(x)[corners], "lie upon others, with nodes of their own"),
+    ):
         label = labels(np.sort(table, axis=1))
         first = np.unique(label, return_index=True)[1]
         again = np.ones(len(label), dtype=bool)
@@ -199,8 +214,14 @@ def _check_cells(cells: np.ndarray, x: np.ndarray, cell: str, tags: np.ndarray, 
             continue
         one = int(np.flatnonzero(again)[0])
         groups = np.unique(tags[label == label[one]]).tolist()
-        share = f", in the physical groups {' and '.join(repr(names.get(t, t)) for t in groups)}" if len(groups) > 1 else ""
-        raise NotAMesh(f"{again.sum()} of its cells {what}, such as the one at {_at(_middle(x, cells, again))}{share}")
+        share = (
+            f", in the physical groups {' and '.join(repr(names.get(t, t)) for t in groups)}"
+            if len(groups) > 1
+            else ""
+        )
+        raise NotAMesh(
+            f"{again.sum()} of its cells {what}, such as the one at {_at(_middle(x, cells, again))}{share}"
+        )
 
 
 def _middle(x: np.ndarray, rows: np.ndarray, chosen: np.ndarray) -> np.ndarray:
@@ -222,19 +243,20 @@ def _check_facets(
     if crowded.any():
         number = len(np.unique(label[: len(sides)][crowded]))
         raise NotAMesh(
-            f"{number} of its facets have more than two cells, such as the one at {_at(_middle(x, sides, crowded))}: "
-            "cells overlap"
+            f"{number} of its facets have more than two cells, such as the one at "
+            f"{_at(_middle(x, sides, crowded))}: cells overlap"
         )
     of_facets = label[len(sides) :]
     lost = count[of_facets] == 0
     if lost.any():
         tag = int(tags[lost][0])
-        here = lost & (tags == tag)
-        at = f", such as the one at {_at(_middle(x, facets, here))}" if np.any(facets[here][0] < len(x)) else ""
+        here, at = lost & (tags == tag), ""
+        if np.any(facets[here][0] < len(x)):
+            at = f", such as the one at {_at(_middle(x, facets, here))}"
         raise NotAMesh(
-            f"the physical group {names.get(tag, tag)!r} has {here.sum()} facets (of {np.sum(tags == tag)}) that are on no "
-            f"cell of the body{at}: the cells don't share their nodes (occ.fragment, or geometry with common points, "
-            "joins them), or are in no physical group"
+            f"the physical group {names.get(tag, tag)!r} has {here.sum()} facets (of {np.sum(tags == tag)}) "
+            f"that are on no cell of the body{at}: the cells don't share their nodes (occ.fragment, or "
+            "geometry with common points, joins them), or are in no physical group"
         )
     order = np.lexsort((tags, of_facets))
     both = (of_facets[order][1:] == of_facets[order][:-1]) & (tags[order][1:] != tags[order][:-1])

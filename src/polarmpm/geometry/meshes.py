@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..tools import compat
-from ..tools.checks import communicator, refuse, shown
+from ..tools.checks import communicator, refuse, shown, whole
 from ..tools.parallel import Route, raise_on_all_ranks
 from .cells import unit_corners
 from .gmsh import read_grouped
@@ -58,13 +58,15 @@ class BodyMesh:
             _agree(source, comm or MPI.COMM_WORLD)
             if cells is not None or facets is not None:
                 name, value = ("facets", facets) if cells is None else ("cells", cells)
-                raise refuse(name, value, "tags belong to a dolfinx mesh; a file or a model has physical groups")
+                raise refuse(
+                    name, value, "tags belong to a dolfinx mesh; a file or a model has physical groups"
+                )
             body = cls._distributed(read_grouped(source, comm or MPI.COMM_WORLD), comm or MPI.COMM_WORLD)
         theirs = body.mesh.comm
         if comm is not None and MPI.Comm.Compare(theirs, comm) not in (MPI.IDENT, MPI.CONGRUENT):
             raise InputError(
-                f"mesh: it is shared by {theirs.size} rank(s) and the rest of the body by {comm.size}; make it on "
-                "the same communicator"
+                f"mesh: it is shared by {theirs.size} rank(s) and the rest of the body by {comm.size}; "
+                "make it on the same communicator"
             )
         compat.name_variant(body.mesh)
         body.check()
@@ -73,7 +75,7 @@ class BodyMesh:
     @classmethod
     def _distributed(cls, found: GroupedMesh, comm: MPI.Comm) -> BodyMesh:
         """The dolfinx mesh, with tags, of a body that rank 0 has. Collective."""
-        mesh = compat.create_mesh(comm, found.cells, found.x, found.cell, degree=found.degree)
+        mesh = compat.create_mesh(comm, found.cells, found.x, found.kind, degree=found.degree)
         tags, facets, facet_tags = comm.bcast((found.tags, found.facets, found.facet_tags), root=0)
         dim, body = mesh.topology.dim, cls(mesh, names=found.names)
         of_cells = tags[np.asarray(mesh.topology.original_cell_index, dtype=np.int64)]
@@ -82,7 +84,7 @@ class BodyMesh:
         mesh.topology.create_entities(dim - 1)
         mesh.topology.create_connectivity(dim, dim - 1)
         numbers = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)
-        corners = compat.facet_corners(found.cell)
+        corners = compat.facet_corners(found.kind)
         nodes = compat.cell_geometry(mesh)
         rows = numbers[nodes[:, corners]] if len(nodes) else np.zeros((0, *np.shape(corners)), dtype=np.int64)
         here = np.sort(rows, axis=2).reshape(-1, rows.shape[2])
@@ -118,6 +120,16 @@ class BodyMesh:
         return numbers[: len(self.owned_cells)]
 
     @property
+    def tags_of_cells(self) -> np.ndarray:
+        """Tags (m,) of the own cells; -1 where there is none."""
+        own = len(self.owned_cells)
+        found: np.ndarray = np.full(own, -1, dtype=np.int32)
+        if self.cells is not None:
+            at = np.asarray(self.cells.indices)
+            found[at[at < own]] = np.asarray(self.cells.values)[at < own]
+        return found
+
+    @property
     def degree(self) -> int:
         """Degree of the geometry: 2 of curved cells."""
         return compat.geometry_degree(self.mesh)
@@ -144,14 +156,16 @@ class BodyMesh:
         if tags is None:
             return None
         if not all(hasattr(tags, a) for a in ("indices", "values", "dim")):
-            return refuse(name, tags, "tags of dolfinx are needed: dolfinx.mesh.meshtags(mesh, dim, entities, values)")
+            return refuse(
+                name, tags, "tags of dolfinx are needed: dolfinx.mesh.meshtags(mesh, dim, entities, values)"
+            )
         if tags.dim != dim:
             return InputError(f"{name}: its tags are of {tags.dim} dimensions; those of {name} are of {dim}")
         self.mesh.topology.create_entities(dim)
         there = self.mesh.topology.index_map(dim)
         beyond = len(tags.indices) and np.max(tags.indices) >= there.size_local + there.num_ghosts
-        cells = [np.asarray(t.original_cell_index) for t in (compat.topology_of(tags), self.mesh.topology)]
-        if beyond or not np.array_equal(*cells):
+        theirs = np.asarray(compat.topology_of(tags).original_cell_index)
+        if beyond or not np.array_equal(theirs, np.asarray(self.mesh.topology.original_cell_index)):
             return InputError(f"{name}: its tags are of another mesh")
         return None
 
@@ -186,7 +200,7 @@ class BodyMesh:
         numbers = np.asarray(topology.index_map(0).local_to_global(corners.ravel().astype(np.int32)))
         key = _mixed(np.sort(numbers.reshape(corners.shape).astype(np.int64), axis=1))
         route = Route(self.mesh.comm, key % self.mesh.comm.size)
-        seen, count = np.unique(route.forward(key), return_counts=True)
+        count = np.unique(route.forward(key), return_counts=True)[1]
         twice = self.mesh.comm.allreduce(int((count - 1).sum()))
         if twice:
             raise InputError(f"mesh: {twice} of its cells are listed twice (the same corners)")
@@ -203,18 +217,18 @@ class BodyMesh:
         Raises:
             InputError: no such group; the message lists those that exist.
         """
-        tags = self.cells if dim == self.dim else self.facets
+        tags, what = self.cells if dim == self.dim else self.facets, "region" if dim == self.dim else "facets"
+        if not isinstance(name, str):
+            name = whole(what, name, allowed="the name or the number of a physical group is needed")
         here = [] if tags is None else np.unique(np.asarray(tags.values)).tolist()
         all_tags = set().union(*self.mesh.comm.allgather(here))
-        if isinstance(name, str):
-            found = self.names.get((dim, name))
-            if found is not None:
-                return found
-        elif int(name) in all_tags:
-            return int(name)
+        found = self.names.get((dim, name)) if isinstance(name, str) else name
+        if found is not None and found in all_tags:
+            return found
         named = {tag: n for (d, n), tag in self.names.items() if d == dim}
+        if found in named:
+            raise InputError(f"{what}: the physical group {name!r} is empty")
         known = [named.get(tag, str(tag)) for tag in sorted({*named, *all_tags})]
-        what = "region" if dim == self.dim else "facets"
         raise InputError(
             f"{what}: the mesh has no physical group {name!r} of {dim} dimensions; it has "
             f"{', '.join(known) if known else 'none'}"
@@ -236,8 +250,8 @@ def _agree(source: Any, comm: MPI.Comm) -> None:
         if one not in allowed:
             where = f" on rank {rank}" if comm.size > 1 else ""
             raise InputError(
-                f"mesh = {value}{where}: a dolfinx mesh, the path of a .msh file or a gmsh model (on rank 0, None "
-                "elsewhere) is needed"
+                f"mesh = {value}{where}: a dolfinx mesh, the path of a .msh file or a gmsh model (on rank 0, "
+                "None elsewhere) is needed"
             )
 
 

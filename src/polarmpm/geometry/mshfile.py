@@ -2,8 +2,8 @@
 
 gmsh itself takes a file without a mesh's header for a script and runs it, shell commands included; and it has
 one session a process, which may be the caller's. meshio keeps one physical group an entity and one a name,
-and takes the last node for one that doesn't exist. So the files are read here: nothing in them is executed, and
-what doesn't add up is an error.
+and takes the last node for one that doesn't exist. So the files are read here: nothing in them is executed,
+and what doesn't add up is an error.
 """
 
 from __future__ import annotations
@@ -82,8 +82,8 @@ class Block:
 
 @dataclass
 class Listed:
-    """What a file or a model lists: nodes with tags (n,) at x (n, 3), cells, and its physical groups with their
-    names {(dimension, tag): name}; of those without a name their number."""
+    """What a file or a model lists: nodes with tags (n,) at x (n, 3), cells, and its physical groups with
+    their names {(dimension, tag): name}; of those without a name their number."""
 
     tags: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     x: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
@@ -116,7 +116,9 @@ def read_msh(path: str) -> Listed:
 
 def _header(data: bytes) -> tuple[str, bool]:
     """Version, and whether numbers are binary."""
-    found = re.match(rb"\$MeshFormat\r?\n[ \t]*(\S+)[ \t]+(\S+)[ \t]+(\S+)[ \t]*\r?\n", _uncommented(data))
+    found = re.match(
+        rb"\$MeshFormat\r?\n[ \t]*(\d[\d.]*)[ \t]+(\d+)[ \t]+(\d+)[ \t]*\r?\n", _uncommented(data)
+    )
     if not data.strip():
         raise NotAMesh("it is empty")
     if not found:
@@ -126,7 +128,9 @@ def _header(data: bytes) -> tuple[str, bool]:
         )
     version, kind, size = (part.decode(errors="replace") for part in found.groups())
     if version not in ("2", "2.0", "2.1", "2.2", "4.1"):
-        raise NotAMesh(f"it has the format {version}; save it in 4.1 or 2.2: gmsh body.msh -save -format msh41")
+        raise NotAMesh(
+            f"it has the format {version}; save it in 4.1 or 2.2: gmsh body.msh -save -format msh41"
+        )
     if kind not in ("0", "1") or size != "8":
         raise NotAMesh(f"its type {kind} and size {size} are no text or binary numbers of 8 bytes")
     one = _uncommented(data)[found.end() : found.end() + 4]
@@ -277,7 +281,8 @@ def _entities_4(numbers: _Numbers) -> dict[tuple[int, int], tuple[int, ...]]:
 
 def _nodes_4(numbers: _Numbers) -> tuple[np.ndarray, np.ndarray]:
     blocks, total, *_ = numbers.sizes(4)
-    tags, x = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
+    tags: list[np.ndarray] = [np.zeros(0, dtype=np.int64)]
+    x: list[np.ndarray] = [np.zeros((0, 3))]
     for _ in range(blocks):
         dim, _, parametric = numbers.ints(3)
         (count,) = numbers.sizes(1)

@@ -98,7 +98,7 @@ def _destinations(rank: int, others: np.ndarray) -> Any:
 
 def mesh_quadrature(mesh: Any, degree: int) -> tuple[np.ndarray, np.ndarray]:
     """Positions (n, d) and volumes (n,) of the quadrature points of this rank's own cells."""
-    xi, weight = _quadrature(cell_name(mesh), degree)
+    xi, weight = quadrature(cell_name(mesh), degree)
     x, jacobian = mesh_geometry(mesh, xi)
     return x.reshape(-1, x.shape[2]), (np.abs(np.linalg.det(jacobian)) * weight).ravel()
 
@@ -110,15 +110,18 @@ def gmsh_order(cell: str, nodes: int) -> np.ndarray:
     return np.asarray(cpp.io.perm_gmsh(cpp.mesh.to_type(cell), nodes))
 
 
-def mesh_geometry(mesh: Any, xi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (cells, q, d) and Jacobians dx/dxi (cells, q, d, d) at positions xi (q, d) of the reference
-    cell, of this rank's own cells; of the geometry's own degree."""
+def mesh_geometry(
+    mesh: Any, xi: np.ndarray, cells: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (m, q, d) and Jacobians dx/dxi (m, q, d, d) at positions xi (q, d) of the reference cell, in
+    local cells (m,), by default this rank's own; of the geometry's own degree."""
     dim = mesh.topology.dim
-    own = mesh.topology.index_map(dim).size_local
-    table = tabulate(cell_name(mesh), geometry_degree(mesh), xi)
-    nodes = mesh.geometry.x[cell_geometry(mesh)[:own]][:, :, :dim]
-    if not own:
+    if cells is None:
+        cells = np.arange(mesh.topology.index_map(dim).size_local)
+    if not len(cells):
         return np.zeros((0, len(xi), dim)), np.zeros((0, len(xi), dim, dim))
+    table = tabulate(cell_name(mesh), geometry_degree(mesh), xi)
+    nodes = mesh.geometry.x[cell_geometry(mesh)[cells]][:, :, :dim]
     return np.einsum("pn,cnd->cpd", table[0], nodes), np.einsum("jpn,cni->cpij", table[1:], nodes)
 
 
@@ -153,20 +156,27 @@ def cell_geometry(mesh: Any) -> np.ndarray:
     return table.reshape(cells.size_local + cells.num_ghosts, -1) if table.size else table.reshape(0, 1)
 
 
-def facet_quadrature(cell: str, facet: int, degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A rule on a facet of the reference cell: positions (q, d) and weights (q,); and the facet's outward
-    normal (d,), as long as the size that the weights are relative to."""
+def facet_quadrature(
+    cell: str, facet: int, rule: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A rule of the reference facet (see `facet_rule`) on a facet of the reference cell: positions (q, d) and
+    weights (q,); the facet's outward normal (d,), as long as the size that the weights are relative to."""
     import basix
 
     kind = getattr(basix.CellType, cell)
     corners, dim = np.asarray(basix.geometry(kind)), len(basix.topology(kind)) - 1
     own = corners[basix.topology(kind)[dim - 1][facet]]
     edges = own[1:dim] - own[0]
-    names = {1: "interval", 2: "quadrilateral" if len(own) == 4 else "triangle"}
-    xi, weight = _quadrature(names[dim - 1], degree)
+    xi, weight = rule
     normal = np.array([edges[0][1], -edges[0][0]]) if dim == 2 else np.cross(*edges)
     outward = np.sign(normal @ (own.mean(axis=0) - corners.mean(axis=0)))
     return own[0] + xi @ edges, weight, outward * normal
+
+
+def facet_rule(cell: str, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (q, d - 1) and weights (q,) of a rule on the reference facet of a cell."""
+    names = {"triangle": "interval", "quadrilateral": "interval", "tetrahedron": "triangle"}
+    return quadrature(names.get(cell, "quadrilateral"), degree)
 
 
 # finite elements --------------------------------------------------------------------------------
@@ -227,15 +237,16 @@ def cell_dofs(space: Any) -> np.ndarray:
 
 def quadrature_positions(cell: str, degree: int) -> np.ndarray:
     """Positions (n, d) of a rule in the reference cell, in the order of quadrature functions."""
-    return _quadrature(cell, degree)[0]
+    return quadrature(cell, degree)[0]
 
 
 def quadrature_weights(cell: str, degree: int) -> np.ndarray:
     """Weights (n,) of a rule in the reference cell."""
-    return _quadrature(cell, degree)[1]
+    return quadrature(cell, degree)[1]
 
 
-def _quadrature(cell: str, degree: int) -> tuple[np.ndarray, np.ndarray]:
+def quadrature(cell: str, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (n, d) and weights (n,) of a rule in the reference cell."""
     import basix
 
     kind = getattr(basix.CellType, cell)
