@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -333,3 +334,26 @@ def test_regions_without_material_and_materials_without_region(folder):
     mesh.names[2, 9] = "nothing"
     said = message(mesh.write(folder / "empty.msh"), material={**BOTH, "nothing": STIFF})
     assert "'nothing' is empty" in said
+
+
+def test_a_crack_is_told(folder):
+    """Halves that touch without common nodes are a warning of elements; points don't mind."""
+    mesh = strip()
+    middle = {3: 103, 8: 108, 13: 113}
+    mesh.nodes |= {new: mesh.nodes[old] for old, new in middle.items()}
+    for index in (4, 2):
+        kind, group, rows = mesh.blocks[index]
+        fresh = [[middle.get(t, t) if index == 4 or min(row) > 12 else t for t in row] for row in rows]
+        mesh.blocks[index] = (kind, group, fresh)
+    path = mesh.write(folder / "crack.msh")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        body = pm.Elements(path, material=BOTH)
+    told = [str(w.message) for w in caught if w.category is pm.TrustWarning]
+    assert len(told) == (COMM.rank == 0)
+    assert all("at 3 places of the boundary, such as (1.0, 0.0)" in one for one in told)
+    assert body.nodes.total == 18
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pm.seed_mesh(pm.Grid.box((-1, -1), (3, 3), 1.0, COMM), path, material=BOTH)
+        pm.Elements(strip().write(folder / "whole.msh"), material=BOTH)

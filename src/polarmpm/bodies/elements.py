@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -10,7 +11,7 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
-from ..errors import InputError
+from ..errors import InputError, TrustWarning
 from ..geometry.meshes import BodyMesh
 from ..geometry.planes import PlaneSpec
 from ..geometry.spacenodes import SpaceNodes
@@ -64,6 +65,7 @@ class Elements:
     ):
         self.body = BodyMesh.of(mesh, comm, cells=cells, facets=facets)
         self.mesh, self.comm, self.dim = self.body.mesh, self.body.mesh.comm, self.body.dim
+        _warn_of_cracks(self.body)
         degree = whole("degree", degree, least=1, most=2, allowed="allowed are 1 and 2")
         shape = "simplex" if self.body.cell in ("triangle", "tetrahedron") else "tensor"
         rule = _QUADRATURE[shape, degree] if quadrature_degree is None else quadrature_degree
@@ -256,6 +258,20 @@ class Elements:
     def mean_displacement(self, facets: Facets | None = None) -> np.ndarray:
         """Mean displacement (m) over facets, shape (d,). Collective."""
         return self.mean(self.displacement, facets)
+
+
+def _warn_of_cracks(body: BodyMesh) -> None:
+    """Two nodes at the same place, as of parts that are drawn side by side, aren't joined."""
+    number, place = body.cracks()
+    if number and body.mesh.comm.rank == 0:
+        where = tuple(float(round(c, 9)) for c in place)
+        warnings.warn(
+            f"mesh: at {number} places of the boundary, such as {where}, there are several nodes: the body "
+            "comes apart there. If that isn't meant, join the parts in gmsh: occ.fragment, or "
+            "mesh.removeDuplicateNodes",
+            TrustWarning,
+            stacklevel=3,
+        )
 
 
 def _mask(values: Any, n: int) -> np.ndarray:

@@ -66,13 +66,15 @@ def grouped(listed: Listed) -> GroupedMesh:
     cells = number[table][:, compat.gmsh_order(cell, table.shape[1])]
     _check_cells(cells, x, cell, tags, {tag: name for (d, name), tag in names.items() if d == dim})
     sides = _facets(listed, dim, cell)
-    corners = np.zeros((0, dim), dtype=np.int64)
+    wide = len(compat.facet_corners(cell)[0])
+    corners, middle = np.zeros((0, wide), dtype=np.int64), np.zeros((0, dim))
     if sides:
-        wide = len(compat.facet_corners(cell)[0])
         corners = np.concatenate([b.nodes[:, :wide] for b in sides])
-        corners = np.sort(number[_rows(listed, order, corners, "facets")], axis=1)
+        rows = _rows(listed, order, corners, "facets")
+        middle, corners = listed.x[rows].mean(axis=1)[:, :dim], np.sort(number[rows], axis=1)
     side_tags = _of_blocks(sides)
-    _check_facets(cells, x, cell, corners, side_tags, {t: n for (d, n), t in names.items() if d == dim - 1})
+    named = {tag: name for (d, name), tag in names.items() if d == dim - 1}
+    _check_facets(cells, x, cell, corners, middle, side_tags, named)
     return GroupedMesh(cell, degree, x, cells, tags, corners, side_tags, names)
 
 
@@ -225,14 +227,19 @@ def _check_cells(
 
 
 def _middle(x: np.ndarray, rows: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Middle of the first of the chosen rows of nodes; those that no cell has don't count."""
-    nodes = rows[chosen][0]
-    middle: np.ndarray = x[nodes[nodes < len(x)]].mean(axis=0)
+    """Middle of the first of the chosen rows of nodes."""
+    middle: np.ndarray = x[rows[chosen][0]].mean(axis=0)
     return middle
 
 
 def _check_facets(
-    cells: np.ndarray, x: np.ndarray, cell: str, facets: np.ndarray, tags: np.ndarray, names: dict[int, str]
+    cells: np.ndarray,
+    x: np.ndarray,
+    cell: str,
+    facets: np.ndarray,
+    middle: np.ndarray,
+    tags: np.ndarray,
+    names: dict[int, str],
 ) -> None:
     """A facet of the mesh has one or two cells; one of a group has one, and no other group."""
     sides = np.sort(cells[:, compat.facet_corners(cell)], axis=2)
@@ -250,13 +257,12 @@ def _check_facets(
     lost = count[of_facets] == 0
     if lost.any():
         tag = int(tags[lost][0])
-        here, at = lost & (tags == tag), ""
-        if np.any(facets[here][0] < len(x)):
-            at = f", such as the one at {_at(_middle(x, facets, here))}"
+        here = lost & (tags == tag)
         raise NotAMesh(
             f"the physical group {names.get(tag, tag)!r} has {here.sum()} facets (of {np.sum(tags == tag)}) "
-            f"that are on no cell of the body{at}: the cells don't share their nodes (occ.fragment, or "
-            "geometry with common points, joins them), or are in no physical group"
+            f"that are on no cell of the body, such as the one at {_at(middle[here][0])}: the cells don't "
+            "share their nodes (occ.fragment, or geometry with common points, joins them), or are in no "
+            "physical group"
         )
     order = np.lexsort((tags, of_facets))
     both = (of_facets[order][1:] == of_facets[order][:-1]) & (tags[order][1:] != tags[order][:-1])

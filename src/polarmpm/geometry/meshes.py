@@ -16,7 +16,7 @@ from ..tools.checks import communicator, refuse, shown, whole
 from ..tools.parallel import Route, raise_on_all_ranks
 from .cells import unit_corners
 from .gmsh import read_grouped
-from .groupedmesh import GroupedMesh, labels
+from .groupedmesh import GroupedMesh, labels, places
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
@@ -204,6 +204,30 @@ class BodyMesh:
         twice = self.mesh.comm.allreduce(int((count - 1).sum()))
         if twice:
             raise InputError(f"mesh: {twice} of its cells are listed twice (the same corners)")
+
+    def cracks(self) -> tuple[int, np.ndarray]:
+        """How many places on the boundary have several nodes, which leave the body apart there; one of them
+        (d,). Collective."""
+        from dolfinx import mesh as dmesh
+
+        topology = self.mesh.topology
+        topology.create_connectivity(self.dim - 1, self.dim)
+        topology.create_connectivity(self.dim - 1, 0)
+        outer = np.asarray(dmesh.exterior_facet_indices(topology))
+        listed = np.asarray(topology.connectivity(self.dim - 1, 0).array)
+        corners = len(compat.facet_corners(self.cell)[0])
+        vertices = np.unique(listed.reshape(-1, corners)[outer]).astype(np.int32)
+        numbers = np.asarray(topology.index_map(0).local_to_global(vertices))
+        x = np.empty((topology.index_map(0).size_local + topology.index_map(0).num_ghosts, self.dim))
+        cells = np.asarray(topology.connectivity(self.dim, 0).array)
+        nodes = compat.cell_geometry(self.mesh)[:, : len(_corners(self.cell))]
+        x[cells] = self.mesh.geometry.x[nodes.ravel()[: len(cells)], : self.dim]
+        gathered = self.mesh.comm.allgather((numbers, x[vertices]))
+        numbers, first = np.unique(np.concatenate([n for n, _ in gathered]), return_index=True)
+        every = np.concatenate([x for _, x in gathered])[first]
+        _, first, count = np.unique(places(every), return_index=True, return_counts=True)
+        several = first[count > 1]
+        return len(several), every[several[0]] if len(several) else np.zeros(self.dim)
 
     def midpoints(self, cells: np.ndarray) -> np.ndarray:
         """Mean of the nodes (n, d) of local cells."""
