@@ -165,13 +165,13 @@ def pulled(folder, reset=None):
     grid = pm.Grid.box((-0.5, -0.5), (2.75, 1.75), 0.125, COMM)
     points = pm.seed_mesh(grid, path, material=BOTH)
     mpm = pm.QuasiStatic(grid, points, reset=reset)
-    held = mpm.fix(points.surface("left"), u=0)
-    mpm.traction(points.surface("far right"), force=(300.0, -60.0))
     elements = pm.Elements(path, material=BOTH, degree=2)
     fem = pm.QuasiStaticFEM(elements)
-    wall = fem.fix("left", u=0)
-    fem.traction("far right", force=(300.0, -60.0))
-    return (mpm, held), (fem, wall)
+    supports = []
+    for problem in (mpm, fem):
+        supports.append(problem.fix("left", u=0))
+        problem.traction("far right", force=(300.0, -60.0))
+    return (mpm, supports[0]), (fem, supports[1])
 
 
 @pytest.mark.parametrize("reset", [None, "every step"])
@@ -196,6 +196,42 @@ def test_points_and_elements_agree(folder, reset):
     force, expected = mpm.reaction(held)[0], fem.reaction(wall)[0]
     np.testing.assert_allclose(expected, (-300.0, 60.0), rtol=1e-6)
     np.testing.assert_allclose(force, expected, rtol=2e-3)
+
+
+def test_names_are_surfaces_for_points(folder):
+    """A name means `points.surface(name)` in every condition; an unknown one lists the groups."""
+    points = seeded(folder)
+    problem = pm.QuasiStatic(pm.Grid.box((-1, -1), (3, 3), 0.25, COMM), points)
+    for condition in (
+        lambda where: problem.load(where, force=(1.0, 0.0)),
+        lambda where: problem.traction(where, force=(1.0, 0.0)),
+        lambda where: problem.pressure(where, 1.0),
+        lambda where: problem.fix(where, u=0),
+    ):
+        condition("top")
+        condition(3)
+        with pytest.raises(pm.InputError, match=r"surface = 'bottom': the groups of boundary facets are"):
+            condition("bottom")
+    assert len(problem.surfaces) == 8
+
+
+def test_selections_and_surfaces_after_resets_and_a_restart(folder):
+    """A restart of the same script finds the same points in each region, and the surfaces where they went."""
+    found = []
+    for part in ("whole", "first", "second"):
+        (problem, held), _ = pulled(folder, pm.EverySteps(1))
+        if part == "second":
+            pm.load_restart(problem, folder / "half.h5")
+        steps, to = (4, 1.0) if part == "whole" else (2, 0.5 if part == "first" else 1.0)
+        list(problem.march(steps, to=to, progress=False))
+        if part == "first":
+            pm.save_restart(problem, folder / "half.h5")
+            continue
+        stiff = problem.points.region("stiff")
+        found.append((stiff.ids, problem.points.mean_displacement(stiff), problem.reaction(held)[0]))
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    np.testing.assert_allclose(found[0][1], found[1][1], rtol=1e-9)
+    np.testing.assert_allclose(found[0][2], found[1][2], rtol=1e-7)
 
 
 # ranks ----------------------------------------------------------------------------------------------

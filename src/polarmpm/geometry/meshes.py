@@ -272,7 +272,7 @@ def _agree(source: Any, comm: MPI.Comm) -> None:
     allowed = {"file": ("file",), "model": ("model", "none")}.get(kinds[0][0], ())
     for rank, (one, value) in enumerate(kinds):
         if one not in allowed:
-            where = f" on rank {rank}" if comm.size > 1 else ""
+            where = f" on rank {rank}" if rank else ""
             raise InputError(
                 f"mesh = {value}{where}: a dolfinx mesh, the path of a .msh file or a gmsh model (on rank 0, "
                 "None elsewhere) is needed"
