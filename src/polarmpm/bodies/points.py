@@ -15,11 +15,14 @@ from mpi4py import MPI
 import numpy as np
 
 from ..errors import InputError
+from ..geometry.surfaces import Surface
 from ..kinematics import rotations
 from ..kinematics.stretch import domain_half_length, right_stretch
 from ..materials.base import Material, check_material
 from ..tools import checks
+from ..tools.checks import refuse, whole
 from ..tools.parallel import Route, communicator_named, errors_on_all_ranks, name_of
+from .regions import Regions
 from .selection import Selection, check_selection, fingerprint
 
 # name -> (shape after the point axis; "d" is the space dimension, type)
@@ -70,6 +73,7 @@ class Points:
             following two only in bodies with plastic materials.
         hardening: accumulated plastic strain chi, scalar.
         dissipation: plastic dissipation per reference volume so far (Pa), scalar.
+        regions, surfaces: physical groups of the mesh that the points come from; see `region` and `surface`.
         arrangements: how often points have joined or been assigned a material; a problem is made of one.
 
     A copy (`copy.copy`, `copy.deepcopy`) is a body of its own, on the same communicator. Selections of the
@@ -127,6 +131,8 @@ class Points:
         self.q = rotations.identity(n)
         self.wryness = np.zeros((n, 3, 3))
         self.unresolved = np.zeros(n)
+        self.regions: tuple[Regions, ...] = ()
+        self.surfaces: dict[str | int, Surface] = {}
         self._has_plastic_state = False
         self._fingerprints: tuple[int, ...] = ()  # the present one, then those before other points joined
         self.arrangements = 0
@@ -299,6 +305,10 @@ class Points:
         theirs["id"] = theirs["id"] + first
         theirs["material"] = theirs["material"] + number
         self.replace({name: np.concatenate([a, theirs[name]]) for name, a in self.arrays().items()})
+        self.regions += tuple(r.joined(first) for r in other.regions)
+        for group, surface in other.surfaces.items():
+            mine_too = self.surfaces.get(group)
+            self.surfaces[group] = surface if mine_too is None else mine_too.joined(surface)
         self._fingerprints = (*self.fingerprints(), *known)  # selections of these points stay valid
         self.arrangements += 1
 
@@ -359,6 +369,33 @@ class Points:
             checks.function("predicate", predicate, "a predicate of positions is", takes=("x",))
             mask = checks.mask("predicate", predicate(self.x.copy()), len(self))  # it may change what it gets
         return self._select(mask)
+
+    def region(self, name: str | int) -> Selection:
+        """Points seeded in a region of a mesh, a physical group of its cells, by its name or tag, wherever
+        they are now. Collective.
+
+        Raises:
+            InputError: no such region, or points that don't come from a mesh with regions.
+        """
+        if not isinstance(name, str):
+            name = whole("region", name, allowed="the name or the number of a physical group is needed")
+        masks = [m for m in (r.mask(self.id, name) for r in self.regions) if m is not None]
+        if not masks:
+            raise refuse("region", name, _among([k for r in self.regions for k in r.known], "regions"))
+        return self._select(np.any(masks, axis=0))
+
+    def surface(self, name: str | int) -> Surface:
+        """The boundary of the undeformed body in a physical group of facets of the mesh that it was seeded
+        from, by its name or tag: for `fix`, `load`, `traction` and `pressure`, as `Elements.surface`.
+
+        Raises:
+            InputError: no such group on the boundary, or points that don't come from a mesh with groups.
+        """
+        if not isinstance(name, str):
+            name = whole("surface", name, allowed="the name or the number of a physical group is needed")
+        if name not in self.surfaces:
+            raise refuse("surface", name, _among(list(map(repr, self.surfaces)), "groups of boundary facets"))
+        return self.surfaces[name]
 
     def farthest(self, direction: Sequence[float], tolerance: float | None = None) -> Selection:
         """The layer of points farthest in a direction, within `tolerance` (m). Collective.
@@ -439,3 +476,9 @@ class Points:
         """Mean displacement (m) of a selection, shape (d,). Collective."""
         mean: np.ndarray = self.mean(self.displacement, selection)
         return mean
+
+
+def _among(known: list[str], what: str) -> str:
+    if not known:
+        return f"these points have no {what}; pm.seed_mesh keeps those of a mesh with physical groups"
+    return f"the {what} are {', '.join(dict.fromkeys(known))}"

@@ -57,6 +57,11 @@ class Surface:
     def __len__(self) -> int:
         return len(self.x)
 
+    def joined(self, other: Surface) -> Surface:
+        """Both surfaces as one."""
+        parts = ((getattr(s, name) for s in (self, other)) for name in ("x", "area", "normal"))
+        return Surface(*(np.concatenate(list(pair)) for pair in parts))
+
     @classmethod
     def line(cls, a: Sequence[float], b: Sequence[float], points: int) -> Surface:
         """The line from a to b (m) in the plane, cut in equal parts with a point in the middle of each.

@@ -72,6 +72,10 @@ class Conditions(ABC):
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
         """Predicate of node positions, and its name, of what the user gives to `fix`."""
 
+    def _named(self, where: Any) -> Any:
+        """The surface that the name of a group of boundary facets means, where that's a surface."""
+        return where
+
     @property
     @abstractmethod
     def cell_size(self) -> float:
@@ -93,7 +97,8 @@ class Conditions(ABC):
         Args:
             where: `plane(x=0.0)` or a predicate of node positions (n, d) -> (n,) bool; for finite elements
                 also facets, or the name of a physical group. Or a `Surface` (also one that doesn't follow the
-                grid; `elements.surface(...)`), which the body carries: springs hold it.
+                grid; `elements.surface(...)`), which the body carries: springs hold it; of points from a mesh
+                also the name of a group of its facets (`points.surface(name)`).
             **components: u, theta (all components), or ux, uy, uz, theta_x, theta_y, theta_z (theta in
                 plane strain), in m and rad. A number is ramped with the load factor; a function of the
                 factor, or of (factor, positions), gives the displacement or rotation; positions are
@@ -125,6 +130,7 @@ class Conditions(ABC):
                 When the next step begins, a support at whose nodes there is nothing of the body.
         """
         check_counts("fix", counts)
+        where = self._named(where)
         springs = {"stiffness": stiffness, "rotation_stiffness": rotation_stiffness, "normal": normal}
         if isinstance(where, Surface):
             return surfaces.add_support(self, where, components, augment=augment, counts=counts, **springs)
@@ -186,7 +192,7 @@ class Conditions(ABC):
 
     def traction(
         self,
-        where: Surface,
+        where: Surface | str | int,
         *,
         force: Any = None,
         couple: Any = None,
@@ -207,9 +213,9 @@ class Conditions(ABC):
             InputError: neither is given, values of the wrong size, a surface of another dimension; when the
                 next step begins, also points of the surface outside of the body.
         """
-        return surfaces.add_traction(self, where, force, couple, follows=follows, counts=counts)
+        return surfaces.add_traction(self, self._named(where), force, couple, follows=follows, counts=counts)
 
-    def pressure(self, where: Surface, p: Any, *, counts: str | None = None) -> Term | Applied:
+    def pressure(self, where: Surface | str | int, p: Any, *, counts: str | None = None) -> Term | Applied:
         """A pressure (Pa) against the current normal of a surface that the body carries, -p cof(F) N dA.
 
         Returns:
@@ -218,7 +224,7 @@ class Conditions(ABC):
         Raises:
             InputError: as `traction`.
         """
-        return surfaces.add_pressure(self, where, p, counts=counts)
+        return surfaces.add_pressure(self, self._named(where), p, counts=counts)
 
     def body_load(
         self,

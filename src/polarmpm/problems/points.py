@@ -180,6 +180,10 @@ class QuasiStatic(OnGrid):
             return where, getattr(where, "__name__", "predicate")
         raise InputError(f"where = {where!r}: a plane or a predicate of node positions")
 
+    def _named(self, where: Any) -> Any:
+        named = isinstance(where, str | int | np.integer) and not isinstance(where, bool)
+        return self.points.surface(where) if named and self.points.surfaces else where
+
     def _admit(self, where: Any, support: Support) -> None:
         self._moving.admit(where, support, self.supports, self.progress.step > 0)
 
@@ -193,14 +197,14 @@ class QuasiStatic(OnGrid):
 
     def load(
         self,
-        where: Selection | Surface,
+        where: Selection | Surface | str | int,
         *,
         force: Any = None,
         couple: Any = None,
         counts: str | None = None,
     ) -> Term | Applied:
         """A dead force (N) and couple (N m) in total, shared equally by selected points, or spread evenly
-        over a surface.
+        over a surface, also one by the name of a group of facets of the mesh that the points come from.
 
         Numbers are ramped, functions of the load factor give the value. In plane strain they count per unit
         thickness, and the couple is one number.
@@ -213,6 +217,7 @@ class QuasiStatic(OnGrid):
         Returns:
             The load, for `release`.
         """
+        where = self._named(where)
         if isinstance(where, Surface):
             return add_load(self, where, force, couple, counts)
         if not isinstance(where, Selection):
