@@ -14,12 +14,14 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.grid import Grid, box_indices
 from ..materials.base import Material
+from ..tools.meetings import collective
 from .cutboxes import half_axes
 from .partition import distribute
 from .points import Points
 from .seeding import check_inside
 
 
+@collective("seed_mesh", comm=lambda grid, *args, **options: grid.comm, compare=True)
 def seed_mesh(
     grid: Grid, mesh: Any, *, material: Material, points_per_cell: int = 2, degree: int | None = None
 ) -> Points:

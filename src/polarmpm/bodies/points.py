@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from mpi4py import MPI
 
@@ -18,7 +18,8 @@ from ..errors import InputError
 from ..kinematics import rotations
 from ..kinematics.stretch import domain_half_length, right_stretch
 from ..materials.base import Material, check_material
-from ..tools.parallel import Route
+from ..tools.meetings import collective
+from ..tools.parallel import Route, errors_on_all_ranks
 
 # name -> (shape after the point axis; "d" is the space dimension, type)
 FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
@@ -58,6 +59,7 @@ class Selection:
 
     ids: np.ndarray
     body: int | None = None
+    alike: ClassVar = ("ids", "body")  # on all ranks
 
     def __post_init__(self) -> None:
         ids = np.asarray(self.ids)
@@ -146,6 +148,7 @@ class Points:
         return len(self.id)
 
     @property
+    @collective("total")
     def total(self) -> int:
         """Number of points of all ranks. Collective."""
         total: int = self.comm.allreduce(len(self))
@@ -230,6 +233,7 @@ class Points:
         self._fingerprints = known
         return route
 
+    @collective("join")
     def join(self, other: Points) -> None:
         """Add the points of another set (another material, say); their ids follow on. Collective."""
         if other.dim != self.dim:
@@ -247,6 +251,7 @@ class Points:
         self.replace({name: np.concatenate([a, theirs[name]]) for name, a in self.arrays().items()})
         self._fingerprints = (*self.fingerprints(), *known)  # selections of these points stay valid
 
+    @collective("assign", compare=True)
     def assign(self, selection: Selection, material: Material) -> None:
         """Give points another material, such as a weaker one to a row. Before a problem is made of them;
         collective.
@@ -298,19 +303,22 @@ class Points:
         ids = np.concatenate(self.comm.allgather(self.id[mask]))
         return Selection(np.sort(ids), self.fingerprints()[0])
 
+    @collective("where")
     def where(self, predicate: Callable[[np.ndarray], np.ndarray]) -> Selection:
         """Points whose current position fulfils a predicate of x (n, d) -> (n,) bool. Collective.
 
         Raises:
             InputError: the predicate returns something else.
         """
-        mask = np.asarray(predicate(self.x))
-        if mask.shape != (len(self),) or mask.dtype != bool:
-            raise InputError(
-                f"predicate: returned {mask.dtype} {mask.shape}; a bool for each point is needed"
-            )
+        with errors_on_all_ranks(self.comm):
+            mask = np.asarray(predicate(self.x))
+            if mask.shape != (len(self),) or mask.dtype != bool:
+                raise InputError(
+                    f"predicate: returned {mask.dtype} {mask.shape}; a bool for each point is needed"
+                )
         return self._select(mask)
 
+    @collective("farthest", compare=True)
     def farthest(self, direction: Sequence[float], tolerance: float | None = None) -> Selection:
         """The layer of points farthest in a direction, within `tolerance` (m). Collective.
 
@@ -331,6 +339,7 @@ class Points:
             tolerance = (1.0 - 1e-6) * float(half @ np.abs(n))
         return self._select(along >= most - tolerance)
 
+    @collective("nearest", compare=True)
     def nearest(self, position: Sequence[float], count: int = 1) -> Selection:
         """The `count` points nearest to a position (m); ties go to the lower ids. Collective."""
         x = np.asarray(position, float)
@@ -351,6 +360,7 @@ class Points:
         at = np.minimum(np.searchsorted(selection.ids, self.id), len(selection) - 1)
         return np.flatnonzero(selection.ids[at] == self.id)
 
+    @collective("mean")
     def mean(self, values: np.ndarray, selection: Selection | None = None) -> Any:
         """Plain mean over a selection of values given for the local points (np, ...). Collective."""
         if selection is not None:

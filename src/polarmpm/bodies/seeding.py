@@ -12,7 +12,8 @@ import numpy as np
 from ..errors import InputError, PointsOutsideGrid
 from ..geometry.grid import Grid
 from ..materials.base import Material
-from ..tools.parallel import raise_on_all_ranks
+from ..tools.meetings import collective
+from ..tools.parallel import errors_on_all_ranks
 from .cutboxes import half_axes, inside_parts
 from .partition import distribute
 from .points import Points
@@ -24,6 +25,7 @@ _ROUNDING = 1e-9  # of a box's half lengths: bounds that near to its faces are o
 Inside = Callable[[np.ndarray], np.ndarray]
 
 
+@collective("seed", comm=lambda grid, *args, **options: grid.comm, compare=True)
 def seed(
     grid: Grid,
     inside: Inside | None = None,
@@ -152,8 +154,8 @@ def _found(searched: Grid, body: _Body, per_cell: np.ndarray, xi: np.ndarray, sh
     cells = int(np.prod(span))
     start, stop = (cells * r // comm.size for r in (comm.rank, comm.rank + 1))
     step = max(1, body.chunk(dim) // len(xi))
-    found, error = [_Boxes.none(dim)], None
-    try:
+    found = [_Boxes.none(dim)]
+    with errors_on_all_ranks(comm):
         for begin in range(start, stop, step):
             number = np.arange(begin, min(begin + step, stop))
             index = np.stack(np.unravel_index(number, span[axes]), axis=1)[:, np.argsort(axes)]
@@ -161,9 +163,6 @@ def _found(searched: Grid, body: _Body, per_cell: np.ndarray, xi: np.ndarray, sh
             sizes = np.repeat(searched.sizes(index), len(xi), axis=0)
             volume = np.tile(share, len(index)) * np.prod(sizes, axis=1)
             found.append(body.boxes(x, 0.5 * sizes / per_cell, volume))
-    except InputError as e:
-        error = e
-    raise_on_all_ranks(comm, error)
     return _Boxes(*(np.concatenate(column) for column in zip(*map(astuple, found), strict=True)))
 
 

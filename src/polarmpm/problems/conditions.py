@@ -20,6 +20,7 @@ from ..kinematics.layout import Layout
 from ..terms.base import Term
 from ..terms.surfaces import SurfaceSupport
 from ..terms.surfaceterms import SurfaceCondition
+from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from . import surfaces
 from .given import Given, Present, Register
@@ -76,6 +77,7 @@ class Conditions(ABC):
     def cell_size(self) -> float:
         """Size of a cell or an element (m), the smallest one. Collective."""
 
+    @collective("fix", compare=True)
     def fix(
         self,
         where: Any,
@@ -152,6 +154,7 @@ class Conditions(ABC):
     def _admit(self, where: Any, support: Support) -> None:  # noqa: B027
         """Take note of a support that the user has put on `where`, or refuse it."""
 
+    @collective("add", compare=True)
     def add(self, term: Term, *, counts: str | None = None) -> None:
         """Add a term: a contribution to the nodal system, such as a `SurfaceTerm` of one's own. In mid-run it
         acts from the next step on, which begins with a reset of the grid. `counts` as of `load`.
@@ -183,6 +186,7 @@ class Conditions(ABC):
         """Name of the next condition on a surface."""
         return f"{kind} {self.given.next('surface')}"
 
+    @collective("traction", compare=True)
     def traction(
         self,
         where: Surface,
@@ -208,6 +212,7 @@ class Conditions(ABC):
         """
         return surfaces.add_traction(self, where, force, couple, follows=follows, counts=counts)
 
+    @collective("pressure", compare=True)
     def pressure(self, where: Surface, p: Any, *, counts: str | None = None) -> Term | Applied:
         """A pressure (Pa) against the current normal of a surface that the body carries, -p cof(F) N dA.
 
@@ -219,6 +224,7 @@ class Conditions(ABC):
         """
         return surfaces.add_pressure(self, where, p, counts=counts)
 
+    @collective("body_load", compare=True)
     def body_load(
         self,
         *,
