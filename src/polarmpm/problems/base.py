@@ -132,7 +132,7 @@ class Problem(Releasable):
 
     def attempt(self, factor: float) -> Outcome:
         """Try to find equilibrium at a load factor; on failure everything stays as it was."""
-        with ranks.step(self, f"the step to load factor {factor:.9g}"):
+        with ranks.step(self, f"the step to load factor {factor:.9g}", factor):
             outcome = self._attempt(factor)
             if not outcome.converged and self._fall_back():
                 tried, outcome = outcome.history, self._attempt(factor)
@@ -213,7 +213,7 @@ class Problem(Releasable):
         failure everything stays as it was. With `kink` the step may turn off its tangent. Returns the load
         factor found, too. That loads and supports are such as they have to be is checked by
         `march_arc_length`."""
-        with ranks.step(self, f"the step of length {length:.9g} m"):
+        with ranks.step(self, f"the step of length {length:.9g} m", 1.0):
             outcome, found = self._attempt_along(length, to, kink)
             if not outcome.converged and self._fall_back():
                 tried = outcome.history

@@ -52,6 +52,7 @@ class Conditions(ABC):
         self._leaving: list[Support | Term] = []
         self.given = Register()
         self._stale = False  # conditions have changed since the system was built
+        self._unasked: list[Amplitude] = []  # functions that haven't been compared over the ranks yet
 
     @property
     def supports(self) -> tuple[Support, ...]:
@@ -147,6 +148,7 @@ class Conditions(ABC):
             )
         self._admit(where, support)
         self._supports.append(support)
+        self._unasked += [amplitude for amplitude, _ in support.columns.values()]
         self.given.add(Given(support.name, support, self.progress.factor, counts), "support")
         self._stale = True
         return support
@@ -173,6 +175,7 @@ class Conditions(ABC):
         term.taken = True
         term.begin_at(self.progress.factor, counts)
         self._terms.append(term)
+        self._unasked += term.amplitudes() if isinstance(term, SurfaceCondition) else []
         kind = "surface" if isinstance(term, SurfaceCondition) else "term"
         self.given.add(Given(term.name, term, self.progress.factor, counts), kind)
         self._stale = self.progress.reset_due = True
@@ -266,6 +269,7 @@ class Conditions(ABC):
         """Note a load of a script's."""
         for amplitude in amplitudes:
             amplitude.begin(self.progress.factor, counts)
+        self._unasked += amplitudes
         self.given.add(Given(applied.name, applied, self.progress.factor, counts), "load")
         self._stale = True
 

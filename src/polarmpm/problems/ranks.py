@@ -23,14 +23,17 @@ _ROUNDING = 1e-9  # of the largest value: so far values of two ranks may be apar
 
 
 @contextmanager
-def step(problem: Any, call: str) -> Iterator[None]:
-    """A load step. All ranks have to try the same one with the same settings; before the first one after
-    conditions have been given, their functions are compared. Collective."""
+def step(problem: Any, call: str, factor: float) -> Iterator[None]:
+    """A load step. All ranks have to try the same one with the same settings; in the first one after
+    conditions have been given, their functions are compared at a load factor. Collective."""
     settings = ""
     if problem.comm.size > 1:
         limit = getattr(problem, "rotation_limit", None)
         settings = told((problem.controls, limit, len(problem.observers), sorted(problem.rows)))
     with together(problem.comm, call, settings):
+        if problem._unasked:
+            check_alike(problem.comm, problem._unasked, factor, problem.points.X)
+            problem._unasked = []
         yield
 
 
@@ -85,16 +88,15 @@ def check_masks(prescribed: Prescribed, nodes: Nodes) -> None:
     comm = prescribed.comm
     if comm.size == 1 or not prescribed.supports:
         return
-    masks = np.stack(prescribed.masks, axis=1).astype(float)
-    owners = masks.copy()
+    owners = prescribed.fixed.astype(float)
     nodes.update_ghosts(owners)
-    apart = np.argwhere(owners != masks)
+    apart = np.argwhere(owners != prescribed.fixed)
     with errors_on_all_ranks(comm):
         if len(apart):
-            node, k = apart[0]
+            node, column = apart[0]
             where = tuple(float(round(c, 9)) for c in nodes.position[node])
-            holds = ["doesn't hold", "holds"][int(masks[node, k])]
+            which = [s.name for s in prescribed.supports if column in s.columns]
             raise InputError(
-                f"{prescribed.supports[k].name}: it {holds} the node at {where} on rank {comm.rank}, but not so "
-                "on the rank that shares it; a predicate has to say the same on every rank"
+                f"{' or '.join(which)}: the node at {where} is held on one of the ranks that share it (among "
+                f"them rank {comm.rank}), but not on all; a predicate has to say the same on every rank"
             )

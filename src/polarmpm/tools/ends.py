@@ -92,10 +92,14 @@ class _Ends:
         self.done = True
         with contextlib.suppress(Exception):
             sys.stdout.flush()
-        error = self.words if self.status else None
-        if leave(Word(_ENDED, "", error, True), GRACE if error else None) is None and error:
-            world = MPI.COMM_WORLD
-            meetings.abort(f"rank {world.rank} of {world.size}: {error}\n", self.status)
+        word = Word(_ENDED, "", self.words if self.status else None, True)
+        words = leave(word, GRACE if self.status else None)
+        world = MPI.COMM_WORLD
+        text = f"rank {world.rank} of {world.size}: {self.words}\n"
+        if words is None and self.status:
+            meetings.abort(text, self.status)
+        elif words is not None and len(words) > 1 and min(words[word]) == world.rank:
+            sys.stderr.write(text if self.words else "")
 
 
 def leave(word: Word, grace: float | None) -> Words | None:

@@ -167,13 +167,15 @@ class Meetings:
     def _mark(self, error: BaseException) -> BaseException:
         """Note that all ranks know of an error."""
         with contextlib.suppress(Exception):
-            error.__dict__["_told_in"] = (self.comm.size, self.number)
+            error.__dict__["_told_in"] = id(self), self.number
         return error
 
     def known(self, error: BaseException | None) -> bool:
         """Whether the last meeting has told all ranks of an error, or of one that it was made of."""
-        while error is not None:
-            if error.__dict__.get("_told_in") == (self.comm.size, self.number):
+        for _ in range(20):
+            if error is None:
+                break
+            if error.__dict__.get("_told_in") == (id(self), self.number):
                 return True
             error = error.__cause__ or error.__context__
         return False
@@ -260,6 +262,10 @@ def together(comm: MPI.Comm, call: str, given: str = "") -> Iterator[None]:
     meetings.inside = call
     try:
         yield
+    except (Exception, KeyboardInterrupt, SystemExit) as e:
+        if not meetings.known(e):  # the others may be at another place of this call, or through with it
+            meetings.meet(Word(f"within {call}"), e)
+        raise
     finally:
         meetings.inside = ""
 
