@@ -20,6 +20,7 @@ from .errors import (
     OutputError,
     PointsOutsideGrid,
     PolarMPMError,
+    RanksApart,
     SupportLost,
     TrustWarning,
 )
@@ -41,6 +42,9 @@ from .solvers.stepping import Step
 from .terms.base import Boxes, Piece, Term
 from .terms.ghost import GhostPenalty
 from .terms.surfaceterms import SurfaceTerm
+from .tools import ends
+
+ends.install()
 
 if TYPE_CHECKING:
     from .materials.cones import DruckerPrager, VonMises
@@ -101,6 +105,7 @@ __all__ = [
     "PolarMPMError",
     "QuasiStatic",
     "QuasiStaticFEM",
+    "RanksApart",
     "Recorder",
     "Region",
     "Selection",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 
@@ -31,16 +31,33 @@ class OutputError(PolarMPMError, OSError):
 
 
 class ErrorOnAnotherRank(PolarMPMError, RuntimeError):
-    """A function of the script has failed on another rank, which raises its own error; see
+    """The script, or a function of it, has failed on another rank, which raises its own error; see
     `tools.parallel.errors_on_all_ranks`.
 
     Attributes:
         rank: the lowest rank on which it failed.
+        error: kind and text of the error there.
     """
 
     def __init__(self, rank: int, error: str):
-        self.rank = rank
+        self.rank, self.error = rank, error
         super().__init__(f"rank {rank}: {error}")
+
+
+class RanksApart(PolarMPMError, RuntimeError):
+    """The ranks aren't in the same collective call, so that they would wait for each other for ever; raised on
+    all of them alike, naming what each is in. None of these calls has done anything.
+
+    Attributes:
+        calls: what each rank is in, by rank.
+    """
+
+    def __init__(self, calls: Mapping[int, str], text: str):
+        self.calls = dict(calls)
+        super().__init__(
+            f"the ranks aren't in the same call: {text}; the script has to make all collective calls on all "
+            "ranks, in the same order"
+        )
 
 
 class PointsOutsideGrid(PolarMPMError, ValueError):

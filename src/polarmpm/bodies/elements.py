@@ -20,6 +20,7 @@ from ..kinematics.layout import Layout
 from ..materials.base import Material
 from ..tools import compat
 from ..tools.checks import number, numeric, refuse, vector, whole
+from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks
 from .facets import Facets, FacetSurface
 from .points import Points
@@ -52,6 +53,7 @@ class Elements:
         InputError: a mesh, degree, region or material that is not allowed; see `geometry.meshes.BodyMesh`.
     """
 
+    @collective("Elements", comm=lambda self, mesh, *, comm=MPI.COMM_WORLD, **options: comm)
     def __init__(
         self,
         mesh: Any,
@@ -114,6 +116,7 @@ class Elements:
         return float((sums[0] / sums[1]) ** (1 / self.dim))
 
     # groups of facets -----------------------------------------------------------------------------
+    @collective("facets", compare=True)
     def facets(self, where: Any) -> Facets:
         """Boundary facets of a physical group (name or tag), on a plane, or all of whose corners fulfil a
         predicate of positions (n, d) -> (n,) bool. Collective.
@@ -158,6 +161,7 @@ class Elements:
         near = 1e-6 * self.cell_size
         return lambda x: np.abs(x[:, spec.axis] - spec.value) < near
 
+    @collective("farthest", compare=True)
     def farthest(self, direction: Sequence[float], tolerance: float | None = None) -> Facets:
         """Boundary facets farthest in a direction, within `tolerance` (m; default 1e-6 of a cell).
         Collective."""
@@ -175,6 +179,7 @@ class Elements:
 
         return self.facets(farthest)
 
+    @collective("surface", compare=True)
     def surface(self, where: Any) -> FacetSurface:
         """The quadrature points of boundary facets as a surface, for terms that act on one; `where` as of
         `facets`. Collective."""
@@ -233,6 +238,7 @@ class Elements:
         """Microrotation vectors of the nodes (rad), (n, 3); for output only."""
         return rotations.to_vector(self.q)
 
+    @collective("mean")
     def mean(self, values: np.ndarray, facets: Facets | None = None) -> np.ndarray:
         """Mean of nodal values (n, ...) over facets, weighted by their area; without facets the plain mean
         over the nodes. Collective."""
@@ -255,6 +261,7 @@ class Elements:
         means: np.ndarray = np.einsum("cq,cq...->c...", weights, values.reshape(*shape, *values.shape[1:]))
         return means
 
+    @collective("mean_displacement")
     def mean_displacement(self, facets: Facets | None = None) -> np.ndarray:
         """Mean displacement (m) over facets, shape (d,). Collective."""
         return self.mean(self.displacement, facets)

@@ -18,6 +18,7 @@ from ..geometry.meshes import BodyMesh
 from ..materials.base import Material
 from ..tools import compat
 from ..tools.checks import instance, whole
+from ..tools.meetings import collective
 from .cutboxes import half_axes
 from .facets import group_surfaces
 from .partition import distribute
@@ -26,6 +27,7 @@ from .regions import Regions, materials_of
 from .seeding import check_inside
 
 
+@collective("seed_mesh", comm=lambda grid, *args, **options: grid.comm, compare=True)
 def seed_mesh(
     grid: Grid,
     mesh: Any,

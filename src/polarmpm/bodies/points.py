@@ -21,6 +21,7 @@ from ..kinematics.stretch import domain_half_length, right_stretch
 from ..materials.base import Material, check_material
 from ..tools import checks
 from ..tools.checks import refuse, whole
+from ..tools.meetings import collective
 from ..tools.parallel import Route, communicator_named, errors_on_all_ranks, name_of
 from .regions import Regions
 from .selection import Selection, check_selection, fingerprint
@@ -196,6 +197,7 @@ class Points:
         return len(self.id)
 
     @property
+    @collective("total")
     def total(self) -> int:
         """Number of points of all ranks. Collective."""
         total: int = self.comm.allreduce(len(self))
@@ -280,6 +282,7 @@ class Points:
         self._fingerprints = known
         return route
 
+    @collective("join")
     def join(self, other: Points) -> None:
         """Add the points of another set (another material, say); their ids follow on. Before a problem is
         made of them; collective.
@@ -312,6 +315,7 @@ class Points:
         self._fingerprints = (*self.fingerprints(), *known)  # selections of these points stay valid
         self.arrangements += 1
 
+    @collective("assign", compare=True)
     def assign(self, selection: Selection, material: Material) -> None:
         """Give points another material, such as a weaker one to a row. Before a problem is made of them;
         collective.
@@ -357,6 +361,7 @@ class Points:
         ids = np.concatenate(self.comm.allgather(self.id[mask]))
         return Selection(np.sort(ids), self.fingerprints()[0])
 
+    @collective("where")
     def where(self, predicate: Callable[[np.ndarray], np.ndarray]) -> Selection:
         """Points whose current position fulfils a predicate of x (n, d) -> (n,) bool; there may be none, on
         which nothing can act. Collective.
@@ -397,6 +402,7 @@ class Points:
             raise refuse("surface", name, _among(list(map(repr, self.surfaces)), "groups of boundary facets"))
         return self.surfaces[name]
 
+    @collective("farthest", compare=True)
     def farthest(self, direction: Sequence[float], tolerance: float | None = None) -> Selection:
         """The layer of points farthest in a direction, within `tolerance` (m). Collective.
 
@@ -424,6 +430,7 @@ class Points:
             tolerance = (1.0 - 1e-6) * float(half @ np.abs(n))
         return self._select(along >= most - tolerance)
 
+    @collective("nearest", compare=True)
     def nearest(self, position: Sequence[float], count: int = 1) -> Selection:
         """The `count` points nearest to a position (m); ties go to the lower ids. All points where there are
         fewer. Collective.
@@ -451,6 +458,7 @@ class Points:
         at = np.minimum(np.searchsorted(selection.ids, self.id), len(selection) - 1)
         return np.flatnonzero(selection.ids[at] == self.id)
 
+    @collective("mean")
     def mean(self, values: np.ndarray, selection: Selection | None = None) -> Any:
         """Plain mean over a selection of values given for the local points (np, ...). Collective.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -28,6 +28,8 @@ class Surface:
         InputError: shapes that don't go together, an area that isn't positive, a normal that isn't of unit
             length, a number that isn't finite.
     """
+
+    alike: ClassVar = ("x", "area", "normal")  # on all ranks
 
     def __init__(self, x: Any, area: Any, normal: Any):
         found = checks.numeric("Surface: x", x, "positions")

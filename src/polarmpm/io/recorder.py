@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..geometry.cells import corner_numbers, occupied_cells
 from ..problems.elements import QuasiStaticFEM
 from ..solvers.stepping import Step
+from ..tools.meetings import collective
 from ..tools.parallel import values_by_number
 from .fields import AnyField, choose, field_arrays
 from .mesh import NODAL, mesh_piece
@@ -56,6 +57,7 @@ class Recorder:
             alike. When states are written: a user's field without a row for each point.
     """
 
+    @collective("Recorder", comm=lambda self, path, problem, *args, **options: problem.comm, compare=True)
     def __init__(
         self,
         path: str | os.PathLike[str],
@@ -86,6 +88,7 @@ class Recorder:
     def __exit__(self, *error: object) -> None:
         """Nothing is left to do: every record is complete."""
 
+    @collective("record of a Recorder", comm=lambda self, *args, **options: self.problem.comm)
     def record(self, step: Step | None = None, *, time: float | None = None) -> None:
         """Write the current state.
 

@@ -26,12 +26,14 @@ from ..problems.base import Problem
 from ..problems.elements import QuasiStaticFEM
 from ..problems.points import QuasiStatic
 from ..problems.state import Progress
+from ..tools.meetings import collective
 from ..tools.parallel import raise_on_all_ranks
 from . import meshstate
 
 _FORMAT = 6
 
 
+@collective("save_restart", comm=lambda problem, *args, **options: problem.comm)
 def save(problem: Problem, path: str | os.PathLike[str]) -> None:
     """Write the last converged state of a `QuasiStatic` or `QuasiStaticFEM`. Collective.
 
@@ -101,6 +103,7 @@ def _kind(problem: Problem) -> str:
     return "finite elements" if isinstance(problem, QuasiStaticFEM) else "material points"
 
 
+@collective("load_restart", comm=lambda problem, *args, **options: problem.comm)
 def load(problem: Problem, path: str | os.PathLike[str]) -> None:
     """Put a saved state into a problem with the same grid, basis and materials, or the same mesh, degree,
     quadrature and materials; `march` goes on from it. Collective.

@@ -13,7 +13,8 @@ import numpy as np
 
 from ..errors import InputError
 from ..solvers.stepping import Step
-from ..tools.parallel import raise_on_all_ranks
+from ..tools.meetings import collective
+from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks
 from .files import check_output
 
 _STEP_COLUMNS = ("step", "factor", "iterations", "force", "energy")
@@ -44,6 +45,7 @@ class Table:
         InputError: a column's name is taken, or the file can't be written; on every rank alike.
     """
 
+    @collective("Table", comm=lambda self, path, *, comm=MPI.COMM_WORLD, **columns: comm, compare=True)
     def __init__(
         self, path: str | os.PathLike[str], *, comm: MPI.Comm = MPI.COMM_WORLD, **columns: Callable[[], Any]
     ):
@@ -88,12 +90,12 @@ class Table:
         row: dict[str, Any] = dict(
             zip(_STEP_COLUMNS, (step.number, step.factor, step.iterations, force, energy), strict=True)
         )
-        for name, function in self.columns.items():
-            row.update(_expand(name, function()))
-        first = not self._header
-        self._header = self._header or list(row)
-        if list(row) != self._header:
-            raise InputError(f"columns: were {', '.join(self._header)} and are now {', '.join(row)}")
+        with errors_on_all_ranks(self.comm, f"the columns of the table {self.path}"):
+            for name, function in self.columns.items():
+                row.update(_expand(name, function()))
+            if list(row) != (self._header or list(row)):
+                raise InputError(f"columns: were {', '.join(self._header)} and are now {', '.join(row)}")
+        first, self._header = not self._header, list(row)
         error = None
         if self._file is not None:
             try:

@@ -24,9 +24,10 @@ from ..solvers.arclength import ArcSchedule, Path
 from ..solvers.newton import Controls, Outcome
 from ..solvers.stepping import Schedule, Step, march
 from ..terms.surfaces import SurfaceSupport
+from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from ..tools.timing import Timer
-from . import attempts
+from . import attempts, ranks
 from .observer import Observer
 from .reactions import Balance, Equilibrium, Reaction, point_about, surface_reaction
 from .release import Releasable
@@ -117,6 +118,7 @@ class Problem(Releasable):
         """
         return march(self, Schedule(steps, to, adaptive, smallest, largest, easy, progress))
 
+    @collective("system_at")
     def system_at(self, factor: float) -> NodalSystem:
         """The nodal system in which equilibrium at a load factor is sought, at the increments that the last
         step has led to, with the loads of that factor; `evaluate(True)` makes its residual and tangent."""
@@ -130,11 +132,12 @@ class Problem(Releasable):
 
     def attempt(self, factor: float) -> Outcome:
         """Try to find equilibrium at a load factor; on failure everything stays as it was."""
-        outcome = self._attempt(factor)
-        if not outcome.converged and self._fall_back():
-            tried, outcome = outcome.history, self._attempt(factor)
-            outcome.history[:0] = tried
-            self._fell_back(outcome.converged)
+        with ranks.step(self, f"the step to load factor {factor:.9g}", factor):
+            outcome = self._attempt(factor)
+            if not outcome.converged and self._fall_back():
+                tried, outcome = outcome.history, self._attempt(factor)
+                outcome.history[:0] = tried
+                self._fell_back(outcome.converged)
         return outcome
 
     def _fall_back(self) -> bool:
@@ -155,6 +158,7 @@ class Problem(Releasable):
         self._finish(system, start, outcome, factor)
         return outcome
 
+    @collective("march_arc_length", compare=True)
     def march_arc_length(
         self,
         first: float,
@@ -209,12 +213,13 @@ class Problem(Releasable):
         failure everything stays as it was. With `kink` the step may turn off its tangent. Returns the load
         factor found, too. That loads and supports are such as they have to be is checked by
         `march_arc_length`."""
-        outcome, found = self._attempt_along(length, to, kink)
-        if not outcome.converged and self._fall_back():
-            tried = outcome.history
+        with ranks.step(self, f"the step of length {length:.9g} m", 1.0):
             outcome, found = self._attempt_along(length, to, kink)
-            outcome.history[:0] = tried
-            self._fell_back(outcome.converged)
+            if not outcome.converged and self._fall_back():
+                tried = outcome.history
+                outcome, found = self._attempt_along(length, to, kink)
+                outcome.history[:0] = tried
+                self._fell_back(outcome.converged)
         return outcome, found
 
     def _attempt_along(self, length: float, to: float | None, kink: bool) -> tuple[Outcome, float]:
@@ -300,16 +305,15 @@ class Problem(Releasable):
                 self._close(system)
                 self._equilibrium = Equilibrium.of(system)
                 self._last_x, self.progress.factor_change = self.points.x, factor - self.progress.factor
-                for observer in self.observers:
-                    observer.after_convergence(self, factor)
+                ranks.tell(self.comm, self.observers, lambda one: one.after_convergence(self, factor))
                 self._commit_terms(system, start.x)
                 base = self.progress.rotation_factor
                 self._commit(system, at_points, factor)
                 self._note(outcome)
                 system.prescribed.start_from(factor, system.x)
                 self._settle()
-                for observer in self.observers:
-                    observer.after_commit(self, self.progress.rotation_factor != base)
+                rebased = self.progress.rotation_factor != base
+                ranks.tell(self.comm, self.observers, lambda one: one.after_commit(self, rebased))
             else:
                 system.x = start.x
 
@@ -323,14 +327,14 @@ class Problem(Releasable):
             term.committed = True
 
     def _tell_of_reset(self) -> None:
-        for observer in self.observers:
-            observer.after_reset(self)
+        ranks.tell(self.comm, self.observers, lambda one: one.after_reset(self))
 
     def _prescribed(self, nodes: Nodes, supports: Sequence[Support] | None = None) -> Prescribed:
         """Prescribed unknowns of some supports; by default of those that act."""
         with self.timer("conditions"):
             acting = self.supports if supports is None else supports
             made = Prescribed(nodes, acting, self.layout, self.comm, self.cell_size)
+            ranks.check_masks(made, nodes)
             made.start_from(self.progress.factor, made.base)
             return made
 
@@ -346,6 +350,7 @@ class Problem(Releasable):
         self.restore_load_rows(rows)
 
     # results --------------------------------------------------------------------------------------
+    @collective("fields")
     def fields(self, *names: str | MaterialField) -> Fields:
         """Energy, Cauchy stress and couple stress at the local points, or what is asked for.
 
@@ -361,11 +366,13 @@ class Problem(Releasable):
         """
         return self._fields.evaluate(self.points, choose_fields(names, self.points.plastic))
 
+    @collective("energy")
     def energy(self) -> float:
         """Strain energy of the body (J)."""
         energy: float = self.comm.allreduce(float(self.fields("energy").energy @ self.points.volume0))
         return energy
 
+    @collective("energies")
     def energies(self) -> dict[str, float]:
         """Energy balance of the run so far, in J (J per unit thickness in plane strain).
 
@@ -393,6 +400,7 @@ class Problem(Releasable):
         gained = p.external_work + p.carried_work
         return out | {"residue": gained - out["stored"] - dissipated - p.ghost_work - p.term_work}
 
+    @collective("reaction", compare=True)
     def reaction(self, support: Support | SurfaceSupport, about: Any = None) -> Reaction:
         """Force (N), shape (d,), couple (N m), shape (r,), and moment with which a support holds the body in
         the last converged step, by the components that it prescribes: `force, couple = problem.reaction(s)`,
@@ -423,6 +431,7 @@ class Problem(Releasable):
             return e.reaction(support, point)
         raise InputError(f"reaction: no load step has been solved yet with {support.name}")
 
+    @collective("balance", compare=True)
     def balance(self, about: Any = None) -> Balance:
         """Loads, reactions and what else acts on the body in the last converged step: forces, and moments
         about the point `about` (default: the origin) in the current configuration. Print it.

@@ -21,6 +21,7 @@ from ..kinematics.layout import Layout
 from ..terms.base import Term
 from ..terms.surfaces import SurfaceSupport
 from ..terms.surfaceterms import SurfaceCondition
+from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from . import surfaces
 from .given import Given, Present, Register
@@ -52,6 +53,7 @@ class Conditions(ABC):
         self._leaving: list[Support | Term] = []
         self.given = Register()
         self._stale = False  # conditions have changed since the system was built
+        self._unasked: list[Amplitude] = []  # functions that haven't been compared over the ranks yet
 
     @property
     def supports(self) -> tuple[Support, ...]:
@@ -81,6 +83,7 @@ class Conditions(ABC):
     def cell_size(self) -> float:
         """Size of a cell or an element (m), the smallest one. Collective."""
 
+    @collective("fix", compare=True)
     def fix(
         self,
         where: Any,
@@ -152,6 +155,7 @@ class Conditions(ABC):
             )
         self._admit(where, support)
         self._supports.append(support)
+        self._unasked += [amplitude for amplitude, _ in support.columns.values()]
         self.given.add(Given(support.name, support, self.progress.factor, counts), "support")
         self._stale = True
         return support
@@ -159,6 +163,7 @@ class Conditions(ABC):
     def _admit(self, where: Any, support: Support) -> None:  # noqa: B027
         """Take note of a support that the user has put on `where`, or refuse it."""
 
+    @collective("add", compare=True)
     def add(self, term: Term, *, counts: str | None = None) -> None:
         """Add a term: a contribution to the nodal system, such as a `SurfaceTerm` of one's own. In mid-run it
         acts from the next step on, which begins with a reset of the grid. `counts` as of `load`.
@@ -177,6 +182,7 @@ class Conditions(ABC):
         term.taken = True
         term.begin_at(self.progress.factor, counts)
         self._terms.append(term)
+        self._unasked += term.amplitudes() if isinstance(term, SurfaceCondition) else []
         kind = "surface" if isinstance(term, SurfaceCondition) else "term"
         self.given.add(Given(term.name, term, self.progress.factor, counts), kind)
         self._stale = self.progress.reset_due = True
@@ -190,6 +196,7 @@ class Conditions(ABC):
         """Name of the next condition on a surface."""
         return f"{kind} {self.given.next('surface')}"
 
+    @collective("traction", compare=True)
     def traction(
         self,
         where: Surface | str | int,
@@ -215,6 +222,7 @@ class Conditions(ABC):
         """
         return surfaces.add_traction(self, self._named(where), force, couple, follows=follows, counts=counts)
 
+    @collective("pressure", compare=True)
     def pressure(self, where: Surface | str | int, p: Any, *, counts: str | None = None) -> Term | Applied:
         """A pressure (Pa) against the current normal of a surface that the body carries, -p cof(F) N dA.
 
@@ -226,6 +234,7 @@ class Conditions(ABC):
         """
         return surfaces.add_pressure(self, self._named(where), p, counts=counts)
 
+    @collective("body_load", compare=True)
     def body_load(
         self,
         *,
@@ -267,6 +276,7 @@ class Conditions(ABC):
         """Note a load of a script's."""
         for amplitude in amplitudes:
             amplitude.begin(self.progress.factor, counts)
+        self._unasked += amplitudes
         self.given.add(Given(applied.name, applied, self.progress.factor, counts), "load")
         self._stale = True
 

@@ -35,6 +35,7 @@ from ..terms.base import Piece, Term
 from ..terms.settings import MeshNodes, MeshSetting
 from ..terms.surfaceterms import SurfaceCondition
 from ..tools import compat
+from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from .base import Problem
 from .given import Present
@@ -93,6 +94,7 @@ class QuasiStaticFEM(Problem):
 
     knows_undeformed = True
 
+    @collective("QuasiStaticFEM", comm=lambda self, elements, *args, **options: elements.comm, compare=True)
     def __init__(self, elements: Elements, *, controls: Controls | None = None, solver: str = "auto"):
         self.solver = check_solver(solver)
         super().__init__(elements.comm, elements.points, elements.dim, controls)
@@ -101,8 +103,9 @@ class QuasiStaticFEM(Problem):
         _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
         for material in elements.points.materials:
             try_energy(material)
-        if elements.degree == 1 and elements.comm.rank == 0:
-            warn_of_locking(elements.points.materials, "elements of degree 1", "degree 2")
+        with errors_on_all_ranks(elements.comm):  # of warnings a script may make errors
+            if elements.degree == 1 and elements.comm.rank == 0:
+                warn_of_locking(elements.points.materials, "elements of degree 1", "degree 2")
         self._surface_loads: list[SurfaceLoad] = []
         self.progress.reset_due = False
         self._system: ElementSystem | None = None
@@ -155,6 +158,7 @@ class QuasiStaticFEM(Problem):
         super()._remove_load(load)
         self._surface_loads = [one for one in self._surface_loads if one is not load]
 
+    @collective("load", compare=True)
     def load(
         self, where: Any, *, force: Any = None, couple: Any = None, counts: str | None = None
     ) -> Term | Applied:
@@ -177,6 +181,7 @@ class QuasiStaticFEM(Problem):
         group, values = self.elements.facets(where), {"force": force, "couple": couple}
         return self._add_surface(group, values, False, 1.0 / group.area, "load", counts)
 
+    @collective("traction", compare=True)
     def traction(
         self,
         where: Any,
@@ -199,6 +204,7 @@ class QuasiStaticFEM(Problem):
         group = self.elements.facets(where)
         return self._add_surface(group, {"force": force, "couple": couple}, follows, 1.0, "traction", counts)
 
+    @collective("pressure", compare=True)
     def pressure(self, where: Any, p: Any, *, counts: str | None = None) -> Term | Applied:
         """A pressure (Pa) against the current normal of the current surface, on facets (what
         `elements.facets` takes) or on a surface. Values and `counts` as in `load`."""

@@ -35,6 +35,7 @@ from ..solvers.newton import Controls, Outcome
 from ..solvers.resetting import ResetPolicy, WhenDistorted, make_policy
 from ..terms.base import Term
 from ..terms.ghost import Ghost, GhostPenalty, make_penalty
+from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks, values_by_number
 from .balancing import BalancedResets
 from .boxes import BoxRecord
@@ -115,6 +116,7 @@ class QuasiStatic(OnGrid):
         PointsOutsideGrid: points lie outside the grid; the message names them.
     """
 
+    @collective("QuasiStatic", comm=lambda self, grid, *args, **options: grid.comm, compare=True)
     def __init__(
         self,
         grid: Grid,
@@ -143,13 +145,8 @@ class QuasiStatic(OnGrid):
         for form in self.forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
             try_energy(form.material)
-        if grid.comm.rank == 0:
-            functions = f"the functions of basis={self.basis.name!r}"
-            if self.basis.locks:
-                warn_of_locking(points.materials, functions, "basis='bspline'")
-            else:
-                few = "displacements are 2 to 6 % too small with 32 and 16 cells across a body that bends"
-                warn_of_locking(points.materials, functions, "smaller cells", beyond=_SPLINES_LOCK, how=few)
+        with errors_on_all_ranks(grid.comm):
+            self._warn_of_locking()
         self.rotation_limit = 1.0
         self.boxes = _check_boxes(boxes, self.basis)
         self.box_record = BoxRecord(points, self.forms, grid.comm)
@@ -170,6 +167,18 @@ class QuasiStatic(OnGrid):
         self._converged_loads: tuple[np.ndarray, np.ndarray] | None = None
         if self.load_shares.due():
             self._migrate()
+
+    def _warn_of_locking(self) -> None:
+        """On one rank; an error where the script makes errors of warnings."""
+        if self.comm.rank == 0:
+            functions = f"the functions of basis={self.basis.name!r}"
+            if self.basis.locks:
+                warn_of_locking(self.points.materials, functions, "basis='bspline'")
+            else:
+                few = "displacements are 2 to 6 % too small with 32 and 16 cells across a body that bends"
+                warn_of_locking(
+                    self.points.materials, functions, "smaller cells", beyond=_SPLINES_LOCK, how=few
+                )
 
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
@@ -195,6 +204,7 @@ class QuasiStatic(OnGrid):
             for load in handed:
                 load.add_to(self._converged_loads[load.couple], self.points, factor)
 
+    @collective("load", compare=True)
     def load(
         self,
         where: Selection | Surface | str | int,
@@ -276,7 +286,9 @@ class QuasiStatic(OnGrid):
         self._converged_loads = self._attempted
         p = self.progress
         p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
-        p.reset_due = self.policy.due(p.since_reset, increments.gradient, self.comm)
+        with errors_on_all_ranks(self.comm, "the reset policy") as answer:
+            due = answer.alike = bool(self.policy.due(p.since_reset, increments.gradient, self.comm))
+        p.reset_due = due
         if not p.reset_due and self.layout.rotations:
             largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
             if self.comm.allreduce(largest, op=MPI.MAX) > self.rotation_limit:
@@ -369,6 +381,7 @@ class QuasiStatic(OnGrid):
         self._system.carried[:] = carried
 
     # results --------------------------------------------------------------------------------------
+    @collective("fields")
     def fields(self, *names: str | MaterialField) -> Fields:
         found = super().fields(*names)
         if "energy" in found:

@@ -19,6 +19,7 @@ from ..errors import InputError
 from ..geometry.nodes import Nodes
 from ..kinematics import rotations
 from ..terms.base import Term
+from ..tools.meetings import collective
 from .conditions import Conditions
 from .given import Given
 from .reactions import Equilibrium
@@ -83,6 +84,7 @@ class Releasable(Conditions):
 
     _equilibrium: Equilibrium | None = None  # the last converged step
 
+    @collective("release", compare=True)
     def release(self, condition: Any, *, over: float | None = None, until: float | None = None) -> None:
         """Take a condition away: a support, load, traction, pressure or term.
 

@@ -21,6 +21,7 @@ import numpy as np
 from tqdm import tqdm
 
 from ..errors import InputError, LocalFailure, NotConverged
+from ..tools.parallel import errors_on_all_ranks
 from . import newton
 from .linear import SingularTangent
 from .newton import Controls, Outcome, expected_to_end
@@ -297,7 +298,10 @@ def march(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
     with tqdm(disable=True if problem.comm.rank else hidden, bar_format=_BAR) as bar:
         for done, step in enumerate(_steps(problem, schedule), 1):
             problem.steps.append(step)
-            stop = schedule.until is not None and bool(schedule.until(step))
+            stop = False
+            if schedule.until is not None:
+                with errors_on_all_ranks(problem.comm, "until"):
+                    stop = bool(schedule.until(step))
             stop = problem.comm.bcast(stop) or done == schedule.steps
             bar.update()
             bar.set_postfix_str(f"load factor {step.factor:.6g}, {step.iterations} iterations")
