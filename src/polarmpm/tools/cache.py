@@ -44,12 +44,15 @@ _compiler = threading.RLock()  # locks on files are the process'
 # what is said -------------------------------------------------------------------------------------
 @cache
 def say_once(level: int, text: str) -> None:
-    """One line on standard error, or to the handlers of the script's own logging."""
+    """One line on standard error, or to the handlers of the logger "polarmpm" if it has been given some.
+
+    Its level silences it. The root logger's handlers aren't asked: ffcx gives it one when it's imported.
+    """
     if _log.level == logging.NOTSET:
         _log.setLevel(logging.INFO)  # silenced by a higher one
     if not _log.isEnabledFor(level):
         return
-    if _log.hasHandlers():
+    if _log.handlers:
         _log.log(level, text)
     elif sys.stderr is not None:
         print(f"polarmpm: {text}", file=sys.stderr, flush=True)
