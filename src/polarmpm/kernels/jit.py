@@ -66,7 +66,9 @@ def _build(source: str, work: Path) -> Path:
         raise KernelError(f"{shown} can't be run: {e.strerror}; {cache.NO_COMPILER}") from e
     if run.returncode < 0:
         name = signal.Signals(-run.returncode).name
-        raise KernelError(f"{shown} was ended by {name} while it compiled a kernel, such as for lack of memory")
+        raise KernelError(
+            f"{shown} was ended by {name} while it compiled a kernel, such as for lack of memory"
+        )
     if run.returncode or not library.is_file():
         ended = f"ended with status {run.returncode}" if run.returncode else "wrote no library"
         raise KernelError(f"{shown} {ended} on a generated kernel; {cache.NO_COMPILER}\n{run.stderr[:2000]}")

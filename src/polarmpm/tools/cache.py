@@ -215,7 +215,7 @@ def _read(path: Path) -> bytes:
 def holds(root: Path, key: str, name: str) -> bool:
     """Whether a folder has a whole and trusted entry: all files that were compiled, as they were."""
     try:
-        if distrust(root.stat()) or (root / name).is_dir() and distrust((root / name).lstat()):
+        if distrust(root.stat()) or ((root / name).is_dir() and distrust((root / name).lstat())):
             return False
         lines = _read(root / f"{key}.sha256").decode().splitlines()
         for line in lines:
