@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import inspect
 import math
+import sysconfig
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
 from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
 import ufl
 
 from ..errors import KernelError
+from . import cache, quiet
 
 try:  # dolfinx >= 0.8
     import basix.ufl as _basix_ufl
@@ -225,7 +233,8 @@ def quadrature_space(mesh: Any, size: int, degree: int) -> Any:
 def _space(mesh: Any, element: Any) -> Any:
     from dolfinx import fem
 
-    return (fem.functionspace if hasattr(fem, "functionspace") else fem.FunctionSpace)(mesh, element)
+    with _own_cache():  # dolfinx 0.5 compiles elements
+        return (fem.functionspace if hasattr(fem, "functionspace") else fem.FunctionSpace)(mesh, element)
 
 
 def cell_dofs(space: Any) -> np.ndarray:
@@ -257,15 +266,78 @@ def quadrature(cell: str, degree: int) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(rule[0]), np.asarray(rule[1])
 
 
-_JIT = {"timeout": 600, "cffi_extra_compile_args": ["-O2"]}
+_compiled: dict[str, tuple[Path, Any]] = {}  # by key: checked once a process
+
+
+@contextmanager
+def _own_cache() -> Iterator[None]:
+    """Let dolfinx compile into the cache of our kernels.
+
+    Its own one takes a file that a killed process has left for another's compiler at work, and loads what it
+    finds. Its function is replaced for our calls only; scripts' own forms go their usual way.
+    """
+    from dolfinx import jit
+
+    own = jit.ffcx_jit
+    jit.ffcx_jit = partial(_compile, own)
+    try:
+        yield
+    finally:
+        jit.ffcx_jit = own
+
+
+def _option(module: Any, given: dict[str, Any]) -> str:
+    """All options of dolfinx' or ffcx' compiler, in a fixed order, without those of waiting."""
+    get = module.get_options if hasattr(module, "get_options") else module.get_parameters
+    return str(sorted((k, str(v)) for k, v in get(given).items() if k not in ("cache_dir", "timeout")))
+
+
+def _compile(own: Callable[..., Any], comm: MPI.Comm, thing: Any, **options: dict[str, Any]) -> Any:
+    """What `dolfinx.jit.ffcx_jit` returns for a form, an expression or an element. Collective.
+
+    Raises:
+        KernelError: it can't be compiled.
+    """
+    import ffcx.naming
+    from dolfinx import jit
+
+    kind = next((k for k in options if k.startswith("jit_")), "jit_options")
+    of_form = next((v for k, v in options.items() if k.startswith("form_compiler_")), {})
+    args = [*(options.get(kind) or {}).get("cffi_extra_compile_args", ["-O2", "-g0"]), "-w"]
+    ours = {**(options.get(kind) or {}), "cffi_extra_compile_args": args}
+    told = [_option(jit, ours), _option(ffcx, of_form), str(sysconfig.get_config_var("SOABI"))]
+    key = "dolfinx-" + ffcx.naming.compute_signature([thing], "\0".join([*told, cache.machine()]))
+
+    def call(folder: Path) -> Any:
+        with quiet.compiler():
+            return own(MPI.COMM_SELF, thing, **{**options, kind: {**ours, "cache_dir": str(folder)}})
+
+    def build(work: Path) -> tuple[Path, Any]:
+        (work / "made").mkdir()
+        built = call(work / "made")
+        for file in (work / "made").glob("*.o"):
+            file.unlink()
+        return work / "made", built
+
+    def get(near: Path | None, announced: bool) -> tuple[Path, Any]:
+        if key not in _compiled:
+            _compiled[key] = cache.obtain(key, key, call, build, near, announced)
+        return _compiled[key]
+
+    return cache.on_all_ranks(comm, get)
 
 
 def compile_form(form: Any, optimisation: str = "-O2") -> Any:
-    """Compile a UFL form. Collective."""
+    """Compile a UFL form. Collective.
+
+    Raises:
+        KernelError: it can't be compiled.
+    """
     from dolfinx import fem
 
     key = "jit_options" if "jit_options" in inspect.signature(fem.form).parameters else "jit_params"
-    return fem.form(form, **{key: {**_JIT, "cffi_extra_compile_args": [optimisation]}})
+    with _own_cache():
+        return fem.form(form, **{key: {"cffi_extra_compile_args": [optimisation]}})
 
 
 class Evaluator:
@@ -277,7 +349,10 @@ class Evaluator:
         parameters = inspect.signature(fem.Expression.__init__).parameters
         key = "jit_options" if "jit_options" in parameters else "jit_params"
         self._mesh, self._shape = mesh, (len(positions), math.prod(expression.ufl_shape))
-        self._expression = fem.Expression(expression, positions, **{key: _JIT})
+        with _own_cache():
+            self._expression = fem.Expression(
+                expression, positions, **{key: {"cffi_extra_compile_args": ["-O2"]}}
+            )
 
     def __call__(self, cells: np.ndarray) -> np.ndarray:
         """(cells, positions, size)."""
