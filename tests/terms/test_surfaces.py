@@ -527,10 +527,10 @@ LINE = pm.Surface.line((0.5, 0.5), (2.5, 0.5), 4)
         (lambda p: p.fix(LINE), "names no component"),
         (lambda p: p.fix(LINE, uz=0), "unknown component 'uz'"),
         (lambda p: p.fix(LINE, normal=0, ux=0), "normal is given together with ux"),
-        (lambda p: p.fix(LINE, u=0, stiffness=0.0), "stiffness = 0 is not positive"),
+        (lambda p: p.fix(LINE, u=0, stiffness=0.0), "stiffness = 0.0: a finite positive number"),
         (
             lambda p: p.fix(LINE, theta=0, rotation_stiffness=-1),
-            "rotation_stiffness = -1 is not positive",
+            "rotation_stiffness = -1: a finite positive number",
         ),
         (lambda p: p.fix(LINE, u=0, augment=1), "augment = 1: True or False"),
     ],

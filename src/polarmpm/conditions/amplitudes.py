@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
+from ..tools import checks
 
 Value = float | Sequence[float] | Callable[..., Any]
 
@@ -23,8 +24,9 @@ def check_counts(name: str, counts: str | None) -> str | None:
     Raises:
         InputError: something else.
     """
-    if counts is not None and counts not in COUNTS:
-        raise InputError(f"{name}: counts = {counts!r}: allowed are {' and '.join(map(repr, COUNTS))}")
+    if counts is not None and not (isinstance(counts, str) and counts in COUNTS):
+        allowed = f"allowed are {' and '.join(map(repr, COUNTS))}"
+        raise checks.refuse(f"{name}: counts", counts, allowed)
     return counts
 
 
@@ -59,19 +61,18 @@ class Amplitude:
         self.name, self.size = name, size
         self.begun, self._differs = 0.0, False
         self.fade: Fade | None = None
-        self.function: Callable[..., Any] | None = value if callable(value) else None
+        self.function: Callable[..., Any] | None = None
         self.field = False
-        if self.function is not None:
-            self.field = _positional(self.function) >= 2
+        if callable(value):
+            self.field = _positional(value) >= 2
+            takes = ("load factor", "positions")[: 1 + self.field]
+            self.function = checks.function(name, value, takes=takes)
             if not self.field:
                 self.at(1.0, np.zeros((1, 1)))
         else:
-            try:
-                constant = np.asarray(value, float)
-            except (TypeError, ValueError):
-                raise InputError(f"{name} = {value!r}: a number, a sequence or a function") from None
+            constant = checks.numeric(name, value, f"{_numbers(size)}, or a function of the load factor")
             if constant.shape not in ((), (size,)):
-                raise InputError(f"{name} = {value!r}: {_numbers(size)} needed")
+                raise checks.refuse(name, value, f"{_numbers(size)} needed")
             self.constant = np.broadcast_to(constant, (size,)).astype(float)
             self._check(self.constant, 1.0)
             if constant.shape == () and size > 1 and constant != 0.0:
@@ -109,13 +110,15 @@ class Amplitude:
             return np.broadcast_to(factor * self.constant, (n, self.size))
         raw = self.function(factor, positions) if self.field else self.function(factor)
         try:
-            given = np.asarray(raw, float)
+            given = checks.numeric(self.name, raw)
             one = given.ndim == 0 or (self.field and given.shape == (n,) != (self.size,))
             values = given[:, None] if one and given.ndim else given
             values = np.broadcast_to(values, (n, self.size))
-        except (TypeError, ValueError):
+        except ValueError:
+            where = f", or an array of shape ({n}, {self.size})" if self.field else ""
             raise InputError(
-                f"{self.name} returned {raw!r} at load factor {factor:g}; {self.size} number(s) are needed"
+                f"{self.name} returned {checks.shown(raw)} at load factor {factor:g}; {_numbers(self.size)} "
+                f"needed{where}"
             ) from None
         self._check(values, factor)
         if one and self.size > 1 and np.any(given):

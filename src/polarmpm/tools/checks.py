@@ -6,10 +6,11 @@ and whole numbers may be NumPy's. What only one rank can see is for `tools.paral
 
 from __future__ import annotations
 
+import inspect
 import math
 import operator
 import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from numbers import Real
 from pathlib import Path
 from typing import Any, TypeVar
@@ -54,7 +55,11 @@ def number(
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     good = isinstance(value, Real) and not isinstance(value, bool | np.bool_)
-    good = good and math.isfinite(value) and least <= value <= most and above < value < below
+    if good:
+        try:
+            good = math.isfinite(float(value)) and least <= value <= most and above < value < below
+        except OverflowError:  # a whole number of hundreds of digits
+            good = False
     if not good:
         raise refuse(name, value, allowed or _range("a finite number", least, above, most, below))
     return float(value)
@@ -85,10 +90,10 @@ def _range(what: str, least: float, above: float, most: float, below: float) -> 
     return " ".join([what, " and ".join(ends)]).strip()
 
 
-def flag(name: str, value: Any) -> bool:
-    """True or False, nothing that merely counts as such."""
+def flag(name: str, value: Any, *, or_none: bool = False) -> bool:
+    """True or False, nothing that merely counts as such; `or_none` only tells that None is allowed, too."""
     if not isinstance(value, bool | np.bool_):
-        raise refuse(name, value, "True or False")
+        raise refuse(name, value, "True, False or None" if or_none else "True or False")
     return bool(value)
 
 
@@ -108,7 +113,7 @@ def array(name: str, value: Any, shape: Sequence[int | None], what: str = "") ->
     """
     found = numeric(name, value, what)
     if found.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, found.shape, strict=True)):
-        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        wanted = ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "")
         raise refuse(
             name, value, f"an array of shape ({wanted}) is needed{_of(what)}; its shape is {found.shape}"
         )
@@ -123,7 +128,7 @@ def numeric(name: str, value: Any, what: str = "") -> np.ndarray:
         raw = np.asarray(value)
         good = raw.dtype.kind in "iuf"
         found = raw.astype(float) if good else raw
-    except (TypeError, ValueError):
+    except Exception:  # rows of several lengths, say, and a user's class may do anything
         good = False
     if not good:
         raise refuse(name, value, f"numbers are needed{_of(what)}")
@@ -137,6 +142,17 @@ def _of(what: str) -> str:
 def vector(name: str, value: Any, dim: int, what: str = "") -> np.ndarray:
     """A vector (dim,) of finite numbers."""
     return array(name, value, (dim,), what or f"a vector of {dim} components")
+
+
+def sequence(name: str, value: Any, number: int, what: str = "values") -> tuple[Any, ...]:
+    """So many things in a sequence (or array), whatever they are."""
+    try:
+        found = None if isinstance(value, str | bytes | Mapping) else tuple(value)
+    except Exception:
+        found = None
+    if found is None or len(found) != number:
+        raise refuse(name, value, f"{number} {what} are needed")
+    return found
 
 
 def text(name: str, value: Any, allowed: str = "a text that isn't empty") -> str:
@@ -164,12 +180,37 @@ def instance(name: str, value: Any, types: type[T] | tuple[type[T], ...], what: 
     return value
 
 
-def function(name: str, value: Any, what: str = "a function is") -> Callable[..., Any]:
-    """Something that can be called."""
+def function(
+    name: str, value: Any, what: str = "a function is", *, takes: Sequence[str] = ()
+) -> Callable[..., Any]:
+    """Something that can be called, with the arguments that `takes` names for messages; () isn't checked."""
     if not callable(value):
         raise refuse(name, value, f"{what} needed")
+    if takes:
+        try:
+            inspect.signature(value).bind(*takes)
+        except TypeError as e:
+            raise refuse(
+                name, value, f"it is called with {len(takes)} argument(s), {', '.join(takes)}: {e}"
+            ) from None
+        except ValueError:  # functions written in C may not tell
+            pass
     called: Callable[..., Any] = value
     return called
+
+
+def mask(name: str, value: Any, number: int) -> np.ndarray:
+    """What a predicate of `number` positions has returned: a bool for each of them."""
+    try:
+        found = np.asarray(value)
+    except Exception:  # rows of several lengths, say
+        found = np.array(None)
+    if found.dtype != bool or found.shape != (number,):
+        raise InputError(
+            f"{name}: returned {shown(value)} of type {found.dtype} and shape {found.shape}; a bool for each "
+            f"of the {number} positions is needed, such as x[:, 0] > 0"
+        )
+    return found
 
 
 def communicator(name: str, value: Any) -> MPI.Intracomm:
@@ -182,6 +223,22 @@ def communicator(name: str, value: Any) -> MPI.Intracomm:
 def require_finite(name: str, value: Any) -> None:
     """Raise InputError unless `value` is a finite number."""
     number(name, value)
+
+
+def put_numbers(owner: Any, *names: str) -> None:
+    """Make attributes of a frozen dataclass finite floats, or raise InputError."""
+    for name in names:
+        object.__setattr__(owner, name, number(name, getattr(owner, name)))
+
+
+def numbers_by_name(name: str, value: Any) -> dict[str, float]:
+    """Finite numbers under names that can be written as attributes, p.name."""
+    if not isinstance(value, Mapping):
+        raise refuse(name, value, 'numbers by name are needed, such as {"a": 1.0}')
+    for key in value:
+        if not isinstance(key, str) or not key.isidentifier():
+            raise InputError(f"{name}: {shown(key)} is no name; it is to be written as an attribute, p.a")
+    return {str(key): number(key, one) for key, one in value.items()}
 
 
 def require(condition: bool, name: str, value: float, allowed: str) -> None:
