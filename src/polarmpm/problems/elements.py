@@ -30,7 +30,7 @@ from ..kinematics.motion import Motion
 from ..materials.base import warn_of_locking
 from ..solvers.choice import check_solver
 from ..solvers.newton import Controls
-from ..terms.base import Piece, Term
+from ..terms.base import Piece, Term, pieces_of
 from ..terms.settings import MeshNodes, MeshSetting
 from ..terms.surfaceterms import SurfaceCondition
 from ..tools import checks, compat
@@ -258,12 +258,7 @@ class QuasiStaticFEM(Problem):
         setting = MeshSetting(self.elements)
         for term in self.terms:
             term.begin()
-        found = []
-        for term in self.terms:
-            for piece in term.pieces(setting):
-                piece.of = term
-                found.append(piece)
-        return found
+        return [piece for term in self.terms for piece in pieces_of(term, setting)]
 
     def _load_forms(self) -> tuple[list[Any], list[_Varying]]:
         from dolfinx import fem
