@@ -221,7 +221,9 @@ def stopped(scene, quick, draw):
     ]
     outs = [p.communicate(timeout=120)[0] for p in together]
     right = all(any(line.startswith("RESULT") for line in out.splitlines()) for out in outs)
-    yield Case(GROUP, f"{scene.kind}: four at once", "right" if right else "raw", next(filter(None, outs), ""))
+    yield Case(
+        GROUP, f"{scene.kind}: four at once", "right" if right else "raw", next(filter(None, outs), "")
+    )
 
 
 def compilers(scene, quick):

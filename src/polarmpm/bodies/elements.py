@@ -18,7 +18,7 @@ from ..geometry.spacenodes import SpaceNodes
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
 from ..materials.base import Material
-from ..tools import compat
+from ..tools import checks, compat
 from ..tools.checks import number, numeric, refuse, vector, whole
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks
@@ -140,15 +140,13 @@ class Elements:
         else:
             if isinstance(where, PlaneSpec):
                 predicate, name = self.on_plane(where), where.name
-            elif callable(where):
-                predicate, name = where, getattr(where, "__name__", "predicate")
             else:
-                raise InputError(
-                    f"facets: {where!r} is not a physical group, a plane or a predicate of positions"
-                )
+                what = "a physical group, a plane or a predicate of positions (n, d) is"
+                predicate = checks.function("facets", where, what, takes=("positions",))
+                name = getattr(where, "__name__", "predicate")
 
             def marker(x: np.ndarray) -> np.ndarray:
-                return _mask(predicate(x[: self.dim].T), x.shape[1])
+                return checks.mask("facets: the predicate", predicate(x[: self.dim].T), x.shape[1])
 
             with errors_on_all_ranks(self.comm):
                 found = dmesh.locate_entities_boundary(self.mesh, dim, marker)
@@ -257,7 +255,10 @@ class Elements:
         shape = len(self.body.owned_cells), len(self.reference_points)
         weights = self.points.volume0.reshape(shape)
         weights = weights / weights.sum(axis=1, keepdims=True)
-        values = np.asarray(values)
+        values = checks.numeric("values", values)
+        if values.shape[:1] != (shape[0] * shape[1],):
+            allowed = f"one row for each of the {len(self.points)} quadrature points of this rank is needed"
+            raise checks.refuse("values", values, allowed)
         means: np.ndarray = np.einsum("cq,cq...->c...", weights, values.reshape(*shape, *values.shape[1:]))
         return means
 

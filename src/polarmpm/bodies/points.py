@@ -70,6 +70,7 @@ class Points:
         unresolved: share of the last step's work that is done inside the point's box, scalar: what neither
             the grid nor the points resolve.
         materials: the materials that `material` counts.
+        steps: how often load steps have changed them, of whatever problem; the same on all ranks.
         plastic_F, plastic_wryness: Fp of F = Fe Fp and Gp (1/m) of Gamma = Ge + Gp (T 4.1), tensors; like the
             following two only in bodies with plastic materials.
         hardening: accumulated plastic strain chi, scalar.
@@ -96,6 +97,7 @@ class Points:
     plastic_wryness: np.ndarray
     hardening: np.ndarray
     dissipation: np.ndarray
+    steps: int = 0
 
     def __init__(
         self,

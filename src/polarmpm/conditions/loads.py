@@ -12,6 +12,7 @@ from ..bodies.points import Points
 from ..bodies.selection import Selection
 from ..errors import InputError
 from ..kinematics.layout import Layout
+from ..tools.checks import shown
 from .amplitudes import Amplitude, Fade
 
 
@@ -66,6 +67,11 @@ class Applied:
     parts: tuple[Any, ...]
 
 
+def no_microrotation(name: str, couple: Any) -> InputError:
+    """The error of a couple on a body that can't take it."""
+    return InputError(f"{name}: couple = {shown(couple)}, but the material has no microrotation")
+
+
 def make_loads(
     name: str,
     selection: Selection | None,
@@ -81,7 +87,7 @@ def make_loads(
     if selection is not None and len(selection) == 0:
         raise InputError(f"{name}: the selection contains no point")
     if couple is not None and not layout.rotations:
-        raise InputError(f"{name}: couple = {couple!r}, but the material has no microrotation")
+        raise no_microrotation(name, couple)
     loads = []
     for value, is_couple, size in ((force, False, layout.dim), (couple, True, layout.rotations)):
         if value is not None:

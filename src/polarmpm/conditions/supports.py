@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.nodes import Positioned
 from ..kinematics.layout import Layout
+from ..tools import checks
 from .amplitudes import Amplitude
 
 
@@ -44,13 +45,7 @@ class Support:
 
     def mask(self, nodes: Positioned) -> np.ndarray:
         """Which nodes are meant, (n,) bool."""
-        mask = np.asarray(self.where(nodes.position))
-        if mask.shape != (len(nodes),) or mask.dtype != bool:
-            raise InputError(
-                f"{self.name}: the predicate returned {mask.dtype} {mask.shape}; "
-                "a bool for each node is needed"
-            )
-        return mask
+        return checks.mask(f"{self.name}: the predicate", self.where(nodes.position), len(nodes))
 
 
 def make_support(

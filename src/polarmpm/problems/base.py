@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from mpi4py import MPI
@@ -17,25 +18,24 @@ from ..conditions.prescribed import Prescribed
 from ..conditions.proportional import check_linear, check_loads, check_supports
 from ..conditions.supports import Support
 from ..errors import InputError
-from ..forms.stresses import MaterialField
 from ..geometry.nodes import Nodes
 from ..solvers import arclength
 from ..solvers.arclength import ArcSchedule, Path
 from ..solvers.newton import Controls, Outcome
 from ..solvers.stepping import Schedule, Step, march
-from ..terms.surfaces import SurfaceSupport
+from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from ..tools.timing import Timer
 from . import attempts, ranks
 from .observer import Observer
-from .reactions import Balance, Equilibrium, Reaction, point_about, surface_reaction
-from .release import Releasable
-from .state import Fields, StateFields, choose_fields
+from .reactions import Equilibrium
+from .results import Results
+from .state import StateFields, check_rows
 from .work import StepStart, step_work
 
 
-class Problem(Releasable):
+class Problem(Results):
     """Equilibrium of a body under slowly changing loads. All methods are collective.
 
     Attributes:
@@ -48,6 +48,8 @@ class Problem(Releasable):
 
     def __init__(self, comm: MPI.Comm, points: Points, dim: int, controls: Controls | None):
         super().__init__(comm, points, dim)
+        if controls is not None:
+            checks.instance("controls", controls, Controls, "polarmpm.Controls(...), or None, is")
         self.controls, self.timer = controls or Controls(), Timer()
         self.observers: list[Observer] = []
         self.rows: dict[str, np.ndarray] = {}
@@ -122,17 +124,39 @@ class Problem(Releasable):
     def system_at(self, factor: float) -> NodalSystem:
         """The nodal system in which equilibrium at a load factor is sought, at the increments that the last
         step has led to, with the loads of that factor; `evaluate(True)` makes its residual and tangent."""
-        system = self._prepare()
-        self._put_loads(system, factor)
-        system.set_prescribed(self._prescribed_at(system, factor))
+        factor = _factor(factor)
+        with self._solving("system_at"):
+            system = self._prepare()
+            self._put_loads(system, factor)
+            system.set_prescribed(self._prescribed_at(system, factor))
         return system
+
+    @contextmanager
+    def _solving(self, what: str) -> Iterator[None]:
+        """While a load step is prepared or solved; what a script may have put in wrongly is checked first."""
+        with self._turns.take(what, self.progress):
+            for observer in self.observers:
+                checks.instance(
+                    "observers", observer, Observer, "objects of a class of polarmpm.Observer are"
+                )
+            if self.rows:
+                with errors_on_all_ranks(self.comm):
+                    for name, rows in self.rows.items():
+                        check_rows(name, rows, len(self.points))
+            yield
 
     def _prescribed_at(self, system: NodalSystem, factor: float) -> np.ndarray:
         return system.prescribed.increments(factor)
 
     def attempt(self, factor: float) -> Outcome:
-        """Try to find equilibrium at a load factor; on failure everything stays as it was."""
-        with ranks.step(self, f"the step to load factor {factor:.9g}", factor):
+        """Try to find equilibrium at a load factor; on failure everything stays as it was.
+
+        Raises:
+            InputError: not a finite load factor; the body or the progress have been changed since the last
+                step, such as by another problem; or this is called from within a load step.
+        """
+        factor = _factor(factor)
+        with ranks.step(self, f"the step to load factor {factor:.9g}", factor), self._solving("attempt"):
             outcome = self._attempt(factor)
             if not outcome.converged and self._fall_back():
                 tried, outcome = outcome.history, self._attempt(factor)
@@ -193,7 +217,12 @@ class Problem(Releasable):
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
         schedule = ArcSchedule(first, until, largest, smallest, to, steps, progress)
-        system = self._prepare()
+        with self._solving("march_arc_length"):
+            self._check_path(self._prepare())
+        return arclength.march(self, schedule)
+
+    def _check_path(self, system: NodalSystem) -> None:
+        """Raise InputError for conditions that the arc-length method can't take."""
         with errors_on_all_ranks(self.comm):
             places = self._load_places()
         apart = [term.name for term in self.terms if not term.proportional]
@@ -204,7 +233,6 @@ class Problem(Releasable):
             )
         check_loads(self.comm, places, self._growth_of_terms(system))
         check_supports(self.comm, system.prescribed)
-        return arclength.march(self, schedule)
 
     def attempt_along(
         self, length: float, to: float | None = None, kink: bool = False
@@ -213,7 +241,12 @@ class Problem(Releasable):
         failure everything stays as it was. With `kink` the step may turn off its tangent. Returns the load
         factor found, too. That loads and supports are such as they have to be is checked by
         `march_arc_length`."""
-        with ranks.step(self, f"the step of length {length:.9g} m", 1.0):
+        length = arclength.check_length("length", length)
+        to, kink = None if to is None else _factor(to, "to"), checks.flag("kink", kink)
+        with (
+            ranks.step(self, f"the step of length {length:.9g} m", 1.0),
+            self._solving("attempt_along"),
+        ):
             outcome, found = self._attempt_along(length, to, kink)
             if not outcome.converged and self._fall_back():
                 tried = outcome.history
@@ -309,6 +342,7 @@ class Problem(Releasable):
                 self._commit_terms(system, start.x)
                 base = self.progress.rotation_factor
                 self._commit(system, at_points, factor)
+                self._turns.left(self.progress, changed=True)
                 self._note(outcome)
                 system.prescribed.start_from(factor, system.x)
                 self._settle()
@@ -340,7 +374,12 @@ class Problem(Releasable):
 
     # restart --------------------------------------------------------------------------------------
     def kept(self) -> dict[str, np.ndarray]:
-        """What is kept for each local point from step to step, beside its state: rows (np, ...) by name."""
+        """What is kept for each local point from step to step, beside its state: rows (np, ...) by name.
+
+        Raises:
+            InputError: the body isn't any more as this problem has left it.
+        """
+        self._turns.check(self.progress)
         return {f"rows.{name}": a for name, a in self.rows.items()} | self.term_rows() | self.load_rows()
 
     def keep(self, rows: dict[str, np.ndarray]) -> None:
@@ -349,102 +388,6 @@ class Problem(Releasable):
         self.restore_term_rows(rows)
         self.restore_load_rows(rows)
 
-    # results --------------------------------------------------------------------------------------
-    @collective("fields")
-    def fields(self, *names: str | MaterialField) -> Fields:
-        """Energy, Cauchy stress and couple stress at the local points, or what is asked for.
 
-        Args:
-            *names: any of energy (Pa), stress (Pa), couple_stress (N/m) and mean_pressure (Pa), or a
-                `MaterialField`; default: the first three.
-
-        Returns:
-            The fields by name; `.energy`, `.stress` and `.couple_stress` for short.
-
-        Raises:
-            InputError: an unknown name.
-        """
-        return self._fields.evaluate(self.points, choose_fields(names, self.points.plastic))
-
-    @collective("energy")
-    def energy(self) -> float:
-        """Strain energy of the body (J)."""
-        energy: float = self.comm.allreduce(float(self.fields("energy").energy @ self.points.volume0))
-        return energy
-
-    @collective("energies")
-    def energies(self) -> dict[str, float]:
-        """Energy balance of the run so far, in J (J per unit thickness in plane strain).
-
-        - external: work of the loads, and of the supports' reactions on prescribed displacements;
-        - carried: work of the initial stresses and forces that balanced resets carry along;
-        - stored: strain energy, with what hardening stores;
-        - dissipated: by plastic flow;
-        - ghost: work against the ghost penalty's forces;
-        - terms: work against the forces of other terms that aren't loads or supports;
-        - residue: external + carried - stored - dissipated - ghost - terms: the error of the trapezoidal
-          rule, which falls with the square of the step, and what relaxes at resets that aren't balanced and
-          where couples in space meet a new base of the rotations.
-        """
-        p, dissipated = self.progress, 0.0
-        if self.points.plastic:
-            dissipated = self.comm.allreduce(float(self.points.dissipation @ self.points.volume0))
-        out = {
-            "external": p.external_work,
-            "carried": p.carried_work,
-            "stored": self.energy(),
-            "dissipated": dissipated,
-            "ghost": p.ghost_work,
-            "terms": p.term_work,
-        }
-        gained = p.external_work + p.carried_work
-        return out | {"residue": gained - out["stored"] - dissipated - p.ghost_work - p.term_work}
-
-    @collective("reaction", compare=True)
-    def reaction(self, support: Support | SurfaceSupport, about: Any = None) -> Reaction:
-        """Force (N), shape (d,), couple (N m), shape (r,), and moment with which a support holds the body in
-        the last converged step, by the components that it prescribes: `force, couple = problem.reaction(s)`,
-        or `.force`, `.couple` and `.moment`, see `Reaction`.
-
-        The couple sums the nodes' couples. The moment is that of forces and couples about the point `about`
-        (default: the origin), where nodes and body are now; couples count in it.
-
-        Where two supports hold the same unknown, its force belongs to the one that was given first; the
-        other's `shared` says what that is. So the reactions of all supports add up.
-
-        Raises:
-            InputError: nothing has been solved yet, the support has been released, or not what `fix` has
-                returned.
-        """
-        if not isinstance(support, Support | SurfaceSupport):
-            raise InputError(f"reaction: support = {support!r} is not what fix has returned")
-        point, given = point_about(about, self.layout.dim), self.given.of(support)
-        if given is None:
-            raise InputError(f"reaction: {support.name} isn't a support of this problem")
-        if given.released is not None:
-            raise InputError(f"reaction: {support.name} was released at load factor {given.released:g}")
-        e = self._equilibrium
-        if isinstance(support, SurfaceSupport):
-            if e is not None and support.reaction is not None:
-                return surface_reaction(support, point)
-        elif e is not None and support in e.prescribed.supports:
-            return e.reaction(support, point)
-        raise InputError(f"reaction: no load step has been solved yet with {support.name}")
-
-    @collective("balance", compare=True)
-    def balance(self, about: Any = None) -> Balance:
-        """Loads, reactions and what else acts on the body in the last converged step: forces, and moments
-        about the point `about` (default: the origin) in the current configuration. Print it.
-
-        Raises:
-            InputError: nothing has been solved yet.
-        """
-        point = point_about(about, self.layout.dim)
-        if self._equilibrium is None:
-            raise InputError("balance: no load step has been solved yet")
-        return self._equilibrium.balance(point)
-
-    @property
-    def unknowns(self) -> int:
-        """Number of unknowns of the last step, prescribed ones included."""
-        return 0 if self.system is None else self.system.nodes.total * self.layout.block
+def _factor(value: Any, name: str = "factor") -> float:
+    return checks.number(name, value, allowed="a finite load factor")

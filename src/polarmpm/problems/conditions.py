@@ -21,11 +21,14 @@ from ..kinematics.layout import Layout
 from ..terms.base import Term
 from ..terms.surfaces import SurfaceSupport
 from ..terms.surfaceterms import SurfaceCondition
+from ..tools import checks
+from ..tools.checks import shown
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from . import surfaces
 from .given import Given, Present, Register
 from .state import Progress
+from .turns import Turns
 
 
 class Conditions(ABC):
@@ -39,6 +42,7 @@ class Conditions(ABC):
     """
 
     knows_undeformed = False  # where a surface that is added in mid-run was in the undeformed body
+    body = "points"  # what the script has made it of, for messages
 
     def __init__(self, comm: MPI.Comm, points: Points, dim: int):
         self.comm, self.points, self.progress = comm, points, Progress()
@@ -51,7 +55,7 @@ class Conditions(ABC):
         self._terms: list[Term] = []
         # released since the last converged step: a balanced reset must not carry along what they did
         self._leaving: list[Support | Term] = []
-        self.given = Register()
+        self.given, self._turns = Register(), Turns(points, self.body)
         self._stale = False  # conditions have changed since the system was built
         self._unasked: list[Amplitude] = []  # functions that haven't been compared over the ranks yet
 
@@ -132,14 +136,16 @@ class Conditions(ABC):
                 a stiffness that isn't positive, materials that don't name their moduli; springs elsewhere.
                 When the next step begins, a support at whose nodes there is nothing of the body.
         """
+        self._turns.outside("fix")
         check_counts("fix", counts)
         where = self._named(where)
         springs = {"stiffness": stiffness, "rotation_stiffness": rotation_stiffness, "normal": normal}
         if isinstance(where, Surface):
             return surfaces.add_support(self, where, components, augment=augment, counts=counts, **springs)
-        given = [name for name, value in springs.items() if value is not None] + ["augment"] * bool(augment)
+        given = [name for name, value in springs.items() if value is not None]
+        given += ["augment"] * checks.flag("fix: augment", augment)
         if given:
-            raise InputError(f"fix: {given[0]} belongs to springs on a Surface; where = {where!r}")
+            raise InputError(f"fix: {given[0]} belongs to springs on a Surface; where = {shown(where)}")
         return self._fix_nodes(where, components, counts)
 
     def _fix_nodes(self, where: Any, components: dict[str, Any], counts: str | None) -> Support:
@@ -171,9 +177,10 @@ class Conditions(ABC):
         Raises:
             InputError: not a term, one that is in a problem already, or one that doesn't fit this problem.
         """
+        self._turns.outside("add")
         if not isinstance(term, Term):
             raise InputError(
-                f"term = {term!r} is not a Term; derive from polarmpm.Term or polarmpm.SurfaceTerm"
+                f"term = {shown(term)} is not a Term; derive from polarmpm.Term or polarmpm.SurfaceTerm"
             )
         if term.taken:
             raise InputError(f"term = {term.name!r} has been added to a problem already; make another one")
@@ -263,10 +270,11 @@ class Conditions(ABC):
         density: bool = False,
         share: float = 1.0,
     ) -> Applied:
+        self._turns.outside(name)
         check_counts(name, counts)
-        parts = make_loads(name, selection, *values, self.layout, density, share)
         if selection is not None:
             self.points.check(selection)
+        parts = make_loads(name, selection, *values, self.layout, density, share)
         applied = Applied(name, tuple(parts))
         self._take(applied, [load.amplitude for load in parts], counts)
         self._loads += parts

@@ -18,7 +18,7 @@ from ..bodies.facets import Facets
 from ..bodies.reference import Increments
 from ..conditions.amplitudes import Amplitude, check_counts
 from ..conditions.holding import check_held
-from ..conditions.loads import Applied, point_loads
+from ..conditions.loads import Applied, no_microrotation, point_loads
 from ..conditions.prescribed import Prescribed
 from ..conditions.supports import Support
 from ..errors import InputError
@@ -31,10 +31,10 @@ from ..kinematics.motion import Motion
 from ..materials.base import warn_of_locking
 from ..solvers.choice import check_solver
 from ..solvers.newton import Controls
-from ..terms.base import Piece, Term
+from ..terms.base import Piece, Term, pieces_of
 from ..terms.settings import MeshNodes, MeshSetting
 from ..terms.surfaceterms import SurfaceCondition
-from ..tools import compat
+from ..tools import checks, compat
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from .base import Problem
@@ -93,9 +93,11 @@ class QuasiStaticFEM(Problem):
     """
 
     knows_undeformed = True
+    body = "elements"
 
     @collective("QuasiStaticFEM", comm=lambda self, elements, *args, **options: elements.comm, compare=True)
     def __init__(self, elements: Elements, *, controls: Controls | None = None, solver: str = "auto"):
+        checks.instance("elements", elements, Elements, "a meshed body, polarmpm.Elements(...), is")
         self.solver = check_solver(solver)
         super().__init__(elements.comm, elements.points, elements.dim, controls)
         self.elements = elements
@@ -115,7 +117,7 @@ class QuasiStaticFEM(Problem):
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
         e = self.elements
-        if isinstance(where, str | int | Facets):
+        if isinstance(where, str | int | np.integer | Facets):
             facets = e.facets(where)
             return lambda position: facets.nodes, facets.name
         if isinstance(where, PlaneSpec):
@@ -124,9 +126,10 @@ class QuasiStaticFEM(Problem):
             if not count:
                 raise InputError(f"plane {name}: no node of the mesh lies on it")
             return on, name
-        if callable(where):
-            return where, getattr(where, "__name__", "predicate")
-        raise InputError(f"where = {where!r}: facets, a physical group, a plane or a predicate of positions")
+        what = "facets, a physical group, a plane or a predicate of positions (n, d) is"
+        return checks.function("fix: where", where, what, takes=("positions",)), getattr(
+            where, "__name__", "predicate"
+        )
 
     @property
     def surface_loads(self) -> tuple[SurfaceLoad, ...]:
@@ -222,11 +225,14 @@ class QuasiStaticFEM(Problem):
         counts: str | None,
     ) -> Applied:
         name = f"{what} {self.given.next('load')} ({facets.name})"
+        self._turns.outside(name)
         check_counts(name, counts)
+        follows = checks.flag(f"{name}: follows", follows)
         if all(v is None for v in values.values()):
-            raise InputError(f"{name}: neither force nor couple is given")
+            missing = "no pressure" if "pressure" in values else "neither force nor couple"
+            raise InputError(f"{name}: {missing} is given")
         if values.get("couple") is not None and not self.layout.rotations:
-            raise InputError(f"{name}: couple = {values['couple']!r}, but the material has no microrotation")
+            raise no_microrotation(name, values["couple"])
         sizes = {"force": self.layout.dim, "couple": self.layout.rotations, "pressure": 1}
         parts = []
         for kind, value in values.items():
@@ -261,12 +267,7 @@ class QuasiStaticFEM(Problem):
         setting = MeshSetting(self.elements)
         for term in self.terms:
             term.begin()
-        found = []
-        for term in self.terms:
-            for piece in term.pieces(setting):
-                piece.of = term
-                found.append(piece)
-        return found
+        return [piece for term in self.terms for piece in pieces_of(term, setting)]
 
     def _load_forms(self) -> tuple[list[Any], list[_Varying]]:
         from dolfinx import fem
@@ -376,6 +377,7 @@ class QuasiStaticFEM(Problem):
     def restore(self, progress: Progress) -> None:
         """Continue from a state that has been put into the elements already; see `io.restart`."""
         self.progress, self._equilibrium, self._last_x = progress, None, None
+        self._turns.left(progress, changed=True)
         if self._system is not None:
             self._system.destroy()
             self._system = None

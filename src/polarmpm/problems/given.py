@@ -75,7 +75,8 @@ class Register:
     def of(self, condition: Any) -> Given | None:
         """The entry of a condition or of one of its parts."""
         for given in self.entries:
-            if given.condition is condition or condition in getattr(given.condition, "parts", ()):
+            parts = (given.condition, *getattr(given.condition, "parts", ()))
+            if any(part is condition for part in parts):
                 return given
         return None
 

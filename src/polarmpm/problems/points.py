@@ -35,6 +35,7 @@ from ..solvers.newton import Controls, Outcome
 from ..solvers.resetting import ResetPolicy, WhenDistorted, make_policy
 from ..terms.base import Term
 from ..terms.ghost import Ghost, GhostPenalty, make_penalty
+from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks, values_by_number
 from .balancing import BalancedResets
@@ -52,8 +53,8 @@ PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": Fal
 
 
 def _check_assembly(assembly: str, basis: Basis) -> str:
-    if assembly not in ASSEMBLIES:
-        raise InputError(f"assembly = {assembly!r}: allowed are {', '.join(ASSEMBLIES)}")
+    if not isinstance(assembly, str) or assembly not in ASSEMBLIES:
+        raise checks.refuse("assembly", assembly, f"allowed are {', '.join(ASSEMBLIES)}")
     if assembly == "projection" and basis.no_projection:
         raise InputError(
             f"assembly = 'projection': basis = {basis.name!r}, allowed is "
@@ -63,14 +64,28 @@ def _check_assembly(assembly: str, basis: Basis) -> str:
 
 
 def _check_boxes(boxes: bool | None, basis: Basis) -> bool:
-    if boxes not in (None, True, False):
-        raise InputError(f"boxes = {boxes!r}: allowed are True, False and None")
+    if boxes is not None and not isinstance(boxes, bool | np.bool_):
+        raise checks.refuse("boxes", boxes, "allowed are True, False and None")
     if boxes and not basis.fills_boxes:
         allowed = names(lambda b: b.fills_boxes)
         raise InputError(
             f"boxes = True: basis = {basis.name!r} has no second derivatives; allowed are {allowed}"
         )
-    return basis.fills_boxes if boxes is None else boxes
+    return basis.fills_boxes if boxes is None else bool(boxes)
+
+
+def _check_body(grid: Grid, points: Points) -> None:
+    """Raise an error unless points lie in a grid. Collective."""
+    checks.instance("grid", grid, Grid, "a background grid, such as Grid.box makes, is")
+    checks.instance("points", points, Points, "material points, such as seed makes, are")
+    if points.dim != grid.dim:
+        raise InputError(f"points have {points.dim} dimensions, the grid has {grid.dim}")
+    if MPI.Comm.Compare(points.comm, grid.comm) not in (MPI.IDENT, MPI.CONGRUENT):
+        raise InputError("points: are on other ranks than the grid; give both the same comm")
+    if not points.total:
+        raise InputError("points: there is no point")
+    check_state(points)
+    check_inside(grid, points)
 
 
 class QuasiStatic(OnGrid):
@@ -132,14 +147,12 @@ class QuasiStatic(OnGrid):
         solver: str = "auto",
         boxes: bool | None = None,
     ):
+        _check_body(grid, points)
+        balanced_reset = checks.flag("balanced_reset", balanced_reset)
         self.grid = self.initial_grid = grid
         self._moving = MovingGrid(grid)
         self.basis, self.policy = basis_of(basis), make_policy(reset)
         self.assembly, self.solver = _check_assembly(assembly, self.basis), check_solver(solver)
-        if points.dim != grid.dim:
-            raise InputError(f"points have {points.dim} dimensions, the grid has {grid.dim}")
-        check_state(points)
-        check_inside(grid, points)
         super().__init__(grid.comm, points, grid.dim, controls)
         self.forms = [make_form(m, grid.dim) for m in points.materials]
         for form in self.forms:
@@ -185,9 +198,10 @@ class QuasiStatic(OnGrid):
         if isinstance(where, PlaneSpec):
             self.basis.check_plane(where, self.initial_grid)
             return where.resolve(self.initial_grid, self.points, now=self.grid), where.name
-        if callable(where):
-            return where, getattr(where, "__name__", "predicate")
-        raise InputError(f"where = {where!r}: a plane or a predicate of node positions")
+        what = "a plane, a Surface or a predicate of node positions (n, d) is"
+        return checks.function("fix: where", where, what, takes=("positions",)), getattr(
+            where, "__name__", "predicate"
+        )
 
     def _named(self, where: Any) -> Any:
         named = isinstance(where, str | int | np.integer) and not isinstance(where, bool)
@@ -231,9 +245,8 @@ class QuasiStatic(OnGrid):
         if isinstance(where, Surface):
             return add_load(self, where, force, couple, counts)
         if not isinstance(where, Selection):
-            raise InputError(
-                f"selection = {where!r}: use points.where, points.farthest, points.nearest, or a Surface"
-            )
+            allowed = "use points.where, points.farthest, points.nearest, or a Surface"
+            raise checks.refuse("selection", where, allowed)
         share = 1.0 / max(1, len(where))
         return self._add_loads(f"load {self.given.next('load')}", where, (force, couple), counts, share=share)
 
@@ -370,6 +383,7 @@ class QuasiStatic(OnGrid):
             reference = self._migrate(reference)
         else:
             self.load_shares.restore(shares)
+        self._turns.left(progress, changed=True)
         if reference is None or lattice is None or values is None:
             progress.reset_due = True
             return

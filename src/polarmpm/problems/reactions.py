@@ -15,11 +15,11 @@ import numpy as np
 from ..assembly.system import NodalSystem
 from ..conditions.prescribed import Prescribed
 from ..conditions.supports import Support
-from ..errors import InputError
 from ..geometry.nodes import Nodes
 from ..kinematics import rotations
 from ..kinematics.moments import moments
 from ..terms.surfaces import SurfaceSupport
+from ..tools.checks import vector
 
 
 class Reaction(tuple[np.ndarray, np.ndarray]):
@@ -281,13 +281,7 @@ def point_about(about: Any, dim: int) -> np.ndarray:
     """
     if about is None:
         return np.zeros(dim)
-    try:
-        point = np.asarray(about, dtype=float)
-    except (TypeError, ValueError):
-        point = np.zeros(0)
-    if point.shape != (dim,) or not np.all(np.isfinite(point)):
-        raise InputError(f"about = {about!r}: {dim} finite coordinates are needed")
-    return point
+    return vector("about", about, dim, f"{dim} finite coordinates")
 
 
 def surface_reaction(support: SurfaceSupport, about: np.ndarray) -> Reaction:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from abc import abstractmethod
 from typing import Any
 
@@ -19,6 +18,8 @@ from ..errors import InputError
 from ..geometry.nodes import Nodes
 from ..kinematics import rotations
 from ..terms.base import Term
+from ..tools import checks
+from ..tools.checks import shown
 from ..tools.meetings import collective
 from .conditions import Conditions
 from .given import Given
@@ -32,13 +33,14 @@ def fading(factor: float, over: float | None, until: float | None) -> Fade | Non
         InputError: both are given, or no time at all.
     """
     if over is not None and until is not None:
-        raise InputError(f"release: over = {over!r} and until = {until!r}: one of them")
-    for name, value in (("over", over), ("until", until)):
-        if value is not None and (isinstance(value, bool) or not math.isfinite(value)):
-            raise InputError(f"release: {name} = {value!r}: a finite load factor")
+        raise InputError(f"release: over = {shown(over)} and until = {shown(until)}: one of them")
     if over is None and until is None:
         return None
-    end = factor + over if over is not None else float(until or 0.0)
+    allowed = "a finite load factor"
+    if over is not None:
+        end = factor + checks.number("release: over", over, allowed=allowed)
+    else:
+        end = checks.number("release: until", until, allowed=allowed)
     if end == factor:
         raise InputError(f"release: nothing can fade between the load factors {factor:g} and {end:g}")
     return Fade(factor, end)
@@ -76,7 +78,7 @@ def hand_over(
 
 def described(condition: Any) -> str:
     """A condition's name, for messages."""
-    return str(getattr(condition, "name", repr(condition)))
+    return str(getattr(condition, "name", shown(condition)))
 
 
 class Releasable(Conditions):
@@ -102,6 +104,7 @@ class Releasable(Conditions):
             InputError: not a condition of this problem, or released already; both `over` and `until`, or no
                 time at all; a term that can't fade; nothing has been solved yet that could fade.
         """
+        self._turns.outside("release")
         fade, given = fading(self.progress.factor, over, until), self.given.of(condition)
         if given is None:
             raise InputError(f"release: {described(condition)} is no condition of this problem")

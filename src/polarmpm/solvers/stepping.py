@@ -14,15 +14,20 @@ import numpy as np
 from tqdm import tqdm
 
 from ..errors import InputError, NotConverged
+from ..tools import checks
 from .newton import Outcome
 
 
-class Marching(Protocol):
-    """What stepping needs of a problem."""
+class Stepped(Protocol):
+    """How far a problem has come."""
 
     comm: MPI.Comm
     progress: Any
     steps: list[Step]
+
+
+class Marching(Stepped, Protocol):
+    """What stepping needs of a problem."""
 
     def attempt(self, factor: float) -> Outcome: ...
 
@@ -76,17 +81,25 @@ class Schedule:
     progress: bool | None = None
 
     def __post_init__(self) -> None:
-        steps, largest = self.steps, self.largest
-        if steps is None and not self.adaptive:
+        checked: dict[str, Any] = {
+            "adaptive": checks.flag("adaptive", self.adaptive),
+            "to": checks.number("to", self.to, allowed="a finite load factor"),
+            "smallest": checks.number("smallest", self.smallest, **BETWEEN),
+            "easy": checks.whole("easy", self.easy, least=0),
+        }
+        if self.steps is not None:
+            checked["steps"] = checks.whole("steps", self.steps, least=1)
+        elif not self.adaptive:
             raise InputError("steps: a number of steps is needed unless adaptive=True")
-        if steps is not None and (isinstance(steps, bool) or not isinstance(steps, int) or steps < 1):
-            raise InputError(f"steps = {steps!r}: a positive whole number")
-        if not math.isfinite(self.to):
-            raise InputError(f"to = {self.to!r}: a finite load factor")
-        if not 0 < self.smallest <= 1:
-            raise InputError(f"smallest = {self.smallest!r}: between 0 and 1")
-        if largest is not None and not (self.adaptive and math.isfinite(largest) and largest > 0):
-            raise InputError(f"largest = {largest!r}: a positive load factor increment, with adaptive=True")
+        if self.largest is not None:
+            allowed = "a positive load factor increment, with adaptive=True"
+            if not self.adaptive:
+                raise checks.refuse("largest", self.largest, allowed)
+            checked["largest"] = checks.number("largest", self.largest, above=0.0, allowed=allowed)
+        if self.progress is not None:
+            checked["progress"] = checks.flag("progress", self.progress)
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
     @property
     def number(self) -> int:
@@ -94,6 +107,8 @@ class Schedule:
         return self.steps or _STEPS
 
 
+# what `smallest` may be: of a first step
+BETWEEN: dict[str, Any] = {"above": 0.0, "most": 1.0, "allowed": "a number above 0 and of at most 1"}
 _STEPS = 10  # of which the first adaptive one is a part, unless a number is given
 
 
@@ -117,6 +132,16 @@ def march(problem: Marching, schedule: Schedule) -> Iterator[Step]:
 _BAR = "{desc}{percentage:3.0f}%|{bar}| {elapsed} {postfix}"
 
 
+def check_alone(problem: Stepped, last: Step | None) -> None:
+    """Raise InputError if something else has taken the problem on since a march's last step."""
+    p = problem.progress
+    if last is not None and (p.step, p.factor) != (last.number, last.factor):
+        raise InputError(
+            f"march: since its step {last.number} to load factor {last.factor:g} the problem has been taken "
+            f"on to step {p.step} at {p.factor:g}, by another march or attempt; one march at a time"
+        )
+
+
 def _attempt(problem: Marching, factor: float, tried: list[str]) -> Step | Outcome:
     outcome = problem.attempt(factor)
     if not outcome.converged:
@@ -126,13 +151,15 @@ def _attempt(problem: Marching, factor: float, tried: list[str]) -> Step | Outco
 
 
 def _equal(problem: Marching, schedule: Schedule) -> Iterator[Step]:
-    begin = problem.progress.factor
+    begin, last = problem.progress.factor, None
     for k in range(1, schedule.number + 1):
+        check_alone(problem, last)
         factor = schedule.to if k == schedule.number else _part(begin, schedule.to, k / schedule.number)
         tried: list[str] = []
         step = _attempt(problem, factor, tried)
         if isinstance(step, Outcome):
             raise NotConverged(factor, step.history, tried)
+        last = step
         yield step
 
 
@@ -156,8 +183,9 @@ _FEW_DIGITS = 8 * float(np.finfo(float).eps)
 def _adaptive(problem: Marching, schedule: Schedule) -> Iterator[Step]:
     first = (schedule.to - problem.progress.factor) / schedule.number
     largest = first if schedule.largest is None else math.copysign(schedule.largest, first)
-    size = min(first, largest, key=abs)
+    size, last = min(first, largest, key=abs), None
     while problem.progress.factor != schedule.to:
+        check_alone(problem, last)
         tried: list[str] = []
         while True:
             begin = problem.progress.factor
@@ -172,4 +200,5 @@ def _adaptive(problem: Marching, schedule: Schedule) -> Iterator[Step]:
                 raise NotConverged(factor, step.history, tried)
         if step.iterations <= schedule.easy:
             size = min(1.5 * size, largest, key=abs)
+        last = step
         yield step
