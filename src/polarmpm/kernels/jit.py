@@ -67,7 +67,8 @@ def _build(source: str, work: Path) -> Path:
     if run.returncode < 0:
         name = signal.Signals(-run.returncode).name
         raise KernelError(
-            f"{shown} was ended by {name} while it compiled a kernel, such as for lack of memory"
+            f"{shown} was ended by {name}, such as for lack of memory; let fewer processes run beside it, or "
+            "set CC to another compiler's command"
         )
     if run.returncode or not library.is_file():
         ended = f"ended with status {run.returncode}" if run.returncode else "wrote no library"

@@ -386,8 +386,8 @@ def _warn(where: str, error: OSError) -> None:
     if MPI.COMM_WORLD.rank == 0:
         say_once(
             logging.WARNING,
-            f"{where} isn't used: {_reason(error)}. Compiled code is kept in a temporary folder until the run "
-            f"ends, and compiled again by the next one; {_way_out()}.",
+            f"{where} isn't used: {_reason(error)}. Compiled code is kept in a temporary folder until the "
+            f"run ends, and compiled again by the next one; {_way_out()}.",
         )
 
 

@@ -72,7 +72,7 @@ def _captured() -> Iterator:
 
 @contextmanager
 def _unlogged() -> Iterator[None]:
-    """The root logger is left as it was: cffi's compilation logs to it, sets its level and gives it handlers."""
+    """The root logger is left as it was: cffi logs to it, sets its level and gives it handlers."""
     root, thread = logging.getLogger(), threading.get_ident()
     handlers, level, empty = root.handlers, root.level, logging.NullHandler()
 
