@@ -12,6 +12,7 @@ from .bodies.points import Points, Selection
 from .bodies.seeding import seed
 from .errors import (
     ErrorOnAnotherRank,
+    Finding,
     InputError,
     KernelError,
     NotConserved,
@@ -76,6 +77,7 @@ __all__ = [
     "EverySteps",
     "Facets",
     "Field",
+    "Finding",
     "GhostPenalty",
     "Grid",
     "Hencky",

@@ -27,6 +27,7 @@ from ..terms.surfaces import SurfaceSupport
 from ..tools.parallel import errors_on_all_ranks
 from ..tools.timing import Timer
 from . import attempts
+from .marching import March
 from .observer import Observer
 from .reactions import Balance, Equilibrium, Reaction, point_about, surface_reaction
 from .release import Releasable
@@ -43,6 +44,7 @@ class Problem(Releasable):
         observers: told what happens in the run, see `Observer`.
         rows: arrays (np, ...) of the script's own by name, one row for each of `points`.
         timer: CPU seconds of this rank by phase.
+        failed_at: increments (nodes, block) at which the last attempt that failed has ended, for its diagnosis.
     """
 
     def __init__(self, comm: MPI.Comm, points: Points, dim: int, controls: Controls | None):
@@ -53,6 +55,7 @@ class Problem(Releasable):
         self.steps: list[Step] = []
         self._fields = StateFields(comm)
         self._last_x: np.ndarray | None = None  # where the points were before the last step
+        self.failed_at: np.ndarray | None = None
 
     # what the methods differ in -------------------------------------------------------------------
     @abstractmethod
@@ -66,6 +69,10 @@ class Problem(Releasable):
     @abstractmethod
     def _increments(self, system: Any) -> Increments:
         """Increments at the local points."""
+
+    @abstractmethod
+    def volume_ratios(self, increments: Increments) -> np.ndarray:
+        """J (np,) after increments of the local points, relative to some state in which it is positive."""
 
     @abstractmethod
     def _check(self, increments: Increments) -> str:
@@ -115,7 +122,8 @@ class Problem(Releasable):
             NotConverged: with what was tried; the last converged state is intact.
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
-        return march(self, Schedule(steps, to, adaptive, smallest, largest, easy, progress))
+        schedule = Schedule(steps, to, adaptive, smallest, largest, easy, progress)
+        return March(self, march(self, schedule), "equal" if not adaptive else "adaptive")
 
     def system_at(self, factor: float) -> NodalSystem:
         """The nodal system in which equilibrium at a load factor is sought, at the increments that the last
@@ -200,7 +208,7 @@ class Problem(Releasable):
             )
         check_loads(self.comm, places, self._growth_of_terms(system))
         check_supports(self.comm, system.prescribed)
-        return arclength.march(self, schedule)
+        return March(self, arclength.march(self, schedule), "arc length")
 
     def attempt_along(
         self, length: float, to: float | None = None, kink: bool = False
@@ -305,13 +313,13 @@ class Problem(Releasable):
                 self._commit_terms(system, start.x)
                 base = self.progress.rotation_factor
                 self._commit(system, at_points, factor)
-                self._note(outcome)
                 system.prescribed.start_from(factor, system.x)
                 self._settle()
                 for observer in self.observers:
                     observer.after_commit(self, self.progress.rotation_factor != base)
+                self._note(outcome)  # last: a warning may be made an error
             else:
-                system.x = start.x
+                self.failed_at, system.x = system.x, start.x
 
     def _commit_terms(self, system: NodalSystem, start: np.ndarray) -> None:
         """Tell the terms of a step that has converged, from increments (nodes, block) at its start."""

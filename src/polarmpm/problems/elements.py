@@ -98,8 +98,8 @@ class QuasiStaticFEM(Problem):
         self.elements = elements
         self.forms = _make_forms(elements)
         _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
-        if elements.degree == 1 and elements.comm.rank == 0:
-            warn_of_locking(elements.points.materials, "elements of degree 1", "degree 2")
+        if elements.degree == 1:
+            warn_of_locking(elements.comm, elements.points.materials, "elements of degree 1", "degree 2")
         self._surface_loads: list[SurfaceLoad] = []
         self.progress.reset_due = False
         self._system: ElementSystem | None = None
@@ -324,9 +324,13 @@ class QuasiStaticFEM(Problem):
         d, (value, gradient) = self.layout.dim, self.forms.values_at_points()
         return Increments(value, gradient[:, :d], gradient[:, d:])
 
-    def _check(self, increments: Increments) -> str:
+    def volume_ratios(self, increments: Increments) -> np.ndarray:
         d = self.layout.dim
-        bad = rotations.determinant(self.points.F[:, :d, :d] + increments.gradient) <= 0
+        ratios: np.ndarray = rotations.determinant(self.points.F[:, :d, :d] + increments.gradient)
+        return ratios
+
+    def _check(self, increments: Increments) -> str:
+        bad = self.volume_ratios(increments) <= 0
         cells = np.unique(self.points.id[bad] // len(self.elements.reference_points))
         inverted = np.unique(np.concatenate(self.comm.allgather(cells)))
         if not len(inverted):
