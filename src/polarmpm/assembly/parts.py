@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,13 +44,13 @@ class Parts:
     @classmethod
     def of(cls, system: NodalSystem, points: Any) -> Parts:
         """Of a body whose current points these are."""
-        comm, sets, first = system.comm, [], np.zeros(len(points), dtype=np.int64)
-        for rows, mask, of_points in _sets(system, points):
+        comm, first = system.comm, np.zeros(len(points), dtype=np.int64)
+        sets: Sets = []
+        for rows, mask, at, which in _sets(system, points):
             sets.append((rows, mask))
-            some_node = rows[np.arange(len(rows)), mask.argmax(axis=1)]
-            for at, which in of_points:
-                first[at] = some_node[which]
-        label, felt = joined(len(system.nodes), sets), np.zeros(len(system.nodes), dtype=bool)
+            first[at] = rows[np.arange(len(rows)), mask.argmax(axis=1)][which]
+        label = joined(len(system.nodes), sets)
+        felt: np.ndarray = np.zeros(len(system.nodes), dtype=bool)
         for rows, mask in sets:
             felt[rows[mask]] = True
         block = system.layout.block
@@ -92,9 +92,9 @@ class _Compact:
         return number
 
 
-def joined(count: int, sets: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+def joined(count: int, sets: Sets) -> np.ndarray:
     """Lowest node of those that hang together with each of `count` nodes, through sets of them."""
-    label = np.arange(count)
+    label: np.ndarray = np.arange(count)
     flat = [(rows[mask], mask.sum(axis=1)) for rows, mask in sets]
     flat = [(nodes, numbers[numbers > 0]) for nodes, numbers in flat if len(nodes)]
     while True:
@@ -144,18 +144,19 @@ def _unique(comm: MPI.Comm, values: np.ndarray) -> np.ndarray:
 
 def _sets(
     system: NodalSystem, points: Any
-) -> Iterator[tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]]]:
-    """Sets of nodes that points feel together: rows (m, n), which count (m, n), and the points of sets."""
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Sets of nodes that points feel together: rows (m, n), which count (m, n), local points (k,), and the
+    set of each."""
     if isinstance(system, ElementSystem):
         e = system.forms.elements
         rows = e.cell_nodes[: len(e.body.owned_cells)].astype(np.int64)
         cells = np.repeat(np.arange(len(rows)), len(e.reference_points))
-        yield rows, np.ones(rows.shape, dtype=bool), [(np.arange(len(points)), cells)]
+        yield rows, np.ones(rows.shape, dtype=bool), np.arange(len(points)), cells
         return
     assert isinstance(system, LoadedPoints)
     for batch in system.interpolation.batches:
         for rows, mask, at, which in _of_batch(batch.batch, system.length):
-            yield rows, mask, [(batch.rows[at], which)]
+            yield rows, mask, batch.rows[at], which
 
 
 def _of_batch(
@@ -189,4 +190,5 @@ def _felt(weights: np.ndarray, index: np.ndarray, length: np.ndarray) -> np.ndar
     for a in range(dim):
         slope = np.prod([lines[b][int(a == b)] for b in range(dim)], axis=0)
         found = np.maximum(found, np.abs(slope))
-    return found > _FELT
+    felt = found > _FELT
+    return felt

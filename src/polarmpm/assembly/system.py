@@ -135,8 +135,8 @@ class NodalSystem(ABC):
     @property
     @abstractmethod
     def tangent(self) -> Any:
-        """PETSc's matrix of the last solution, of unknowns in the order of global numbers; rows and columns of
-        prescribed unknowns are left out, but for the diagonal. Of a symmetric one maybe the upper triangle
+        """PETSc's matrix of the last solution, of unknowns in the order of global numbers; rows and columns
+        of prescribed unknowns are left out, but for the diagonal. Of a symmetric one maybe the upper triangle
         only. None where it has another order."""
 
     @abstractmethod

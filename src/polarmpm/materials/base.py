@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any, ClassVar
-
-from mpi4py import MPI
 
 import numpy as np
 import ufl
 
 from ..errors import InputError, TrustWarning
 from ..tools.checks import require_finite
-from ..tools.parallel import warn_on_all_ranks
 
 _LOCKING = 0.49  # Poisson's ratio, see docs/stability.md
 
@@ -155,7 +153,6 @@ class UserEnergy(Material):
 
 
 def warn_of_locking(
-    comm: MPI.Comm,
     materials: Sequence[Material],
     functions: str,
     remedy: str,
@@ -164,7 +161,6 @@ def warn_of_locking(
     how: str = "displacements are far too small",
 ) -> None:
     """Warn whoever makes a problem of a nearly incompressible material and functions that don't suit it.
-    Collective.
 
     Args:
         beyond: Poisson's ratio above which they lock.
@@ -176,8 +172,7 @@ def warn_of_locking(
             continue
         nu = known["lam"] / (2 * (known["lam"] + known["mu"]))
         if nu > beyond:
-            warn_on_all_ranks(
-                comm,
+            warnings.warn(
                 f"{type(material.elastic_part).__name__}: at Poisson's ratio {nu:.6g} {functions} lock, as "
                 f"they do beyond {beyond}: {how}; take {remedy}",
                 TrustWarning,

@@ -44,7 +44,7 @@ class Problem(Releasable):
         observers: told what happens in the run, see `Observer`.
         rows: arrays (np, ...) of the script's own by name, one row for each of `points`.
         timer: CPU seconds of this rank by phase.
-        failed_at: increments (nodes, block) at which the last attempt that failed has ended, for its diagnosis.
+        failed_at: increments (nodes, block) at which the last attempt has failed, for its diagnosis.
     """
 
     def __init__(self, comm: MPI.Comm, points: Points, dim: int, controls: Controls | None):
@@ -313,11 +313,11 @@ class Problem(Releasable):
                 self._commit_terms(system, start.x)
                 base = self.progress.rotation_factor
                 self._commit(system, at_points, factor)
+                self._note(outcome)
                 system.prescribed.start_from(factor, system.x)
                 self._settle()
                 for observer in self.observers:
                     observer.after_commit(self, self.progress.rotation_factor != base)
-                self._note(outcome)  # last: a warning may be made an error
             else:
                 self.failed_at, system.x = system.x, start.x
 

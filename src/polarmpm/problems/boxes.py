@@ -3,6 +3,7 @@ them."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 
 from mpi4py import MPI
@@ -14,7 +15,6 @@ from ..bodies.points import Points
 from ..errors import TrustWarning
 from ..forms.points import PointForm
 from ..kernels.kernel import Kernel
-from ..tools.parallel import warn_on_all_ranks
 
 # shares of a step's work inside the boxes above which an answer may be far off: while no point has flowed,
 # and then, as the boxes of points that have flowed count for little
@@ -100,9 +100,8 @@ class BoxRecord:
         limit = DOUBTFUL_FLOW if self.comm.allreduce(flowed, op=MPI.LOR) else DOUBTFUL
         if share > limit and self.comm.allreduce(size, op=MPI.MAX) > SMALL:
             warned, self.in_doubt = self.in_doubt, True
-            if not warned:
-                warn_on_all_ranks(
-                    self.comm,
+            if self.comm.rank == 0 and not warned:
+                warnings.warn(
                     f"step {step}: {100 * share:.0f} % of its work is done inside the points' boxes, where "
                     f"neither the grid nor the points resolve it; the answer may be far off: {_REMEDY}",
                     TrustWarning,

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 from mpi4py import MPI
@@ -21,11 +22,11 @@ from ..assembly.parts import Parts
 from ..assembly.points import LoadedPoints
 from ..assembly.system import NodalSystem
 from ..conditions.supports import component_names
-from ..errors import Finding, NotConverged, PolarMPMError
+from ..errors import Finding, LocalFailure, NotConverged, PolarMPMError
 from ..solvers.linear import SingularTangent
 from ..solvers.weakest import Mode, WeakTangent
 from . import divergence, freemotion
-from .divergence import Replay
+from .divergence import Iterate, Replay
 from .freemotion import place
 
 _MOST = 6  # findings
@@ -36,7 +37,9 @@ _LOCAL = 0.2  # share of the nodes that take part in a motion of a few nodes
 _WEAK = 1e-9  # its curvature
 _YIELDING = 1.5  # displacement by load factor over the mean so far, from which on a load may have a limit
 _FALLING = 0.5  # ratio of residuals with which iterations get on
-_FEW = 1.5  # points a cell, in each direction
+_FACTORED = {2: 300_000, 3: 60_000}  # unknowns up to which the tangent is factored once more
+_FEW = 1.5  # points a cell, in each direction, that are too few; or so many cells have a single one:
+_ALONE = 0.5
 
 
 @dataclass
@@ -89,22 +92,31 @@ def diagnose(problem: Any, error: NotConverged, way: str) -> list[Finding]:
 
 
 def _find(problem: Any, system: NodalSystem, error: NotConverged, way: str) -> list[Finding]:
-    start = problem._begin(system, error.factor)
+    case = _Case(problem, system, error, way, _pushed(problem, system, error.factor, way))
     system.set_prescribed(problem._prescribed_at(system, error.factor))
-    case = _Case(problem, system, error, way, start.new - start.before)
     limit = max(1, min(len(error.history) - 1, problem.controls.max_iterations))
     replay = divergence.repeat(system, problem.controls, limit, lambda r: _look_at_start(case, r))
     system.x = replay.start.x
-    finite = replay.start.residual is not None and not _not_finite(system, replay.start.residual)
-    if not finite:
+    if replay.start.residual is None or _not_finite(system, replay.start.residual):
         return [*filter(None, [_at_start_not_finite(case, replay)])]
-    causes = _causes(case, replay)
+    causes, others = _causes(case, replay)
     course = _course(case, replay)
-    if causes and causes[0].kind != "limit load":
-        course = [f for f in course if f.kind in ("inside out", "not finite")][:1]
-        if causes[0].kind == "free motion":
-            course = []
-    return causes + course
+    if any(one.kind == "free motion" for one in causes):
+        course = []
+    elif causes and causes[0].kind != "limit load":
+        course = [f for f in course if f.kind in ("inside out", "not finite")]
+    return causes + course + others
+
+
+def _pushed(problem: Any, system: NodalSystem, factor: float, way: str) -> np.ndarray:
+    """Begin the step again; by what its loads grow (nodes, block): with the load factor along a path, as a
+    step may have come to a factor like the last one there."""
+    growth: np.ndarray | None = None
+    if way == "arc length":
+        problem._put_loads(system, factor + 1.0)
+        growth = system.working_loads()
+    start = problem._begin(system, factor)
+    return start.new - start.before if growth is None else growth - start.new
 
 
 def _look_at_start(case: _Case, replay: Replay) -> None:
@@ -113,7 +125,7 @@ def _look_at_start(case: _Case, replay: Replay) -> None:
     own = slice(0, system.nodes.owned)
     assert replay.start.residual is not None
     forces = replay.start.residual
-    if system.tangent is None or system.is_large():
+    if system.tangent is None or system.nodes.total * system.layout.block > _FACTORED[system.dim]:
         return
     try:
         weak = WeakTangent(system.tangent, system.symmetric)
@@ -123,9 +135,7 @@ def _look_at_start(case: _Case, replay: Replay) -> None:
         free = ~system.prescribed.fixed[own]
         case.weak = weak.mode(np.where(free, forces[own], 0.0).ravel())
         if problem.progress.step:
-            any_ = np.cos(1.7 * (1.0 + np.arange(free.size))) * free.ravel()
-            mode = weak.mode(any_)
-            case.unstable = mode is not None and mode.curvature < -_NOTHING and system.symmetric
+            case.unstable = weak.negative > 0
             case.rate = _rate(case, weak)
     finally:
         weak.destroy()
@@ -156,7 +166,7 @@ def _not_finite(system: NodalSystem, values: np.ndarray) -> bool:
 
 
 def _at_start_not_finite(case: _Case, replay: Replay) -> Finding | None:
-    if replay.start.residual is None:
+    if replay.start.residual is None and not _without_boxes(case, replay):
         return Finding("not finite", f"before the first iteration: {replay.reason}")
     loads = _not_finite(case.system, case.system.external)
     if loads:
@@ -164,25 +174,42 @@ def _at_start_not_finite(case: _Case, replay: Replay) -> Finding | None:
     return divergence.where_not_finite(case.problem, case.system, replay.start)
 
 
+def _without_boxes(case: _Case, replay: Replay) -> bool:
+    """Evaluate the start once more, where its boxes have no stresses; whether there is a residual then."""
+    system = case.system
+    if not system.leave_out_boxes(True):
+        return False
+    try:
+        system.evaluate(False)
+        replay.start.residual = system.residual
+    except LocalFailure:
+        return False
+    finally:
+        system.leave_out_boxes(False)
+    return _not_finite(system, system.residual)
+
+
 # causes ----------------------------------------------------------------------------------------------------
-def _causes(case: _Case, replay: Replay) -> list[Finding]:
-    """What makes an equilibrium impossible."""
+def _causes(case: _Case, replay: Replay) -> tuple[list[Finding], list[Finding]]:
+    """What makes an equilibrium impossible, and what may or may not have to do with it."""
     system, problem = case.system, case.problem
     forces, diagonal = replay.start.residual, replay.diagonal
     assert forces is not None
     assert diagonal is not None
     without = _without_stiffness(case, diagonal)
     if without is not None:
-        return [without]
+        return [without], []
     parts = Parts.of(system, problem.points)
+    if case.way == "arc length":
+        forces = forces - case.pushed
     free = freemotion.free_parts(system, parts, forces, diagonal)
-    found = freemotion.findings(system, parts, free)
-    pushed = any(one.pushed for one in free)
-    if not pushed:
-        found = [*filter(None, [_mechanism(case, replay)]), *found]
-        found += filter(None, [_few_points(case)])
-        found += filter(None, [_limit_load(case)])
-    return found
+    motions = freemotion.findings(system, parts, free)
+    if any(one.pushed for one in free):
+        return motions, []
+    found = [*filter(None, [_mechanism(case, replay), _few_points(case)])]
+    if not found:  # of motions without stiffness the sign is a matter of rounding
+        found = [*filter(None, [_limit_load(case)])] if not free else []
+    return found, motions
 
 
 def _without_stiffness(case: _Case, raw: np.ndarray) -> Finding | None:
@@ -228,12 +255,15 @@ def _mechanism(case: _Case, replay: Replay) -> Finding | None:
         return None
     column = motion.argmax(axis=1) if len(motion) else np.zeros(0, dtype=int)
     top = motion[np.arange(len(motion)), column]
-    table = np.column_stack([column, system.positions()[own], np.arange(len(motion))])
+    table = np.column_stack([column, system.positions()[own]])
     shown = divergence.smallest(system.comm, -top, table)
     shown = shown[-shown[:, 0] > 0.2 * -shown[0, 0]]
     names = tuple(component_names(system.layout)[int(row[1])] for row in shown)
-    places = tuple(tuple(map(float, row[2:-1])) for row in shown)
-    ids = _points_at(case, np.asarray(places[0]))
+    places = tuple(tuple(map(float, row[2:])) for row in shown)
+    top_node = np.zeros_like(system.x)
+    here = (motion.max(axis=1) if len(motion) else top) >= -shown[0, 0]
+    top_node[own][here] = 1.0
+    ids = _points_at(case, top_node, np.asarray(places[0]))
     nodes = "; ".join(f"{name} at {place(x)}" for name, x in zip(names, places, strict=True))
     how = "doesn't resist" if nothing else "hardly resists"
     text = (
@@ -249,12 +279,12 @@ def _cure(case: _Case) -> str:
     return "hold it, or connect what hangs together by these nodes alone"
 
 
-def _points_at(case: _Case, x: np.ndarray) -> tuple[int, ...]:
-    """Ids of the points within a cell of a place, the nearest five at most."""
-    p = case.problem.points
-    near = np.max(np.abs(p.x - x) / case.system.length, axis=1) < 1.0
-    distance = np.linalg.norm(p.x - x, axis=1)[near]
-    rows = divergence.smallest(case.system.comm, distance, p.id[near, None].astype(float))
+def _points_at(case: _Case, node: np.ndarray, x: np.ndarray) -> tuple[int, ...]:
+    """Ids of the points that a node at x reaches, the nearest five at most; `node` is one there."""
+    case.system.nodes.update_ghosts(node)
+    p, reached = case.problem.points, case.system.at_points(node)[:, 0] != 0.0
+    distance = np.linalg.norm(p.x - x, axis=1)[reached]
+    rows = divergence.smallest(case.system.comm, distance, p.id[reached, None].astype(float))
     return tuple(int(row[1]) for row in rows)
 
 
@@ -265,23 +295,26 @@ def _few_points(case: _Case) -> Finding | None:
         return None
     if any(piece.name == "ghost" for piece in system.terms.pieces):
         return None
-    grid, x = system.interpolation.grid, system.interpolation.reference.x
+    grid, x, p = system.interpolation.grid, system.interpolation.reference.x, case.problem.points
     cells, first, number = np.unique(
         grid.cell_number(grid.cells_of(x)), return_index=True, return_counts=True
     )
     alone = number == 1
     sums = comm.allreduce(np.array([len(cells), len(x), int(alone.sum())]))
-    if not sums[0] or sums[1] / sums[0] >= _FEW**grid.dim:
+    volume = np.array([p.volume.sum(), float(len(x)) * np.prod(grid.smallest)])
+    volume = comm.allreduce(volume)  # cells that the body cuts have fewer points anyhow
+    dense = volume[0] * _FEW**grid.dim <= volume[1]
+    if not sums[0] or (dense and sums[2] < _ALONE * sums[0]):
         return None
-    table = np.column_stack([case.problem.points.id, x])[first[alone]]
+    table = np.column_stack([p.id, x])[first[alone]]
     shown = divergence.smallest(comm, table[:, 0], table)
     ids = tuple(int(row[1]) for row in shown)
     places = tuple(tuple(map(float, row[2:])) for row in shown)
     at = f", such as that of point {ids[0]} at {place(places[0])} m" if ids else ""
     text = (
         f"{sums[1]} points in {sums[0]} cells are too few for basis "
-        f"{system.interpolation.basis.name!r}: {sums[2]} cells have a single one{at}; take two or more in each "
-        "direction (points_per_cell), ghost='thesis', or basis 'bspline'"
+        f"{system.interpolation.basis.name!r}: {sums[2]} cells have a single one{at}; take two or more in "
+        "each direction (points_per_cell), ghost='thesis', or basis 'bspline'"
     )
     return Finding("few points", text, places, ids)
 
@@ -294,8 +327,8 @@ def _limit_load(case: _Case) -> Finding | None:
         said = "the last converged state is not stable: the tangent has a motion of negative stiffness"
     elif case.rate is not None and case.rate > _YIELDING:
         said = (
-            f"the body gives way: at load factor {factor:.6g} the load moves it {case.rate:.2g} times as far, "
-            "by load factor, as it did on the way"
+            f"the body gives way: at load factor {factor:.6g} the load moves it {case.rate:.2g} times as "
+            "far, by load factor, as it did on the way"
         )
     else:
         return None
@@ -309,46 +342,47 @@ def _limit_load(case: _Case) -> Finding | None:
 # course ----------------------------------------------------------------------------------------------------
 def _course(case: _Case, replay: Replay) -> list[Finding]:
     """Where and how the iterations went wrong."""
-    system, problem, found = case.system, case.problem, []
-    large = divergence.too_large(problem, system, replay)
+    system, problem = case.system, case.problem
+    found: list[Finding] = []
+    found += filter(None, [divergence.too_large(problem, system, replay)])
     wrong = replay.wrong
-    if case.way == "arc length" and problem.failed_at is not None:
-        wrong = wrong or divergence.Iterate(len(case.error.history) - 1, problem.failed_at, None)
-    last = wrong or divergence.Iterate(len(replay.forces) - 1, system.x, None)
-    if wrong is None and problem.failed_at is not None:
-        last = divergence.Iterate(len(replay.forces) - 1, problem.failed_at, None)
-    inverted = None
-    if not _not_finite(system, last.x):
-        inverted = divergence.where_inverted(problem, system, last)
-    if inverted is not None:
-        found.append(inverted)
-    elif wrong is not None and wrong.residual is not None:
-        if _not_finite(system, wrong.residual):
-            found += filter(None, [divergence.where_not_finite(problem, system, wrong)])
-        elif not _not_finite(system, wrong.x):
-            found.append(divergence.where_unbalanced(problem, system, wrong, True))
-    if large is not None:
-        found.append(large)
-    found += filter(None, [_iterations(case, replay)])
+    if problem.failed_at is not None and (wrong is None or case.way == "arc length"):
+        wrong = divergence.Iterate(max(0, len(case.error.history) - 1), problem.failed_at, None)
+    if wrong is not None:
+        found += filter(None, [_where(case, wrong)])
+    found += filter(None, [_iterations(case)])
     found += filter(None, [_equal_steps(case, replay)])
     return found
 
 
+def _where(case: _Case, wrong: Iterate) -> Finding | None:
+    """What is wrong at an iterate."""
+    system, problem = case.system, case.problem
+    if _not_finite(system, wrong.x):
+        return None
+    inverted = divergence.where_inverted(problem, system, wrong)
+    if inverted is not None:
+        return inverted
+    if wrong.residual is not None and _not_finite(system, wrong.residual):
+        return divergence.where_not_finite(problem, system, wrong)
+    return divergence.where_unbalanced(problem, system, wrong)
+
+
 def _ratios(forces: Sequence[float]) -> list[float]:
-    return [b / a if a > 0 else math.inf for a, b in zip(forces, forces[1:], strict=False)]
+    return [b / a if a > 0 else math.inf for a, b in pairwise(forces)]
 
 
-def _iterations(case: _Case, replay: Replay) -> Finding | None:
+def _iterations(case: _Case) -> Finding | None:
     """Iterations that were still getting on, or have stopped near the tolerance, when there were no more."""
     controls, forces = case.problem.controls, [f for f, _ in case.error.history]
     if len(forces) - 1 < controls.max_iterations or not all(map(math.isfinite, forces)) or len(forces) < 3:
         return None
-    last = _ratios(forces)[-3:]
+    last = _ratios(forces)[-2:]
     if max(last) < _FALLING:
         text = (
             f"the residual was still falling, by a factor of {np.prod(last) ** (1 / len(last)):.2g} in an "
-            f"iteration: allow more than max_iterations={controls.max_iterations} (Controls), or take smaller "
-            "load steps"
+            f"iteration: allow more than max_iterations={controls.max_iterations} (Controls), or take "
+            "smaller load steps"
         )
         return Finding("iterations", text)
     if max(forces[-3:]) < 1e3 * max(controls.force_tolerance, 1e-13):

@@ -159,30 +159,36 @@ def where_not_finite(problem: Any, system: NodalSystem, iterate: Iterate) -> Fin
     when = "before the first iteration" if iterate.number == 0 else f"in iteration {iterate.number}"
     cure = "see its energy at no strain" if iterate.number == 0 else "smaller load steps"
     text = (
-        f"{when} the forces of {number} node(s) are not finite: the stresses are not around point {ids[0]} at "
+        f"{when} the forces of {number} node(s) are not finite, nor are the stresses of point {ids[0]} at "
         f"{place(places[0])} m ({_material(p, rows[0])}): {cure}"
     )
     return Finding("not finite", text, places, ids)
 
 
-def where_unbalanced(problem: Any, system: NodalSystem, iterate: Iterate, after: bool) -> Finding:
-    """The node farthest from equilibrium, and the point with the largest strain next to it."""
-    assert iterate.residual is not None
-    own, p = system.nodes.owned, problem.points
+def where_unbalanced(problem: Any, system: NodalSystem, iterate: Iterate) -> Finding:
+    """The point with the largest strain, and the node farthest from equilibrium if there is a residual."""
+    p = problem.points
+    grown = size_of_gradient(problem, system, iterate.x)
+    rows = smallest(problem.comm, -grown, np.column_stack([p.id, p.material, flowed(p), p.x]))
+    ids, places = _ids_and_places(rows)
+    strained = (
+        f"most strained, by {-rows[0, 0]:.2g}, is point {ids[0]} at {place(places[0])} m "
+        f"({_material(p, rows[0])})"
+    )
+    if iterate.residual is None:
+        text = f"where it ended, in iteration {iterate.number}, {strained}"
+        return Finding("out of balance", text, places[:1], ids[:1])
+    own = system.nodes.owned
     free = ~system.prescribed.fixed[:own]
     r = np.abs(np.where(free, iterate.residual[:own], 0.0)) * system.as_force
+    r /= system.comm.allreduce(float(r.max(initial=0.0)), op=MPI.MAX) or 1.0
     node, column = np.arange(own), r.argmax(axis=1) if own else np.zeros(0, dtype=int)
-    rows = smallest(problem.comm, -r[node, column], np.column_stack([column, system.positions()[:own]]))
-    total = math.sqrt(system.comm.allreduce(float(np.sum(r**2))))
-    name, at = component_names(system.layout)[int(rows[0, 1])], tuple(map(float, rows[0, 2:]))
-    grown = size_of_gradient(problem, system, iterate.x)
-    strained = smallest(problem.comm, -grown, np.column_stack([p.id, p.material, flowed(p), p.x]))
-    ids, places = _ids_and_places(strained)
-    what = f"from iteration {iterate.number} on the residual grows" if after else "the residual stays"
-    share = -rows[0, 0] / total if total > 0 else 0.0
+    most = smallest(problem.comm, -r[node, column], np.column_stack([column, system.positions()[:own]]))
+    share = -most[0, 0] / math.sqrt(system.comm.allreduce(float(np.sum(r**2))) or 1.0)
+    name, at = component_names(system.layout)[int(most[0, 1])], tuple(map(float, most[0, 2:]))
     text = (
-        f"{what}: most ({100 * share:.0f} %) at the node at {place(at)} m ({name}); most strained, by "
-        f"{-strained[0, 0]:.2g}, is point {ids[0]} at {place(places[0])} m ({_material(p, strained[0])})"
+        f"from iteration {iterate.number} on the residual grows: {100 * share:.0f} % of it in {name} of the "
+        f"node at {place(at)} m; {strained}"
     )
     return Finding("out of balance", text, (at, *places[:1]), ids[:1], (name,))
 
@@ -223,7 +229,8 @@ def size_of_gradient(problem: Any, system: NodalSystem, x: np.ndarray) -> np.nda
 
 def volume_ratios(problem: Any, system: NodalSystem, x: np.ndarray) -> np.ndarray:
     """J at the points (np,) for increments x (nodes, block)."""
-    return problem.volume_ratios(_increments(problem, system, x))
+    ratios: np.ndarray = problem.volume_ratios(_increments(problem, system, x))
+    return ratios
 
 
 def too_large(problem: Any, system: NodalSystem, replay: Replay) -> Finding | None:
@@ -239,7 +246,7 @@ def too_large(problem: Any, system: NodalSystem, replay: Replay) -> Finding | No
     if not math.isfinite(most) or most <= _LARGE * size or size == 0.0:
         return None
     text = (
-        f"the first iteration moves the body by {most:.3g} m, {most / size:.3g} times its size: the load step "
-        "is far too large, or load and moduli are in different units"
+        f"the first iteration moves the body by {most:.3g} m, {most / size:.3g} times its size: the load "
+        "step is far too large, or load and moduli are in different units"
     )
     return Finding("too large", text)

@@ -98,8 +98,8 @@ class QuasiStaticFEM(Problem):
         self.elements = elements
         self.forms = _make_forms(elements)
         _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
-        if elements.degree == 1:
-            warn_of_locking(elements.comm, elements.points.materials, "elements of degree 1", "degree 2")
+        if elements.degree == 1 and elements.comm.rank == 0:
+            warn_of_locking(elements.points.materials, "elements of degree 1", "degree 2")
         self._surface_loads: list[SurfaceLoad] = []
         self.progress.reset_due = False
         self._system: ElementSystem | None = None

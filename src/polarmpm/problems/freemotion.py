@@ -16,7 +16,7 @@ from ..errors import Finding
 from ..solvers.multigrid import rigid_motions
 from ..terms.base import Piece
 from ..terms.ghost import Ghost
-from ..terms.surfaces import Pressure, Traction
+from ..terms.surfaces import Pressure, SurfaceSupport, Traction
 
 _HELD = 1e-9  # mean square of a motion at prescribed unknowns, or stiffness relative to the body's: it's free
 _UNBALANCED = 1e-8  # share of the forces that push along a motion
@@ -93,11 +93,13 @@ def free_parts(system: NodalSystem, parts: Parts, forces: np.ndarray, diagonal: 
 
 def _sizes(system: NodalSystem, parts: Parts) -> np.ndarray:
     """Length (m) of each part that scales its turns."""
-    return np.maximum(parts.size, float(system.length.min()))
+    sizes: np.ndarray = np.maximum(parts.size, float(system.length.min()))
+    return sizes
 
 
 def _as_length(system: NodalSystem, parts: Parts) -> np.ndarray:
-    return _sizes(system, parts)[np.maximum(parts.nodes, 0)]
+    lengths: np.ndarray = _sizes(system, parts)[np.maximum(parts.nodes, 0)]
+    return lengths
 
 
 def _modes(system: NodalSystem, parts: Parts) -> np.ndarray:
@@ -136,6 +138,12 @@ def _held(system: NodalSystem, parts: Parts, real: np.ndarray) -> list[list[str]
         counts = system.comm.allreduce(np.bincount(parts.nodes[rows], minlength=len(out)))
         for part in np.flatnonzero(counts):
             out[part].append(f"{support.name}: {', '.join(names[c] for c in sorted(support.columns))}")
+    for piece, rows in zip(system.terms.pieces, system.terms.rows, strict=True):
+        if isinstance(piece.of, SurfaceSupport):
+            numbers = parts.nodes[rows.ravel()]
+            counts = np.bincount(numbers[numbers >= 0], minlength=len(out))
+            for part in np.flatnonzero(system.comm.allreduce(counts)):
+                out[part].append(f"{piece.name}: springs")
     return out
 
 
@@ -244,4 +252,5 @@ def axis_name(direction: np.ndarray) -> str:
 
 def place(x: Any) -> str:
     """Coordinates for a message."""
-    return "(" + ", ".join(f"{float(c) + 0.0:.4g}" for c in x) + ")"
+    rounding = 1e-9 * max(abs(float(c)) for c in x)
+    return "(" + ", ".join(f"{float(c) if abs(c) > rounding else 0.0:.4g}" for c in x) + ")"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 import weakref
@@ -24,12 +25,11 @@ class March(Iterator[Step]):
 
     def __init__(self, problem: Any, steps: Iterator[Step], way: str):
         self._problem, self._steps, self._way = problem, steps, way
+        self._begun = False
         self._unused: Any = None
         if problem.comm.rank == 0:
-            script = sys._getframe(2)  # the line that has called problem.march
             method = "march_arc_length" if way == "arc length" else "march"
-            line = script.f_code.co_filename, script.f_lineno
-            self._unused = weakref.finalize(self, _warn, method, *line)
+            self._unused = weakref.finalize(self, _warn, method, *_line_of_script())
 
     def __iter__(self) -> March:
         return self
@@ -51,13 +51,22 @@ class March(Iterator[Step]):
             self._steps.close()
 
     def _used(self) -> None:
+        self._begun = True
         if self._unused is not None:
             self._unused.detach()
             self._unused = None
 
     def __repr__(self) -> str:
-        state = "not begun" if self._unused else "begun"
+        state = "begun" if self._begun else "not begun"
         return f"{type(self).__name__}({self._way} steps, {state}, from {self._problem!r})"
+
+
+def _line_of_script() -> tuple[str, int]:
+    """File and line outside of the package that has called it."""
+    frame, package = sys._getframe(1), os.path.dirname(os.path.dirname(__file__))
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(package):
+        frame = frame.f_back
+    return frame.f_code.co_filename, frame.f_lineno
 
 
 def _warn(method: str, file: str, line: int) -> None:

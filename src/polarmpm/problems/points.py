@@ -138,14 +138,13 @@ class QuasiStatic(OnGrid):
         self.forms = [make_form(m, grid.dim) for m in points.materials]
         for form in self.forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
-        functions = f"the functions of basis={self.basis.name!r}"
-        if self.basis.locks:
-            warn_of_locking(grid.comm, points.materials, functions, "basis='bspline'")
-        else:
-            few = "displacements are 2 to 6 % too small with 32 and 16 cells across a body that bends"
-            warn_of_locking(
-                grid.comm, points.materials, functions, "smaller cells", beyond=_SPLINES_LOCK, how=few
-            )
+        if grid.comm.rank == 0:
+            functions = f"the functions of basis={self.basis.name!r}"
+            if self.basis.locks:
+                warn_of_locking(points.materials, functions, "basis='bspline'")
+            else:
+                few = "displacements are 2 to 6 % too small with 32 and 16 cells across a body that bends"
+                warn_of_locking(points.materials, functions, "smaller cells", beyond=_SPLINES_LOCK, how=few)
         self.rotation_limit = 1.0
         self.boxes = _check_boxes(boxes, self.basis)
         self.box_record = BoxRecord(points, self.forms, grid.comm)

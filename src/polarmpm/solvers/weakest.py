@@ -34,6 +34,9 @@ class WeakTangent:
     Args:
         matrix: of PETSc; left as it is.
 
+    Attributes:
+        negative: number of negative eigenvalues of a symmetric tangent; of others 0.
+
     Raises:
         SingularTangent: it has entries that are not finite, or can't be factored at all.
     """
@@ -56,7 +59,9 @@ class WeakTangent:
         self._right, self._left = self._matrix.createVecs()
         self._pc: Any = PETSc.PC().create(matrix.comm)
         self._pc.setOperators(self._shifted)
-        self._pc.setType(PETSc.PC.Type.LU)
+        if symmetric:
+            self._shifted.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self._pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
         self._pc.setFactorSolverType("mumps")
         self._pc.setFactorSetUpSolverType()
         factor = self._pc.getFactorMatrix()
@@ -70,6 +75,7 @@ class WeakTangent:
         if failed:
             self.destroy()
             raise SingularTangent("the tangent can't be factored")
+        self.negative = int(factor.getMumpsInfog(12)) if symmetric else 0
 
     def _solve(self, scaled: np.ndarray) -> np.ndarray:
         self._left.array[:] = scaled
@@ -95,7 +101,7 @@ class WeakTangent:
             length = self._norm(now)
             if not np.isfinite(length) or length == 0.0:
                 return None
-            now = now / length
+            now /= length
         self._right.array[:] = now
         self._matrix.mult(self._right, self._left)
         curvature = self.comm.allreduce(float(np.vdot(now, self._left.array)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -174,21 +173,3 @@ def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
     except Exception as e:
         error = e
     raise_on_all_ranks(comm, error)
-
-
-def warn_on_all_ranks(comm: MPI.Comm, message: str, category: type[Warning], stacklevel: int = 1) -> None:
-    """Warn once, on rank 0. Where filters make an error of the warning, it is raised on every rank.
-    Collective.
-
-    Args:
-        stacklevel: of the line that is told; 1: the caller's.
-    """
-    error: Warning | None = None
-    if comm.rank == 0:
-        try:
-            warnings.warn(message, category, stacklevel=stacklevel + 1)
-        except Warning as e:
-            error = e
-    error = comm.bcast(error) if comm.size > 1 else error
-    if error is not None:
-        raise error
