@@ -116,7 +116,8 @@ def _pushed(problem: Any, system: NodalSystem, factor: float, way: str) -> np.nd
         problem._put_loads(system, factor + 1.0)
         growth = system.working_loads()
     start = problem._begin(system, factor)
-    return start.new - start.before if growth is None else growth - start.new
+    pushed: np.ndarray = start.new - start.before if growth is None else growth - start.new
+    return pushed
 
 
 def _look_at_start(case: _Case, replay: Replay) -> None:

@@ -36,6 +36,7 @@ from ..tools.parallel import errors_on_all_ranks, values_by_number
 from .balancing import BalancedResets
 from .boxes import BoxRecord
 from .conservation import Conservation
+from .described import described, of_rank
 from .ongrid import Compiled, OnGrid
 from .state import Fields, Progress
 from .surfaces import add_load
@@ -163,6 +164,9 @@ class QuasiStatic(OnGrid):
         self._converged_loads: tuple[np.ndarray, np.ndarray] | None = None
         if self.load_shares.due():
             self._migrate()
+
+    def __repr__(self) -> str:
+        return described(self, f"{len(self.points)} points{of_rank(self.comm)}, basis {self.basis.name!r}")
 
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
