@@ -67,12 +67,13 @@ class Finding:
     """One thing that the diagnosis of a failed load step has found; the same on all ranks.
 
     Attributes:
-        kind: "free motion", "linear system", "not finite", "inside out", "out of balance", "few points",
-            "too large", "limit load", "load steps", "iterations", or "no diagnosis".
+        kind: "free rigid motion", "linear system", "too few points", "limit load", "not finite",
+            "too large", "inside out", "out of balance", "iterations", "load steps", or "no diagnosis";
+            docs/failures.md says more of each.
         text: what it is and what to do, in a line.
         places: where (m), a tuple of coordinates each: of nodes, of points, or the middle of a part of the
             body.
-        ids: permanent ids of points, at most five.
+        ids: permanent ids of points, or numbers of a mesh's elements, at most five.
         unknowns: names of the nodes' unknowns at `places`, where it is about these.
         direction: of a free motion: its translation (d,), or of a turn the axis (3,); else ().
     """
@@ -106,7 +107,7 @@ class NotConverged(PolarMPMError, RuntimeError):
         ]
         lines += [f"  {line}" for line in self.tried]
         if self.findings:
-            lines += ["Found:", *(f"  {finding.text}" for finding in self.findings)]
+            lines += ["Found:", *(f"  {finding.kind}: {finding.text}" for finding in self.findings)]
         return "\n".join(lines)
 
     def explain(self, findings: Sequence[Finding]) -> None:

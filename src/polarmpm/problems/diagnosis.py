@@ -27,7 +27,7 @@ from ..solvers.linear import SingularTangent
 from ..solvers.weakest import Mode, WeakTangent
 from . import divergence, freemotion
 from .divergence import Iterate, Replay
-from .freemotion import place
+from .wording import names_of, own_ids, place, smallest
 
 _MOST = 6  # findings
 _KEPT = ("x", "before", "residual", "loads", "external", "step", "carried")
@@ -82,9 +82,9 @@ def diagnose(problem: Any, error: NotConverged, way: str) -> list[Finding]:
         with np.errstate(all="ignore"):
             return _find(problem, system, error, way)[:_MOST]
     except PolarMPMError as e:  # the same on all ranks
-        return [Finding("no diagnosis", f"no diagnosis: {str(e).splitlines()[0]}")]
+        return [Finding("no diagnosis", str(e).splitlines()[0])]
     except Exception as e:
-        return [Finding("no diagnosis", f"no diagnosis: {type(e).__name__}: {e}")]
+        return [Finding("no diagnosis", f"{type(e).__name__}: {e}")]
     finally:
         for name, value in kept.items():
             setattr(system, name, value)
@@ -101,7 +101,7 @@ def _find(problem: Any, system: NodalSystem, error: NotConverged, way: str) -> l
         return [*filter(None, [_at_start_not_finite(case, replay)])]
     causes, others = _causes(case, replay)
     course = _course(case, replay)
-    if any(one.kind == "free motion" for one in causes):
+    if any(one.kind == "free rigid motion" for one in causes):
         course = []
     elif causes and causes[0].kind != "limit load":
         course = [f for f in course if f.kind in ("inside out", "not finite")]
@@ -204,8 +204,8 @@ def _causes(case: _Case, replay: Replay) -> tuple[list[Finding], list[Finding]]:
     if case.way == "arc length":
         forces = forces - case.pushed
     free = freemotion.free_parts(system, parts, forces, diagonal)
-    motions = freemotion.findings(system, parts, free)
-    if any(one.pushed for one in free):
+    motions = freemotion.findings(problem, system, parts, free)
+    if any(one.pushed for one in free) or (free and replay.singular):
         return motions, []
     found = [*filter(None, [_mechanism(case, replay), _few_points(case)])]
     if not found:  # of motions without stiffness the sign is a matter of rounding
@@ -226,7 +226,7 @@ def _without_stiffness(case: _Case, raw: np.ndarray) -> Finding | None:
         return None
     rows = np.flatnonzero(np.any(zero, axis=1))
     table = np.column_stack([zero[rows], system.positions()[:own][rows]])
-    shown = divergence.smallest(system.comm, np.arange(len(rows), dtype=float), table)
+    shown = smallest(system.comm, np.arange(len(rows), dtype=float), table)
     block = system.layout.block
     places = tuple(tuple(map(float, row[1 + block :])) for row in shown)
     names = [n for n, z in zip(component_names(system.layout), shown[0, 1 : 1 + block], strict=True) if z]
@@ -245,7 +245,7 @@ def _mechanism(case: _Case, replay: Replay) -> Finding | None:
     if weak is None:
         if not replay.singular:
             return None
-        return Finding("linear system", f"{replay.reason}, in iteration {len(replay.forces)}")
+        return Finding("linear system", f"{replay.reason} in iteration {len(replay.forces)}")
     motion = np.abs(weak.values.reshape(-1, block)) / system.as_force
     squares = np.sum(motion**2, axis=1)
     sums = system.comm.allreduce(np.array([squares.sum(), np.sum(squares**2)]))
@@ -257,7 +257,7 @@ def _mechanism(case: _Case, replay: Replay) -> Finding | None:
     column = motion.argmax(axis=1) if len(motion) else np.zeros(0, dtype=int)
     top = motion[np.arange(len(motion)), column]
     table = np.column_stack([column, system.positions()[own]])
-    shown = divergence.smallest(system.comm, -top, table)
+    shown = smallest(system.comm, -top, table)
     shown = shown[-shown[:, 0] > 0.2 * -shown[0, 0]]
     names = tuple(component_names(system.layout)[int(row[1])] for row in shown)
     places = tuple(tuple(map(float, row[2:])) for row in shown)
@@ -266,10 +266,11 @@ def _mechanism(case: _Case, replay: Replay) -> Finding | None:
     top_node[own][here] = 1.0
     ids = _points_at(case, top_node, np.asarray(places[0]))
     nodes = "; ".join(f"{name} at {place(x)}" for name, x in zip(names, places, strict=True))
-    how = "doesn't resist" if nothing else "hardly resists"
+    how = "is singular: it doesn't resist" if nothing else "hardly resists"
+    there = names_of(case.problem, ids) or "no point there"
     text = (
-        f"the tangent {how} a motion on which the load works, most of the nodes' {nodes} m; points there: "
-        f"{', '.join(map(str, ids)) or 'none'}; {_cure(case)}"
+        f"the tangent {how} a motion on which the load works, most of the nodes' {nodes} m, that is of "
+        f"{there}; {_cure(case)}"
     )
     return Finding("linear system", text, places, ids, names)
 
@@ -285,8 +286,9 @@ def _points_at(case: _Case, node: np.ndarray, x: np.ndarray) -> tuple[int, ...]:
     case.system.nodes.update_ghosts(node)
     p, reached = case.problem.points, case.system.at_points(node)[:, 0] != 0.0
     distance = np.linalg.norm(p.x - x, axis=1)[reached]
-    rows = divergence.smallest(case.system.comm, distance, p.id[reached, None].astype(float))
-    return tuple(int(row[1]) for row in rows)
+    ids = own_ids(case.problem)[reached, None].astype(float)
+    rows = smallest(case.system.comm, distance, ids, 20)
+    return tuple(dict.fromkeys(int(row[1]) for row in rows))[:5]
 
 
 def _few_points(case: _Case) -> Finding | None:
@@ -308,7 +310,7 @@ def _few_points(case: _Case) -> Finding | None:
     if not sums[0] or (dense and sums[2] < _ALONE * sums[0]):
         return None
     table = np.column_stack([p.id, x])[first[alone]]
-    shown = divergence.smallest(comm, table[:, 0], table)
+    shown = smallest(comm, table[:, 0], table)
     ids = tuple(int(row[1]) for row in shown)
     places = tuple(tuple(map(float, row[2:])) for row in shown)
     at = f", such as that of point {ids[0]} at {place(places[0])} m" if ids else ""
@@ -317,7 +319,7 @@ def _few_points(case: _Case) -> Finding | None:
         f"{system.interpolation.basis.name!r}: {sums[2]} cells have a single one{at}; take two or more in "
         "each direction (points_per_cell), ghost='thesis', or basis 'bspline'"
     )
-    return Finding("few points", text, places, ids)
+    return Finding("too few points", text, places, ids)
 
 
 def _limit_load(case: _Case) -> Finding | None:
@@ -349,9 +351,9 @@ def _course(case: _Case, replay: Replay) -> list[Finding]:
     wrong = replay.wrong
     if problem.failed_at is not None and (wrong is None or case.way == "arc length"):
         wrong = divergence.Iterate(max(0, len(case.error.history) - 1), problem.failed_at, None)
+    found += filter(None, [_iterations(case)])
     if wrong is not None:
         found += filter(None, [_where(case, wrong)])
-    found += filter(None, [_iterations(case)])
     found += filter(None, [_equal_steps(case, replay)])
     return found
 
@@ -402,5 +404,5 @@ def _equal_steps(case: _Case, replay: Replay) -> Finding | None:
     ratios = _ratios(replay.forces[1:])
     got_on = len(ratios) > 1 and ratios[0] < 1.0
     how = "at first the residual fell" if got_on else "the residual didn't fall from the first iteration on"
-    text = f"{how}; equal load steps aren't cut: try more steps, or march(adaptive=True)"
+    text = f"{how}; equal load steps aren't cut (adaptive=False): try more steps, or march(adaptive=True)"
     return Finding("load steps", text)

@@ -18,9 +18,8 @@ from ..errors import Finding, LocalFailure
 from ..solvers import newton
 from ..solvers.linear import SingularTangent
 from ..solvers.newton import Controls
-from .freemotion import place
+from .wording import names_of, own_ids, place, smallest
 
-_SHOWN = 5  # places and points of a finding
 _LARGE = 1.0  # size of a correction, over the body's, that is too large
 
 
@@ -110,15 +109,6 @@ def _finite(system: NodalSystem, values: np.ndarray) -> bool:
 
 
 # where ------------------------------------------------------------------------------------------------
-def smallest(comm: MPI.Comm, keys: np.ndarray, rows: np.ndarray, number: int = _SHOWN) -> np.ndarray:
-    """Rows (n, c) with the smallest keys (n,) on all ranks, in order. Collective."""
-    order = np.argsort(keys, kind="stable")[:number]
-    mine = np.hstack([keys[order, None], rows[order]])
-    every = np.concatenate(comm.allgather(mine))
-    out: np.ndarray = every[np.argsort(every[:, 0], kind="stable")][:number]
-    return out
-
-
 def where_inverted(problem: Any, system: NodalSystem, iterate: Iterate) -> Finding | None:
     """Points that an iterate turns inside out."""
     ratio = volume_ratios(problem, system, iterate.x)
@@ -126,14 +116,13 @@ def where_inverted(problem: Any, system: NodalSystem, iterate: Iterate) -> Findi
     number = int(problem.comm.allreduce(int(bad.sum())))
     if not number:
         return None
-    p = problem.points
     worst = np.where(np.isfinite(ratio), ratio, -np.inf)[bad]
-    rows = smallest(problem.comm, worst, np.column_stack([p.id, p.material, flowed(p), p.x])[bad])
+    rows = smallest(problem.comm, worst, _table(problem)[bad])
     ids, places = _ids_and_places(rows)
-    first = f"point {ids[0]} at {place(places[0])} m ({_material(p, rows[0])}) has J = {rows[0, 0]:.3g}"
+    first = f"{_named(problem, rows[0])} has J = {rows[0, 0]:.3g}"
     text = (
-        f"iteration {iterate.number} turns {number} point(s) inside out: {first}; smaller load steps, or a "
-        "finer grid there"
+        f"iteration {iterate.number} turns {number} point(s) inside out: {first}; take smaller load steps, "
+        "or a finer grid there"
     )
     return Finding("inside out", text, places, ids)
 
@@ -141,7 +130,7 @@ def where_inverted(problem: Any, system: NodalSystem, iterate: Iterate) -> Findi
 def where_not_finite(problem: Any, system: NodalSystem, iterate: Iterate) -> Finding | None:
     """Nodes and points whose stresses an iterate makes infinite or not a number."""
     assert iterate.residual is not None
-    own, p = system.nodes.owned, problem.points
+    own = system.nodes.owned
     bad = np.zeros_like(iterate.x)
     bad[:own][np.any(~np.isfinite(iterate.residual[:own]), axis=1)] = 1.0
     system.nodes.update_ghosts(bad)
@@ -154,27 +143,23 @@ def where_not_finite(problem: Any, system: NodalSystem, iterate: Iterate) -> Fin
     inside = inside if system.comm.allreduce(bool(inside.any()), op=MPI.LOR) else share >= most
     grown = size_of_gradient(problem, system, iterate.x)
     keys = -np.where(np.isfinite(grown), grown, np.inf)[inside]
-    rows = smallest(problem.comm, keys, np.column_stack([p.id, p.material, flowed(p), p.x])[inside])
+    rows = smallest(problem.comm, keys, _table(problem)[inside])
     ids, places = _ids_and_places(rows)
     when = "before the first iteration" if iterate.number == 0 else f"in iteration {iterate.number}"
     cure = "see its energy at no strain" if iterate.number == 0 else "smaller load steps"
     text = (
-        f"{when} the forces of {number} node(s) are not finite, nor are the stresses of point {ids[0]} at "
-        f"{place(places[0])} m ({_material(p, rows[0])}): {cure}"
+        f"{when} the forces of {number} node(s) are not finite, nor are the stresses of "
+        f"{_named(problem, rows[0])}: {cure}"
     )
     return Finding("not finite", text, places, ids)
 
 
 def where_unbalanced(problem: Any, system: NodalSystem, iterate: Iterate) -> Finding:
     """The point with the largest strain, and the node farthest from equilibrium if there is a residual."""
-    p = problem.points
     grown = size_of_gradient(problem, system, iterate.x)
-    rows = smallest(problem.comm, -grown, np.column_stack([p.id, p.material, flowed(p), p.x]))
+    rows = smallest(problem.comm, -grown, _table(problem))
     ids, places = _ids_and_places(rows)
-    strained = (
-        f"most strained, by {-rows[0, 0]:.2g}, is point {ids[0]} at {place(places[0])} m "
-        f"({_material(p, rows[0])})"
-    )
+    strained = f"most strained, by {-rows[0, 0]:.2g}, is {_named(problem, rows[0])}"
     if iterate.residual is None:
         text = f"where it ended, in iteration {iterate.number}, {strained}"
         return Finding("out of balance", text, places[:1], ids[:1])
@@ -193,6 +178,12 @@ def where_unbalanced(problem: Any, system: NodalSystem, iterate: Iterate) -> Fin
     return Finding("out of balance", text, (at, *places[:1]), ids[:1], (name,))
 
 
+def _table(problem: Any) -> np.ndarray:
+    """Id, material, whether it has flowed, and position of the local points, (np, 3 + d)."""
+    p = problem.points
+    return np.column_stack([own_ids(problem), p.material, flowed(p), p.x])
+
+
 def flowed(points: Any) -> np.ndarray:
     """Which points have flowed (np,)."""
     if not points.plastic:
@@ -206,9 +197,11 @@ def _ids_and_places(rows: np.ndarray) -> tuple[tuple[int, ...], tuple[tuple[floa
     return tuple(int(r[1]) for r in rows), tuple(tuple(map(float, r[4:])) for r in rows)
 
 
-def _material(points: Any, row: np.ndarray) -> str:
-    name = type(points.materials[int(row[2])]).__name__
-    return f"{name}, has flowed" if row[3] else name
+def _named(problem: Any, row: np.ndarray) -> str:
+    """A point of a row (key, id, material, flowed, x), in words."""
+    material = type(problem.points.materials[int(row[2])]).__name__
+    more = ", has flowed" if row[3] else ""
+    return f"{names_of(problem, [int(row[1])])} at {place(row[4:])} m ({material}{more})"
 
 
 def _increments(problem: Any, system: NodalSystem, x: np.ndarray) -> Increments:

@@ -17,6 +17,7 @@ from ..solvers.multigrid import rigid_motions
 from ..terms.base import Piece
 from ..terms.ghost import Ghost
 from ..terms.surfaces import Pressure, SurfaceSupport, Traction
+from .wording import counted, own_ids, place
 
 _HELD = 1e-9  # mean square of a motion at prescribed unknowns, or stiffness relative to the body's: it's free
 _UNBALANCED = 1e-8  # share of the forces that push along a motion
@@ -195,10 +196,10 @@ def _tidy(directions: np.ndarray) -> np.ndarray:
 
 
 # words ----------------------------------------------------------------------------------------------------
-def findings(system: NodalSystem, parts: Parts, free: list[Free]) -> list[Finding]:
+def findings(problem: Any, system: NodalSystem, parts: Parts, free: list[Free]) -> list[Finding]:
     """Free motions in words, at most three. Collective."""
     free = sorted(free, key=lambda f: not f.pushed)
-    out = [_finding(system, parts, one) for one in free[:3]]
+    out = [_finding(system, parts, one, problem) for one in free[:3]]
     if len(free) > 3:
         rest = len(free) - 3
         last = out[-1]
@@ -207,12 +208,12 @@ def findings(system: NodalSystem, parts: Parts, free: list[Free]) -> list[Findin
     return out
 
 
-def _finding(system: NodalSystem, parts: Parts, one: Free) -> Finding:
+def _finding(system: NodalSystem, parts: Parts, one: Free, problem: Any) -> Finding:
     d = system.layout.dim
     centre = tuple(float(c) for c in parts.centre[one.number])
     what = "the body"
     if len(parts.count) > 1:
-        what = f"the part of {parts.count[one.number]} point(s) around {place(centre)} m"
+        what = f"the part of {counted(problem, parts.count[one.number])} around {place(centre)} m"
     motions = _motions(one, d, system.length.min() * 1e-6)
     if one.held:
         why = f"of it the supports hold no more than {'; '.join(one.held[:4])}"
@@ -223,7 +224,10 @@ def _finding(system: NodalSystem, parts: Parts, one: Free) -> Finding:
     push = "the load pushes it that way" if one.pushed else "the load on it is in balance"
     text = f"{what} can {motions}: {why}, and {push}; fix it, or hold a Surface by springs"
     first = one.translations[0] if len(one.translations) else one.turns[0]
-    return Finding("free motion", text, (centre,), direction=tuple(float(c) for c in first))
+    of_part = own_ids(problem)[parts.points == one.number]
+    ids = np.unique(np.concatenate(system.comm.allgather(np.unique(of_part)[:5])))[:5]
+    direction = tuple(float(c) for c in first)
+    return Finding("free rigid motion", text, (centre,), tuple(map(int, ids)), direction=direction)
 
 
 def _motions(one: Free, dim: int, rounding: float) -> str:
@@ -248,9 +252,3 @@ def axis_name(direction: np.ndarray) -> str:
         if abs(abs(value) - 1.0) < _ROUND:
             return name
     return place(direction)
-
-
-def place(x: Any) -> str:
-    """Coordinates for a message."""
-    rounding = 1e-9 * max(abs(float(c)) for c in x)
-    return "(" + ", ".join(f"{float(c) if abs(c) > rounding else 0.0:.4g}" for c in x) + ")"
