@@ -13,6 +13,7 @@ from .bodies.seeding import seed
 from .bodies.selection import Selection
 from .errors import (
     ErrorOnAnotherRank,
+    Finding,
     InputError,
     KernelError,
     NotConserved,
@@ -83,6 +84,7 @@ __all__ = [
     "EverySteps",
     "Facets",
     "Field",
+    "Finding",
     "GhostPenalty",
     "Grid",
     "Hencky",

@@ -49,17 +49,20 @@ class ElementSystem(NodalSystem):
             self._residual = forms.residual
             tangents = [forms.tangent, *(v.tangent for v in varying)]
         with timer("pattern"):
-            symmetric = forms.symmetric and not varying and self.terms.symmetric
             self.matrix = FormMatrix(
                 tangents,
                 prescribed.fixed,
-                symmetric,
+                self.symmetric,
                 e.nodes.owned,
                 not forms.symmetric,
                 solver,
                 self.is_large(),
                 self.near_null_space,
             )
+
+    @property
+    def symmetric(self) -> bool:
+        return self.forms.symmetric and not self._varying and self.terms.symmetric
 
     @property
     def varying(self) -> bool:
@@ -154,6 +157,10 @@ class ElementSystem(NodalSystem):
     def positions(self) -> np.ndarray:
         x: np.ndarray = super().positions() + self.forms.elements.displacement
         return x
+
+    @property
+    def tangent(self) -> Any:
+        return self.matrix.matrix
 
     def diagonal(self) -> np.ndarray:
         return self.matrix.diagonal

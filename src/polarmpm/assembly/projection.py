@@ -249,6 +249,10 @@ class ProjectedSystem(LoadedPoints):
         if tangent:
             self.cells.project(moduli, self.forms.tangent_values)
 
+    @property
+    def tangent(self) -> None:
+        return None  # in the order of the cells' mesh
+
     def diagonal(self) -> np.ndarray:
         return self.exchange.to_points(self.matrix.diagonal)
 

@@ -6,6 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 
@@ -125,6 +126,18 @@ class NodalSystem(ABC):
         Args:
             lift: prescribed increments (nodes, block) that are still to be put in.
         """
+
+    @property
+    @abstractmethod
+    def symmetric(self) -> bool:
+        """Whether the tangent is symmetric."""
+
+    @property
+    @abstractmethod
+    def tangent(self) -> Any:
+        """PETSc's matrix of the last solution, of unknowns in the order of global numbers; rows and columns
+        of prescribed unknowns are left out, but for the diagonal. Of a symmetric one maybe the upper triangle
+        only. None where it has another order."""
 
     @abstractmethod
     def diagonal(self) -> np.ndarray:

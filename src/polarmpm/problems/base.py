@@ -28,6 +28,7 @@ from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from ..tools.timing import Timer
 from . import attempts, ranks
+from .marching import March
 from .observer import Observer
 from .reactions import Equilibrium
 from .results import Results
@@ -44,6 +45,7 @@ class Problem(Results):
         observers: told what happens in the run, see `Observer`.
         rows: arrays (np, ...) of the script's own by name, one row for each of `points`.
         timer: CPU seconds of this rank by phase.
+        failed_at: increments (nodes, block) at which the last attempt has failed, for its diagnosis.
     """
 
     def __init__(self, comm: MPI.Comm, points: Points, dim: int, controls: Controls | None):
@@ -56,6 +58,7 @@ class Problem(Results):
         self.steps: list[Step] = []
         self._fields = StateFields(comm)
         self._last_x: np.ndarray | None = None  # where the points were before the last step
+        self.failed_at: np.ndarray | None = None
 
     # what the methods differ in -------------------------------------------------------------------
     @abstractmethod
@@ -69,6 +72,10 @@ class Problem(Results):
     @abstractmethod
     def _increments(self, system: Any) -> Increments:
         """Increments at the local points."""
+
+    @abstractmethod
+    def volume_ratios(self, increments: Increments) -> np.ndarray:
+        """J (np,) after increments of the local points, relative to some state in which it is positive."""
 
     @abstractmethod
     def _check(self, increments: Increments) -> str:
@@ -118,7 +125,8 @@ class Problem(Results):
             NotConverged: with what was tried; the last converged state is intact.
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
-        return march(self, Schedule(steps, to, adaptive, smallest, largest, easy, progress))
+        schedule = Schedule(steps, to, adaptive, smallest, largest, easy, progress)
+        return March(self, march(self, schedule), "equal" if not adaptive else "adaptive")
 
     @collective("system_at")
     def system_at(self, factor: float) -> NodalSystem:
@@ -219,7 +227,7 @@ class Problem(Results):
         schedule = ArcSchedule(first, until, largest, smallest, to, steps, progress)
         with self._solving("march_arc_length"):
             self._check_path(self._prepare())
-        return arclength.march(self, schedule)
+        return March(self, arclength.march(self, schedule), "arc length")
 
     def _check_path(self, system: NodalSystem) -> None:
         """Raise InputError for conditions that the arc-length method can't take."""
@@ -349,7 +357,7 @@ class Problem(Results):
                 rebased = self.progress.rotation_factor != base
                 ranks.tell(self.comm, self.observers, lambda one: one.after_commit(self, rebased))
             else:
-                system.x = start.x
+                self.failed_at, system.x = system.x, start.x
 
     def _commit_terms(self, system: NodalSystem, start: np.ndarray) -> None:
         """Tell the terms of a step that has converged, from increments (nodes, block) at its start."""

@@ -38,6 +38,7 @@ from ..tools import checks, compat
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from .base import Problem
+from .described import described, of_rank
 from .given import Present
 from .state import Progress
 from .surfaces import add_load
@@ -69,6 +70,10 @@ class SurfaceLoad:
     function: Any = None  # its nodal values, made when the system is built
     rows: Any = None  # the nodes of the facets
     position: Any = None  # where they are (n, d) (m)
+
+    def __repr__(self) -> str:
+        area = f"{self.facets.area:.6g} {'m^2' if self.facets.body.dim == 3 else 'm'}"
+        return f"SurfaceLoad({self.amplitude.name!r} on {area}{', follows' if self.follows else ''})"
 
 
 @dataclass
@@ -113,6 +118,11 @@ class QuasiStaticFEM(Problem):
         self._system: ElementSystem | None = None
         self._last_loads: np.ndarray | None = None  # forces of the last converged state's loads
         self._body: Any = None  # densities of body loads at the quadrature points
+
+    def __repr__(self) -> str:
+        e = self.elements
+        cells = f"{len(e.body.owned_cells)} {e.body.cell}s{of_rank(self.comm)}, degree {e.degree}"
+        return described(self, cells)
 
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
@@ -334,9 +344,13 @@ class QuasiStaticFEM(Problem):
         d, (value, gradient) = self.layout.dim, self.forms.values_at_points()
         return Increments(value, gradient[:, :d], gradient[:, d:])
 
-    def _check(self, increments: Increments) -> str:
+    def volume_ratios(self, increments: Increments) -> np.ndarray:
         d = self.layout.dim
-        bad = rotations.determinant(self.points.F[:, :d, :d] + increments.gradient) <= 0
+        ratios: np.ndarray = rotations.determinant(self.points.F[:, :d, :d] + increments.gradient)
+        return ratios
+
+    def _check(self, increments: Increments) -> str:
+        bad = self.volume_ratios(increments) <= 0
         cells = np.unique(self.points.id[bad] // len(self.elements.reference_points))
         inverted = np.unique(np.concatenate(self.comm.allgather(cells)))
         if not len(inverted):

@@ -41,6 +41,7 @@ from ..tools.parallel import errors_on_all_ranks, values_by_number
 from .balancing import BalancedResets
 from .boxes import BoxRecord
 from .conservation import Conservation
+from .described import described, of_rank
 from .ongrid import Compiled, OnGrid
 from .state import Fields, Progress
 from .surfaces import add_load
@@ -193,6 +194,9 @@ class QuasiStatic(OnGrid):
                     self.points.materials, functions, "smaller cells", beyond=_SPLINES_LOCK, how=few
                 )
 
+    def __repr__(self) -> str:
+        return described(self, f"{len(self.points)} points{of_rank(self.comm)}, basis {self.basis.name!r}")
+
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
         if isinstance(where, PlaneSpec):
@@ -271,8 +275,13 @@ class QuasiStatic(OnGrid):
     def _increments(self, system: LoadedPoints) -> Increments:
         return system.interpolation.gather(system.x)
 
+    def volume_ratios(self, increments: Increments) -> np.ndarray:
+        change = np.eye(self.grid.dim) + increments.gradient
+        ratios: np.ndarray = rotations.determinant(change)
+        return ratios
+
     def _check(self, increments: Increments) -> str:
-        bad = rotations.determinant(np.eye(self.grid.dim) + increments.gradient) <= 0
+        bad = self.volume_ratios(increments) <= 0
         inverted = self.comm.allreduce(int(np.sum(bad)))
         return f"{inverted} material point(s) turned inside out" if inverted else ""
 

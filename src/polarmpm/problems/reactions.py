@@ -22,6 +22,11 @@ from ..terms.surfaces import SurfaceSupport
 from ..tools.checks import vector
 
 
+def _shown(values: np.ndarray) -> str:
+    """Components on one line."""
+    return "(" + ", ".join(f"{v:.6g}" for v in values) + ")"
+
+
 class Reaction(tuple[np.ndarray, np.ndarray]):
     """What a support does to the body; unpacks into force and couple.
 
@@ -67,9 +72,10 @@ class Reaction(tuple[np.ndarray, np.ndarray]):
         return {"force": self.force, "couple": self.couple, "moment": self.moment}
 
     def __repr__(self) -> str:
-        also = f", shared={self.shared}" if self.shared else ""
-        of = f"force={self.force}, couple={self.couple}, moment={self.moment} about {self.about}"
-        return f"Reaction({of}{also})"
+        also = "".join(f", shared with {name}: {_shown(f)} N" for name, f in self.shared.items())
+        couple = f"couple={_shown(self.couple)} N m, " if len(self.couple) else ""
+        moment = f"moment={_shown(self.moment)} N m about {_shown(self.about)} m"
+        return f"Reaction(force={_shown(self.force)} N, {couple}{moment}{also})"
 
 
 @dataclass(frozen=True)
@@ -79,6 +85,9 @@ class Share:
     name: str
     force: np.ndarray
     moment: np.ndarray
+
+    def __repr__(self) -> str:
+        return f"Share({self.name!r}, force={_shown(self.force)} N, moment={_shown(self.moment)} N m)"
 
 
 @dataclass(frozen=True)
@@ -106,6 +115,14 @@ class Balance:
         """Columns of a table."""
         names = {"force": self.residue[0], "moment": self.residue[1]}
         return {"residue": names, "force": self.force, "moment": self.moment}
+
+    def __repr__(self) -> str:
+        parts = ", ".join(part.name for part in self.parts)
+        force, moment = self.residue
+        return (
+            f"Balance({len(self.parts)} parts: {parts}; sum {_shown(self.force)} N and {_shown(self.moment)} "
+            f"N m about {_shown(self.about)} m, {force:.1e} and {moment:.1e} of the load)"
+        )
 
     def __str__(self) -> str:
         d, m = len(self.force), len(self.moment)

@@ -56,6 +56,14 @@ class Step:
         """Linear solves."""
         return len(self.history) - 1
 
+    def __repr__(self) -> str:
+        force = f"{self.history[-1][0]:.2g}" if self.history else "unknown"
+        unresolved = "" if self.unresolved is None else f", {100 * self.unresolved:.2g} % unresolved"
+        return (
+            f"Step(number={self.number}, factor={self.factor:.9g}, {self.iterations} iterations, "
+            f"force measure {force}, {self.cuts} cuts{unresolved})"
+        )
+
 
 @dataclass(frozen=True)
 class Schedule:
