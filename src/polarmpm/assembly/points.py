@@ -19,6 +19,7 @@ from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from ..solvers.choice import make_solver, solver_of
 from ..solvers.linear import Tangent
+from ..tools.disposal import dispose_with, weakly
 from ..tools.timing import Timer
 from . import sparsity
 from .initialstress import InitialStress
@@ -218,8 +219,9 @@ class PointSystem(LoadedPoints):
             shared = (self.pattern.values, self.pattern.diagonal) if self.pattern.shared else None
             matrix = self.pattern.petsc_matrix()
             self.solver = make_solver(
-                solver, Tangent(matrix, symmetric, self.near_null_space, plastic, large, shared)
+                solver, Tangent(matrix, symmetric, weakly(self.near_null_space), plastic, large, shared)
             )
+            dispose_with(self, self.comm, self.solver.destroy)
         self._few = interpolation.points.total < self.nodes.total
 
     # assembly ---------------------------------------------------------------------------------------
