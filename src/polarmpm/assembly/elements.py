@@ -61,7 +61,7 @@ class ElementSystem(NodalSystem):
                 self.is_large(),
                 weakly(self.near_null_space),
             )
-            dispose_with(self, self.comm, self.matrix.destroy)
+            self._dispose = dispose_with(self, self.comm, self.matrix.destroy)
 
     @property
     def varying(self) -> bool:
@@ -168,4 +168,4 @@ class ElementSystem(NodalSystem):
             return self.matrix.solver.solve(right.ravel(), accuracy).reshape(right.shape)
 
     def destroy(self) -> None:
-        self.matrix.destroy()
+        self._dispose()

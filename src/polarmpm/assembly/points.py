@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import ctypes
 from abc import abstractmethod
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
@@ -76,6 +76,17 @@ class LoadedPoints(NodalSystem):
         for mapping in plastic:
             mapping.start_elastic = on
         return bool(plastic)
+
+    def changing(self) -> Iterator[tuple[Any, tuple[str, ...] | None]]:
+        yield from super().changing()
+        yield self, ("initial", "_boxes", "_at_points", "_couples")
+        yield self.interpolation, ("reference", "pieces")
+        yield self.interpolation.reference, None
+
+    def put_back(self) -> None:
+        self.interpolation.pack()
+        if self.initial is not None:
+            self.initial.pack()
 
     def leave_out_boxes(self, on: bool) -> bool:
         self._boxes = None if on else self.interpolation.boxes
@@ -221,7 +232,7 @@ class PointSystem(LoadedPoints):
             self.solver = make_solver(
                 solver, Tangent(matrix, symmetric, weakly(self.near_null_space), plastic, large, shared)
             )
-            dispose_with(self, self.comm, self.solver.destroy)
+            self._dispose = dispose_with(self, self.comm, self.solver.destroy)
         self._few = interpolation.points.total < self.nodes.total
 
     # assembly ---------------------------------------------------------------------------------------
@@ -329,4 +340,6 @@ class PointSystem(LoadedPoints):
             return self.solver.solve(right.ravel(), accuracy).reshape(right.shape)
 
     def destroy(self) -> None:
-        self.solver.destroy()
+        self._dispose()
+        self.pattern.release()
+        self.step.boxes = None

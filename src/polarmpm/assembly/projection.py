@@ -170,7 +170,7 @@ class ProjectedSystem(LoadedPoints):
                 self.is_large(),
                 weakly(self._near_null_space_on_mesh),
             )
-            dispose_with(self, self.comm, self.matrix.destroy)
+            self._dispose = dispose_with(self, self.comm, self.matrix.destroy)
 
     def _numbers_on_mesh(self) -> np.ndarray:
         """Global numbers of the nodes (n,) in the mesh's matrix; only terms ask for them. Collective.
@@ -265,4 +265,4 @@ class ProjectedSystem(LoadedPoints):
             return self.exchange.to_points(solution)
 
     def destroy(self) -> None:
-        self.matrix.destroy()
+        self._dispose()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 from mpi4py import MPI
@@ -31,6 +32,7 @@ from .observer import Observer
 from .reactions import Balance, Equilibrium, Reaction, point_about, surface_reaction
 from .release import Releasable
 from .state import Fields, StateFields, choose_fields
+from .whole import Changing, Undo
 from .work import StepStart, step_work
 
 
@@ -53,6 +55,24 @@ class Problem(Releasable):
         self.steps: list[Step] = []
         self._fields = StateFields(comm)
         self._last_x: np.ndarray | None = None  # where the points were before the last step
+
+    def _changing(self) -> Iterator[Changing]:
+        yield from super()._changing()
+        for thing in (self._equilibrium, *self.observers):
+            if thing is not None:
+                yield thing, None
+        if self.system is not None:
+            yield from self.system.changing()
+
+    def _put_back(self, undo: Undo) -> None:
+        tried = self.system
+        super()._put_back(undo)
+        if self.system is not None:
+            self.system.put_back()
+            self._stale = True  # the solver may have been left in the middle of its work
+        for system in {tried, self.system} if self.comm.size == 1 else ():
+            if system is not None:
+                system.destroy()
 
     # what the methods differ in -------------------------------------------------------------------
     @abstractmethod
@@ -120,16 +140,23 @@ class Problem(Releasable):
     def system_at(self, factor: float) -> NodalSystem:
         """The nodal system in which equilibrium at a load factor is sought, at the increments that the last
         step has led to, with the loads of that factor; `evaluate(True)` makes its residual and tangent."""
-        system = self._prepare()
-        self._put_loads(system, factor)
-        system.set_prescribed(self._prescribed_at(system, factor))
-        return system
+
+        def make() -> NodalSystem:
+            system = self._prepare()
+            self._put_loads(system, factor)
+            system.set_prescribed(self._prescribed_at(system, factor))
+            return system
+
+        return self.whole(make)
 
     def _prescribed_at(self, system: NodalSystem, factor: float) -> np.ndarray:
         return system.prescribed.increments(factor)
 
     def attempt(self, factor: float) -> Outcome:
         """Try to find equilibrium at a load factor; on failure everything stays as it was."""
+        return self.whole(partial(self._attempt_or_fall_back, factor))
+
+    def _attempt_or_fall_back(self, factor: float) -> Outcome:
         outcome = self._attempt(factor)
         if not outcome.converged and self._fall_back():
             tried, outcome = outcome.history, self._attempt(factor)
@@ -189,6 +216,11 @@ class Problem(Releasable):
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
         schedule = ArcSchedule(first, until, largest, smallest, to, steps, progress)
+        self.whole(self._check_path)
+        return arclength.march(self, schedule)
+
+    def _check_path(self) -> None:
+        """Raise InputError unless all loads, terms and supports are such as the arc-length method takes."""
         system = self._prepare()
         with errors_on_all_ranks(self.comm):
             places = self._load_places()
@@ -200,7 +232,6 @@ class Problem(Releasable):
             )
         check_loads(self.comm, places, self._growth_of_terms(system))
         check_supports(self.comm, system.prescribed)
-        return arclength.march(self, schedule)
 
     def attempt_along(
         self, length: float, to: float | None = None, kink: bool = False
@@ -209,6 +240,9 @@ class Problem(Releasable):
         failure everything stays as it was. With `kink` the step may turn off its tangent. Returns the load
         factor found, too. That loads and supports are such as they have to be is checked by
         `march_arc_length`."""
+        return self.whole(partial(self._along_or_fall_back, length, to, kink))
+
+    def _along_or_fall_back(self, length: float, to: float | None, kink: bool) -> tuple[Outcome, float]:
         outcome, found = self._attempt_along(length, to, kink)
         if not outcome.converged and self._fall_back():
             tried = outcome.history

@@ -27,6 +27,7 @@ from ..geometry.grid import Grid
 from ..geometry.planes import Plane
 from ..kernels.kernel import Kernel
 from ..kinematics.motion import Motion
+from ..tools.disposal import dispose_of_dropped
 from .balancing import BalancedResets
 from .base import Problem
 from .boxes import BoxRecord
@@ -73,6 +74,7 @@ class OnGrid(Problem):
             raise InputError("points: were given another material after the problem had been made of them")
         if old is not None and not p.reset_due and not self._stale:
             return old
+        dispose_of_dropped(self.comm)
         self._compile()
         reset = old is None or p.reset_due
         if old is None or reset:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from mpi4py import MPI
@@ -39,6 +39,7 @@ from .conservation import Conservation
 from .ongrid import Compiled, OnGrid
 from .state import Fields, Progress
 from .surfaces import add_load
+from .whole import Changing
 
 ASSEMBLIES = ("direct", "projection")
 _DISTORTED = WhenDistorted()
@@ -163,6 +164,20 @@ class QuasiStatic(OnGrid):
         self._converged_loads: tuple[np.ndarray, np.ndarray] | None = None
         if self.load_shares.due():
             self._migrate()
+
+    def _changing(self) -> Iterator[Changing]:
+        yield from super()._changing()
+        for thing in (
+            *(self.policy, self.box_record, self.load_shares, self.load_shares.shares),
+            *(self._conservation, self._moving, self._compiled, self._resets),
+        ):
+            yield thing, None
+
+    def _free(self) -> None:
+        self.box_record.kept = self.box_record.energies(self._system)
+        if self._system is not None:
+            self._system.destroy()
+            self._system = None
 
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
@@ -329,6 +344,7 @@ class QuasiStatic(OnGrid):
             shares: how well the points are distributed, from `LoadShares.state`; None: they are distributed
                 now.
         """
+        self.check_open()
         self.progress, self._equilibrium, self._conservation = progress, None, Conservation(self.comm)
         self.keep(kept)
         if self._system is not None:

@@ -244,6 +244,7 @@ class DirectSolver:
     def destroy(self) -> None:
         """Release PETSc's objects."""
         self._release_solver()
+        self._stored = None
         for thing in (None if self._alone else self._shifted, self.matrix, self.rhs, self.solution):
             if thing is not None:
                 thing.destroy()

@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 _Key = tuple[int, ...]  # world ranks: meshes have communicators of their own for the same ranks
 _made: Counter[_Key] = Counter()
-_dropped: dict[_Key, dict[int, Callable[[], None]]] = {}
+_dropped: dict[_Key, dict[int, Disposal]] = {}
 
 
 def _key(comm: MPI.Comm) -> _Key:
@@ -39,19 +39,33 @@ def weakly(method: Callable[[], T]) -> Callable[[], T]:
     return call
 
 
-def dispose_with(owner: Any, comm: MPI.Comm, destroy: Callable[[], None]) -> None:
-    """Destroy objects when their owner is dropped. Collective.
+class Disposal:
+    """Destroys objects, once; whoever owns them may call it before it is dropped."""
+
+    def __init__(self, destroy: Callable[[], None]):
+        self._destroy: Callable[[], None] | None = destroy
+
+    def __call__(self) -> None:
+        destroy, self._destroy = self._destroy, None
+        if destroy is not None:
+            destroy()
+
+
+def dispose_with(owner: Any, comm: MPI.Comm, destroy: Callable[[], None]) -> Disposal:
+    """Destroy objects when their owner is dropped, unless that has been done by then. Collective.
 
     Args:
-        destroy: may be called more than once; must not keep the owner alive.
+        destroy: must not keep the owner alive.
     """
+    disposal = Disposal(destroy)
     if comm.size == 1:
-        weakref.finalize(owner, destroy).atexit = False
-        return
+        weakref.finalize(owner, disposal).atexit = False
+        return disposal
     key = _key(comm)
     _made[key] += 1
     aside = _dropped.setdefault(key, {})
-    weakref.finalize(owner, aside.__setitem__, _made[key], destroy).atexit = False
+    weakref.finalize(owner, aside.__setitem__, _made[key], disposal).atexit = False
+    return disposal
 
 
 def dispose_of_dropped(comm: MPI.Comm) -> None:
