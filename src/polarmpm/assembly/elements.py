@@ -14,6 +14,7 @@ from ..geometry.spacenodes import SpaceNodes
 from ..kinematics import rotations
 from ..terms.base import Piece
 from ..tools import compat
+from ..tools.disposal import dispose_with, weakly
 from ..tools.timing import Timer
 from .formmatrix import FormMatrix
 from .nodalterms import NodalTerms
@@ -57,8 +58,9 @@ class ElementSystem(NodalSystem):
                 not forms.symmetric,
                 solver,
                 self.is_large(),
-                self.near_null_space,
+                weakly(self.near_null_space),
             )
+            self._dispose = dispose_with(self, self.comm, self.matrix.destroy)
 
     @property
     def symmetric(self) -> bool:
@@ -173,4 +175,4 @@ class ElementSystem(NodalSystem):
             return self.matrix.solver.solve(right.ravel(), accuracy).reshape(right.shape)
 
     def destroy(self) -> None:
-        self.matrix.destroy()
+        self._dispose()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -169,6 +169,16 @@ class NodalSystem(ABC):
     def destroy(self) -> None:
         """Release PETSc's objects."""
 
+    def changing(self) -> Iterator[tuple[Any, tuple[str, ...] | None]]:
+        """What a load step changes: objects, and which of their attributes; None: all."""
+        yield self, ("x", "before", "residual", "loads", "external", "carried", "terms")
+        yield self.prescribed, None
+        for piece in self.terms.pieces:
+            yield piece, None
+
+    def put_back(self) -> None:
+        """What a load step had changed has been put back: whatever follows from it, too. Local."""
+
     def put_external(self, forces: np.ndarray) -> None:
         """Take dead forces on the nodes (nodes, block), complete on owned rows, for all loads."""
         self.loads = self.external = forces
@@ -263,7 +273,7 @@ class NodalSystem(ABC):
     def forget_rotations(self) -> None:
         """Rotation increments count from the present rotations on: set them to zero. The equilibrium stays,
         as terms' forces that depended on the increments are carried along. Collective."""
-        before = self.x.copy()
+        before, self.x = self.x, self.x.copy()
         self.x[:, self.layout.dim :] = 0.0
         if len(self.terms):
 
@@ -272,7 +282,7 @@ class NodalSystem(ABC):
 
             lost = self.terms.forces(before, own) - self.terms.forces(self.x, own)
             self.nodes.add_to_owners(lost)
-            self.carried -= np.where(self.prescribed.fixed, 0.0, lost)
+            self.carried = self.carried - np.where(self.prescribed.fixed, 0.0, lost)
 
     # solvers.newton.System --------------------------------------------------------------------------
     def set_prescribed(self, increments: np.ndarray) -> None:

@@ -38,8 +38,9 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
     """Write the last converged state of a `QuasiStatic` or `QuasiStaticFEM`. Collective.
 
     Raises:
-        InputError: the file can't be written.
+        InputError: the file can't be written; the problem has been closed.
     """
+    problem.check_open()
     path, comm = Path(path), problem.comm
     temporary = path.with_name(path.name + ".part")
     arrays = meshstate.arrays(problem) if isinstance(problem, QuasiStaticFEM) else _arrays(problem)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from mpi4py import MPI
@@ -33,6 +34,7 @@ from .observer import Observer
 from .reactions import Equilibrium
 from .results import Results
 from .state import StateFields, check_rows
+from .whole import Changing, Undo
 from .work import StepStart, step_work
 
 
@@ -59,6 +61,24 @@ class Problem(Results):
         self._fields = StateFields(comm)
         self._last_x: np.ndarray | None = None  # where the points were before the last step
         self.failed_at: np.ndarray | None = None
+
+    def _changing(self) -> Iterator[Changing]:
+        yield from super()._changing()
+        for thing in (self._equilibrium, *self.observers):
+            if thing is not None:
+                yield thing, None
+        if self.system is not None:
+            yield from self.system.changing()
+
+    def _put_back(self, undo: Undo) -> None:
+        tried = self.system
+        super()._put_back(undo)
+        if self.system is not None:
+            self.system.put_back()
+            self._stale = True  # the solver may have been left in the middle of its work
+        for system in {tried, self.system} if self.comm.size == 1 else ():
+            if system is not None:
+                system.destroy()
 
     # what the methods differ in -------------------------------------------------------------------
     @abstractmethod
@@ -133,11 +153,15 @@ class Problem(Results):
         """The nodal system in which equilibrium at a load factor is sought, at the increments that the last
         step has led to, with the loads of that factor; `evaluate(True)` makes its residual and tangent."""
         factor = _factor(factor)
-        with self._solving("system_at"):
+
+        def make() -> NodalSystem:
             system = self._prepare()
             self._put_loads(system, factor)
             system.set_prescribed(self._prescribed_at(system, factor))
-        return system
+            return system
+
+        with self._solving("system_at"):
+            return self.whole(make)
 
     @contextmanager
     def _solving(self, what: str) -> Iterator[None]:
@@ -165,11 +189,14 @@ class Problem(Results):
         """
         factor = _factor(factor)
         with ranks.step(self, f"the step to load factor {factor:.9g}", factor), self._solving("attempt"):
-            outcome = self._attempt(factor)
-            if not outcome.converged and self._fall_back():
-                tried, outcome = outcome.history, self._attempt(factor)
-                outcome.history[:0] = tried
-                self._fell_back(outcome.converged)
+            return self.whole(partial(self._attempt_or_fall_back, factor))
+
+    def _attempt_or_fall_back(self, factor: float) -> Outcome:
+        outcome = self._attempt(factor)
+        if not outcome.converged and self._fall_back():
+            tried, outcome = outcome.history, self._attempt(factor)
+            outcome.history[:0] = tried
+            self._fell_back(outcome.converged)
         return outcome
 
     def _fall_back(self) -> bool:
@@ -226,11 +253,12 @@ class Problem(Results):
         """
         schedule = ArcSchedule(first, until, largest, smallest, to, steps, progress)
         with self._solving("march_arc_length"):
-            self._check_path(self._prepare())
+            self.whole(self._check_path)
         return March(self, arclength.march(self, schedule), "arc length")
 
-    def _check_path(self, system: NodalSystem) -> None:
-        """Raise InputError for conditions that the arc-length method can't take."""
+    def _check_path(self) -> None:
+        """Raise InputError unless all loads, terms and supports are such as the arc-length method takes."""
+        system = self._prepare()
         with errors_on_all_ranks(self.comm):
             places = self._load_places()
         apart = [term.name for term in self.terms if not term.proportional]
@@ -255,12 +283,15 @@ class Problem(Results):
             ranks.step(self, f"the step of length {length:.9g} m", 1.0),
             self._solving("attempt_along"),
         ):
+            return self.whole(partial(self._along_or_fall_back, length, to, kink))
+
+    def _along_or_fall_back(self, length: float, to: float | None, kink: bool) -> tuple[Outcome, float]:
+        outcome, found = self._attempt_along(length, to, kink)
+        if not outcome.converged and self._fall_back():
+            tried = outcome.history
             outcome, found = self._attempt_along(length, to, kink)
-            if not outcome.converged and self._fall_back():
-                tried = outcome.history
-                outcome, found = self._attempt_along(length, to, kink)
-                outcome.history[:0] = tried
-                self._fell_back(outcome.converged)
+            outcome.history[:0] = tried
+            self._fell_back(outcome.converged)
         return outcome, found
 
     def _attempt_along(self, length: float, to: float | None, kink: bool) -> tuple[Outcome, float]:

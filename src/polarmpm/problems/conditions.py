@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from mpi4py import MPI
@@ -16,6 +16,7 @@ from ..conditions.amplitudes import Amplitude, check_counts
 from ..conditions.loads import AnyLoad, Applied, HandedOver, Load, make_loads
 from ..conditions.supports import Support, make_support
 from ..errors import InputError
+from ..geometry.planes import Plane
 from ..geometry.surfaces import Surface
 from ..kinematics.layout import Layout
 from ..terms.base import Term
@@ -29,9 +30,10 @@ from . import surfaces
 from .given import Given, Present, Register
 from .state import Progress
 from .turns import Turns
+from .whole import Changing, Whole
 
 
-class Conditions(ABC):
+class Conditions(Whole):
     """Supports, loads and terms of a problem. All methods are collective.
 
     Attributes:
@@ -58,6 +60,19 @@ class Conditions(ABC):
         self.given, self._turns = Register(), Turns(points, self.body)
         self._stale = False  # conditions have changed since the system was built
         self._unasked: list[Amplitude] = []  # functions that haven't been compared over the ranks yet
+
+    def _changing(self) -> Iterator[Changing]:
+        yield from super()._changing()
+        conditions: list[Any] = [*self._supports, *self._loads, *self._terms, *self._leaving]
+        for given in self.given:
+            conditions += [given, *getattr(given.condition, "parts", (given.condition,))]
+        for thing in (self.progress, self.points, self._turns, *conditions):
+            yield thing, None
+        for condition in conditions:
+            if isinstance(condition, Support) and isinstance(condition.where, Plane):
+                yield condition.where, None
+            if hasattr(condition, "amplitude"):
+                yield condition.amplitude, None
 
     @property
     def supports(self) -> tuple[Support, ...]:
@@ -149,6 +164,7 @@ class Conditions(ABC):
         return self._fix_nodes(where, components, counts)
 
     def _fix_nodes(self, where: Any, components: dict[str, Any], counts: str | None) -> Support:
+        self.check_open()
         predicate, label = self._place(where)
         total = not self.progress.step if counts is None else counts == "total"
         number = self.given.next("support")
@@ -166,7 +182,7 @@ class Conditions(ABC):
         self._stale = True
         return support
 
-    def _admit(self, where: Any, support: Support) -> None:  # noqa: B027
+    def _admit(self, where: Any, support: Support) -> None:
         """Take note of a support that the user has put on `where`, or refuse it."""
 
     @collective("add", compare=True)
@@ -185,6 +201,7 @@ class Conditions(ABC):
         if term.taken:
             raise InputError(f"term = {term.name!r} has been added to a problem already; make another one")
         check_counts(term.name, counts)
+        self.check_open()
         term.attach(self.layout, self.comm)
         term.taken = True
         term.begin_at(self.progress.factor, counts)
@@ -282,6 +299,7 @@ class Conditions(ABC):
 
     def _take(self, applied: Applied, amplitudes: Sequence[Amplitude], counts: str | None) -> None:
         """Note a load of a script's."""
+        self.check_open()
         for amplitude in amplitudes:
             amplitude.begin(self.progress.factor, counts)
         self._unasked += amplitudes

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -34,14 +34,20 @@ from ..solvers.newton import Controls
 from ..terms.base import Piece, Term, pieces_of
 from ..terms.settings import MeshNodes, MeshSetting
 from ..terms.surfaceterms import SurfaceCondition
+<<<<<<< HEAD
 from ..tools import checks, compat
 from ..tools.meetings import collective
+=======
+from ..tools import compat
+from ..tools.disposal import dispose_of_dropped
+>>>>>>> interrupts
 from ..tools.parallel import errors_on_all_ranks
 from .base import Problem
 from .described import described, of_rank
 from .given import Present
 from .state import Progress
 from .surfaces import add_load
+from .whole import Changing
 
 
 def _make_forms(elements: Elements) -> ElementForms:
@@ -119,10 +125,22 @@ class QuasiStaticFEM(Problem):
         self._last_loads: np.ndarray | None = None  # forces of the last converged state's loads
         self._body: Any = None  # densities of body loads at the quadrature points
 
+<<<<<<< HEAD
     def __repr__(self) -> str:
         e = self.elements
         cells = f"{len(e.body.owned_cells)} {e.body.cell}s{of_rank(self.comm)}, degree {e.degree}"
         return described(self, cells)
+=======
+    def _changing(self) -> Iterator[Changing]:
+        yield from super()._changing()
+        for thing in (self.elements, self.forms, *self.forms.changing()):
+            yield thing, None
+
+    def _free(self) -> None:
+        if self._system is not None:
+            self._system.destroy()
+            self._system = None
+>>>>>>> interrupts
 
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
@@ -263,6 +281,7 @@ class QuasiStaticFEM(Problem):
             prescribed.put_motion(self.elements.displacement, self.elements.q)
         with self.timer("compile"):
             dead, varying = self._load_forms()
+        dispose_of_dropped(self.comm)
         if self._system is not None:
             self._system.destroy()
         self._system = ElementSystem(
@@ -390,6 +409,7 @@ class QuasiStaticFEM(Problem):
 
     def restore(self, progress: Progress) -> None:
         """Continue from a state that has been put into the elements already; see `io.restart`."""
+        self.check_open()
         self.progress, self._equilibrium, self._last_x = progress, None, None
         self._turns.left(progress, changed=True)
         if self._system is not None:

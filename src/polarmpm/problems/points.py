@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from mpi4py import MPI
@@ -45,6 +45,7 @@ from .described import described, of_rank
 from .ongrid import Compiled, OnGrid
 from .state import Fields, Progress
 from .surfaces import add_load
+from .whole import Changing
 
 ASSEMBLIES = ("direct", "projection")
 _DISTORTED = WhenDistorted()
@@ -182,6 +183,7 @@ class QuasiStatic(OnGrid):
         if self.load_shares.due():
             self._migrate()
 
+<<<<<<< HEAD
     def _warn_of_locking(self) -> None:
         """On one rank; an error where the script makes errors of warnings."""
         if self.comm.rank == 0:
@@ -196,6 +198,21 @@ class QuasiStatic(OnGrid):
 
     def __repr__(self) -> str:
         return described(self, f"{len(self.points)} points{of_rank(self.comm)}, basis {self.basis.name!r}")
+=======
+    def _changing(self) -> Iterator[Changing]:
+        yield from super()._changing()
+        for thing in (
+            *(self.policy, self.box_record, self.load_shares, self.load_shares.shares),
+            *(self._conservation, self._moving, self._compiled, self._resets),
+        ):
+            yield thing, None
+
+    def _free(self) -> None:
+        self.box_record.kept = self.box_record.energies(self._system)
+        if self._system is not None:
+            self._system.destroy()
+            self._system = None
+>>>>>>> interrupts
 
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
@@ -376,6 +393,7 @@ class QuasiStatic(OnGrid):
             shares: how well the points are distributed, from `LoadShares.state`; None: they are distributed
                 now.
         """
+        self.check_open()
         self.progress, self._equilibrium, self._conservation = progress, None, Conservation(self.comm)
         self.keep(kept)
         self._seal, self._arrangement = None, self.points.arrangements

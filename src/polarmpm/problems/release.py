@@ -114,8 +114,12 @@ class Releasable(Conditions):
             raise InputError(
                 f"release: {given.name}: before the first load step there is nothing that could fade"
             )
-        self._let_go(given, fade)
-        given.released, given.until = self.progress.factor, None if fade is None else fade.end
+
+        def let_go() -> None:
+            self._let_go(given, fade)
+            given.released, given.until = self.progress.factor, None if fade is None else fade.end
+
+        self.whole(let_go)
 
     def _let_go(self, given: Given, fade: Fade | None) -> None:
         self._stale = True

@@ -26,7 +26,11 @@ from ..tools.parallel import errors_on_all_ranks
 from . import newton
 from .linear import SingularTangent
 from .newton import Controls, Outcome, expected_to_end
+<<<<<<< HEAD
 from .stepping import BETWEEN, Step, Stepped, check_alone
+=======
+from .stepping import Step, T
+>>>>>>> interrupts
 
 _LENGTH_TOLERANCE = 1e-8  # of a step's length; the state is an equilibrium however long the step is
 # Least cosine between a step and its tangent; what is farther off may be another branch. If steps of a fifth
@@ -291,12 +295,20 @@ class Marching(Stepped, Protocol):
 
     def attempt_along(self, length: float, to: float | None, kink: bool = False) -> tuple[Outcome, float]: ...
 
+    def whole(self, work: Callable[[], T]) -> T:
+        """Do work as a whole or, if anything ends it early, not at all."""
+
 
 def march(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
     """Converged steps; see `Problem.march_arc_length`."""
     hidden = (not schedule.progress) if schedule.progress is not None else None
     with tqdm(disable=True if problem.comm.rank else hidden, bar_format=_BAR) as bar:
-        for done, step in enumerate(_steps(problem, schedule), 1):
+        steps = enumerate(_steps(problem, schedule), 1)
+
+        def take() -> tuple[Step | None, bool]:
+            done, step = next(steps, (0, None))
+            if step is None:
+                return None, True
             problem.steps.append(step)
             stop = False
             if schedule.until is not None:
@@ -305,9 +317,13 @@ def march(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
             stop = problem.comm.bcast(stop) or done == schedule.steps
             bar.update()
             bar.set_postfix_str(f"load factor {step.factor:.6g}, {step.iterations} iterations")
-            yield step
-            if stop:
-                return
+            return step, stop
+
+        stop = False
+        while not stop:
+            step, stop = problem.whole(take)
+            if step is not None:
+                yield step
 
 
 def _steps(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:

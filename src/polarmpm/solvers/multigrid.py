@@ -103,6 +103,7 @@ class Preconditioner:
             self._weak.setASMOverlap(0)
             self._weak.setOperators(matrix)
             unknowns.destroy()
+        self._hierarchy = hierarchy
         hierarchy.setType(PETSc.PC.Type.GAMG)
         hierarchy.setOperators(matrix)
         _put_options(_PREFIX, _HIERARCHY)
@@ -145,7 +146,9 @@ class Preconditioner:
 
     def destroy(self) -> None:
         """Release PETSc's objects."""
-        self.pc.destroy()
+        for pc in (self._weak, self._hierarchy, self.pc):
+            if pc is not None:
+                pc.destroy()
 
 
 def _put_options(prefix: str, values: dict[str, Any]) -> None:

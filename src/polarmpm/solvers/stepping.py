@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from mpi4py import MPI
 
@@ -18,8 +18,16 @@ from ..tools import checks
 from .newton import Outcome
 
 
+<<<<<<< HEAD
 class Stepped(Protocol):
     """How far a problem has come."""
+=======
+T = TypeVar("T")
+
+
+class Marching(Protocol):
+    """What stepping needs of a problem."""
+>>>>>>> interrupts
 
     comm: MPI.Comm
     progress: Any
@@ -30,6 +38,9 @@ class Marching(Stepped, Protocol):
     """What stepping needs of a problem."""
 
     def attempt(self, factor: float) -> Outcome: ...
+
+    def whole(self, work: Callable[[], T]) -> T:
+        """Do work as a whole or, if anything ends it early, not at all."""
 
 
 @dataclass(frozen=True)
@@ -127,13 +138,19 @@ def march(problem: Marching, schedule: Schedule) -> Iterator[Step]:
         hidden = True
     with tqdm(total=100, unit="%", disable=hidden, bar_format=_BAR) as bar:
         stepper = _adaptive if schedule.adaptive else _equal
-        begin = problem.progress.factor
-        for step in stepper(problem, schedule):
-            problem.steps.append(step)
-            share = (step.factor - begin) / (schedule.to - begin) if schedule.to != begin else 1.0
-            bar.update(100 * share - bar.n)
-            force = step.history[-1][0]
-            bar.set_postfix_str(f"step {step.number}, {step.iterations} iterations, residual {force:.1e}")
+        begin, steps = problem.progress.factor, stepper(problem, schedule)
+
+        def take() -> Step | None:
+            step = next(steps, None)
+            if step is not None:
+                problem.steps.append(step)
+                share = (step.factor - begin) / (schedule.to - begin) if schedule.to != begin else 1.0
+                bar.update(100 * share - bar.n)
+                force = step.history[-1][0]
+                bar.set_postfix_str(f"step {step.number}, {step.iterations} iterations, residual {force:.1e}")
+            return step
+
+        while (step := problem.whole(take)) is not None:
             yield step
 
 

@@ -198,7 +198,8 @@ class SurfaceSupport(SurfaceCondition):
     def rebase_rotations(self) -> None:
         d, w = self.layout.dim, self.theta - self._at["theta"]
         if self.layout.rotations == 3:  # what does work on Dw now does it on the spin
-            self.multiplier[:, d:] = rotations.couples_on_spins(w, self.multiplier[:, d:])
+            turned = rotations.couples_on_spins(w, self.multiplier[:, d:])
+            self.multiplier = np.hstack([self.multiplier[:, :d], turned])
         super().rebase_rotations()
 
     def converged(self, y: np.ndarray) -> None:
