@@ -34,13 +34,9 @@ from ..solvers.newton import Controls
 from ..terms.base import Piece, Term, pieces_of
 from ..terms.settings import MeshNodes, MeshSetting
 from ..terms.surfaceterms import SurfaceCondition
-<<<<<<< HEAD
 from ..tools import checks, compat
-from ..tools.meetings import collective
-=======
-from ..tools import compat
 from ..tools.disposal import dispose_of_dropped
->>>>>>> interrupts
+from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from .base import Problem
 from .described import described, of_rank
@@ -125,12 +121,11 @@ class QuasiStaticFEM(Problem):
         self._last_loads: np.ndarray | None = None  # forces of the last converged state's loads
         self._body: Any = None  # densities of body loads at the quadrature points
 
-<<<<<<< HEAD
     def __repr__(self) -> str:
         e = self.elements
         cells = f"{len(e.body.owned_cells)} {e.body.cell}s{of_rank(self.comm)}, degree {e.degree}"
         return described(self, cells)
-=======
+
     def _changing(self) -> Iterator[Changing]:
         yield from super()._changing()
         for thing in (self.elements, self.forms, *self.forms.changing()):
@@ -140,7 +135,6 @@ class QuasiStaticFEM(Problem):
         if self._system is not None:
             self._system.destroy()
             self._system = None
->>>>>>> interrupts
 
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:

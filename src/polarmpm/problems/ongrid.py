@@ -73,7 +73,6 @@ class OnGrid(Problem):
     def _prepare(self) -> LoadedPoints:
         """The system of the present grid; reset if that is due, renewed if conditions have changed."""
         p, old = self.progress, self._system
-<<<<<<< HEAD
         if self.points.arrangements != self._arrangement:
             raise InputError(
                 "points: others have joined them, or they were given another material, after the problem had "
@@ -84,13 +83,7 @@ class OnGrid(Problem):
                 self._seal.check(self.points)
             if not self._stale:
                 return old
-=======
-        if len(self.points.materials) != len(self.forms):
-            raise InputError("points: were given another material after the problem had been made of them")
-        if old is not None and not p.reset_due and not self._stale:
-            return old
         dispose_of_dropped(self.comm)
->>>>>>> interrupts
         self._compile()
         reset = old is None or p.reset_due
         if old is None or reset:

@@ -183,7 +183,6 @@ class QuasiStatic(OnGrid):
         if self.load_shares.due():
             self._migrate()
 
-<<<<<<< HEAD
     def _warn_of_locking(self) -> None:
         """On one rank; an error where the script makes errors of warnings."""
         if self.comm.rank == 0:
@@ -198,7 +197,7 @@ class QuasiStatic(OnGrid):
 
     def __repr__(self) -> str:
         return described(self, f"{len(self.points)} points{of_rank(self.comm)}, basis {self.basis.name!r}")
-=======
+
     def _changing(self) -> Iterator[Changing]:
         yield from super()._changing()
         for thing in (
@@ -212,7 +211,6 @@ class QuasiStatic(OnGrid):
         if self._system is not None:
             self._system.destroy()
             self._system = None
->>>>>>> interrupts
 
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:

@@ -26,11 +26,7 @@ from ..tools.parallel import errors_on_all_ranks
 from . import newton
 from .linear import SingularTangent
 from .newton import Controls, Outcome, expected_to_end
-<<<<<<< HEAD
-from .stepping import BETWEEN, Step, Stepped, check_alone
-=======
-from .stepping import Step, T
->>>>>>> interrupts
+from .stepping import BETWEEN, Step, Stepped, T, check_alone
 
 _LENGTH_TOLERANCE = 1e-8  # of a step's length; the state is an equilibrium however long the step is
 # Least cosine between a step and its tangent; what is farther off may be another branch. If steps of a fifth

@@ -17,17 +17,11 @@ from ..errors import InputError, NotConverged
 from ..tools import checks
 from .newton import Outcome
 
-
-<<<<<<< HEAD
-class Stepped(Protocol):
-    """How far a problem has come."""
-=======
 T = TypeVar("T")
 
 
-class Marching(Protocol):
-    """What stepping needs of a problem."""
->>>>>>> interrupts
+class Stepped(Protocol):
+    """How far a problem has come."""
 
     comm: MPI.Comm
     progress: Any
