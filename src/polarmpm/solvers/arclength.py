@@ -301,8 +301,11 @@ def march(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
     with tqdm(disable=True if problem.comm.rank else hidden, bar_format=_BAR) as bar:
         steps = enumerate(_steps(problem, schedule), 1)
 
-        def take() -> tuple[Step | None, bool]:
-            done, step = next(steps, (0, None))
+        def take() -> tuple[Step | NotConverged | None, bool]:
+            try:
+                done, step = next(steps, (0, None))
+            except NotConverged as error:  # the attempts have put back all; what has failed is to be looked at
+                return error, True
             if step is None:
                 return None, True
             problem.steps.append(step)
@@ -318,6 +321,8 @@ def march(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
         stop = False
         while not stop:
             step, stop = problem.whole(take)
+            if isinstance(step, NotConverged):
+                raise step
             if step is not None:
                 yield step
 

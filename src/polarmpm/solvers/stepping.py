@@ -134,8 +134,11 @@ def march(problem: Marching, schedule: Schedule) -> Iterator[Step]:
         stepper = _adaptive if schedule.adaptive else _equal
         begin, steps = problem.progress.factor, stepper(problem, schedule)
 
-        def take() -> Step | None:
-            step = next(steps, None)
+        def take() -> Step | NotConverged | None:
+            try:
+                step = next(steps, None)
+            except NotConverged as error:  # the attempts have put back all; what has failed is to be looked at
+                return error
             if step is not None:
                 problem.steps.append(step)
                 share = (step.factor - begin) / (schedule.to - begin) if schedule.to != begin else 1.0
@@ -145,6 +148,8 @@ def march(problem: Marching, schedule: Schedule) -> Iterator[Step]:
             return step
 
         while (step := problem.whole(take)) is not None:
+            if isinstance(step, NotConverged):
+                raise step
             yield step
 
 
