@@ -12,6 +12,7 @@ from ..bodies.points import Points
 from ..errors import InputError
 from ..forms.stresses import TABLE as OF_MATERIALS
 from ..forms.stresses import MaterialField
+from ..tools import checks
 from ..tools.parallel import errors_on_all_ranks
 from .paraview import padded
 
@@ -34,6 +35,10 @@ class Field:
     function: Callable[[Points], np.ndarray]
     unit: str = ""
     plastic: bool = False
+
+    def __post_init__(self) -> None:
+        checks.text("Field: name", self.name)
+        checks.function(f"field {self.name!r}: function", self.function, "a function of the points is")
 
 
 OF_POINTS: dict[str, Field] = {
@@ -119,4 +124,6 @@ def _values(field: Field, points: Points) -> np.ndarray:
             f"field {field.name!r}: the shape {values.shape} is given; a row for each of the {len(points)} "
             "points is needed"
         )
+    if values.dtype.kind not in "biuf":
+        raise InputError(f"field {field.name!r}: values of the type {values.dtype}; numbers are needed")
     return padded(values) if values.ndim == 2 and values.shape[1] == points.dim else values

@@ -337,13 +337,16 @@ class Problem(Releasable):
     # restart --------------------------------------------------------------------------------------
     def kept(self) -> dict[str, np.ndarray]:
         """What is kept for each local point from step to step, beside its state: rows (np, ...) by name."""
-        return {f"rows.{name}": a for name, a in self.rows.items()} | self.term_rows() | self.load_rows()
+        last = {} if self._last_x is None else {"last_x": self._last_x}
+        rows = {f"rows.{name}": a for name, a in self.rows.items()}
+        return last | rows | self.term_rows() | self.load_rows()
 
     def keep(self, rows: dict[str, np.ndarray]) -> None:
         """Put in rows such as those of `kept`."""
         self.rows = {name[5:]: a for name, a in rows.items() if name.startswith("rows.")}
         self.restore_term_rows(rows)
         self.restore_load_rows(rows)
+        self._last_x = rows.get("last_x")
 
     # results --------------------------------------------------------------------------------------
     def fields(self, *names: str | MaterialField) -> Fields:
@@ -419,7 +422,7 @@ class Problem(Releasable):
         if isinstance(support, SurfaceSupport):
             if e is not None and support.reaction is not None:
                 return surface_reaction(support, point)
-        elif e is not None and support in e.prescribed.supports:
+        elif e is not None and support in e.supports:
             return e.reaction(support, point)
         raise InputError(f"reaction: no load step has been solved yet with {support.name}")
 

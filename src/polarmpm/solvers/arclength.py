@@ -24,7 +24,7 @@ from ..errors import InputError, LocalFailure, NotConverged
 from . import newton
 from .linear import SingularTangent
 from .newton import Controls, Outcome, expected_to_end
-from .stepping import Step
+from .stepping import Step, restored_of
 
 _LENGTH_TOLERANCE = 1e-8  # of a step's length; the state is an equilibrium however long the step is
 # Least cosine between a step and its tangent; what is farther off may be another branch. If steps of a fifth
@@ -331,4 +331,5 @@ def _steps(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
             tuple(outcome.history),
             len(tried),
             outcome.unresolved,
+            restored_of(problem),
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any, Protocol
 
@@ -27,6 +27,21 @@ class Marching(Protocol):
     def attempt(self, factor: float) -> Outcome: ...
 
 
+@dataclass(eq=False)
+class Restored:
+    """What a run knows that goes on from a restart file; output files are continued by it.
+
+    Attributes:
+        number: steps up to the saved state.
+        steps: those that are known, by their numbers; all of them unless the script has taken some away.
+        continued: the output files that this run has gone on with so far.
+    """
+
+    number: int
+    steps: dict[int, Step]
+    continued: set[Any] = field(default_factory=set)
+
+
 @dataclass(frozen=True)
 class Step:
     """A converged load step.
@@ -38,6 +53,7 @@ class Step:
         cuts: failed attempts before this one.
         unresolved: share of the step's work that is done inside the points' boxes, where neither the grid nor
             the points resolve it; None where points have no boxes.
+        restored: of a run that goes on from a restart file; None: it began with the undeformed body.
     """
 
     number: int
@@ -45,6 +61,7 @@ class Step:
     history: tuple[tuple[float, float], ...]
     cuts: int
     unresolved: float | None = None
+    restored: Restored | None = field(default=None, compare=False, repr=False)
 
     @property
     def iterations(self) -> int:
@@ -117,12 +134,19 @@ def march(problem: Marching, schedule: Schedule) -> Iterator[Step]:
 _BAR = "{desc}{percentage:3.0f}%|{bar}| {elapsed} {postfix}"
 
 
+def restored_of(problem: Any) -> Restored | None:
+    """What a problem knows of the run before, if it goes on from a restart file."""
+    found: Restored | None = getattr(problem, "restored", None)
+    return found
+
+
 def _attempt(problem: Marching, factor: float, tried: list[str]) -> Step | Outcome:
     outcome = problem.attempt(factor)
     if not outcome.converged:
         tried.append(f"load factor {factor:.6g}: {outcome.reason} after {outcome.iterations} iterations")
         return outcome
-    return Step(problem.progress.step, factor, tuple(outcome.history), len(tried), outcome.unresolved)
+    reached, history = problem.progress.step, tuple(outcome.history)
+    return Step(reached, factor, history, len(tried), outcome.unresolved, restored_of(problem))
 
 
 def _equal(problem: Marching, schedule: Schedule) -> Iterator[Step]:
