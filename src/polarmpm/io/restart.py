@@ -213,7 +213,10 @@ def _check(problem: Problem, saved: _Saved, path: Path, allowed: frozenset[str])
     if saved.body != here:
         raise InputError(f"restart file {path}: its state is of {saved.body}, this problem's of {here}")
     conditions = saved.about["conditions"]
-    fewer = problem.check_conditions(conditions, "conditions" in allowed)
+    try:
+        fewer = problem.check_conditions(conditions, "conditions" in allowed)
+    except InputError as e:
+        raise InputError(f"restart file {path}: {e}") from None
     found = list(differences(saved.made_of, made_of(problem, problem.terms_after(conditions))))
     refuse_differences(path, found, allowed)
     error = next((_not_finite(name) for name, a in saved.rows.items() if not _is_finite(name, a)), None)
