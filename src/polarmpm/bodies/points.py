@@ -266,12 +266,14 @@ class Points:
         """All state by name, for output and restart; the arrays themselves, not copies."""
         return {name: getattr(self, name) for name in self.fields}
 
-    def replace(self, arrays: dict[str, np.ndarray]) -> None:
-        """Put in a whole state (restart, migration): every one of `fields`, one row a point."""
+    def replace(self, arrays: dict[str, np.ndarray], same: bool = False) -> None:
+        """Put in a whole state (restart, migration): every one of `fields`, one row a point. `same`: they
+        are the points of before, so that selections of them stay valid; collective."""
+        known = self.fingerprints() if same else ()
         for name, (shape, kind) in self.fields.items():
             full = (len(arrays["id"]), *(self.dim if s == "d" else s for s in shape))
             setattr(self, name, np.ascontiguousarray(arrays[name], dtype=kind).reshape(full))
-        self._fingerprints = ()
+        self._fingerprints = known
 
     def migrate(self, destination: np.ndarray) -> Route:
         """Move each point, with all its state, to rank `destination[i]`. Collective.

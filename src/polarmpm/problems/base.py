@@ -419,13 +419,16 @@ class Problem(Results):
             InputError: the body isn't any more as this problem has left it.
         """
         self._turns.check(self.progress)
-        return {f"rows.{name}": a for name, a in self.rows.items()} | self.term_rows() | self.load_rows()
+        last = {} if self._last_x is None else {"last_x": self._last_x}
+        rows = {f"rows.{name}": a for name, a in self.rows.items()}
+        return last | rows | self.term_rows() | self.load_rows()
 
     def keep(self, rows: dict[str, np.ndarray]) -> None:
         """Put in rows such as those of `kept`."""
         self.rows = {name[5:]: a for name, a in rows.items() if name.startswith("rows.")}
         self.restore_term_rows(rows)
         self.restore_load_rows(rows)
+        self._last_x = rows.get("last_x")
 
 
 def _factor(value: Any, name: str = "factor") -> float:

@@ -111,6 +111,15 @@ class BoxRecord:
                         stacklevel=2,
                     )
 
+    def state(self) -> list[float]:
+        """For a restart file: largest share, its step, and whether the run is in doubt."""
+        return [*self.largest, float(self.in_doubt)]
+
+    def restore(self, state: Sequence[float]) -> None:
+        """Put in what `state` gave."""
+        share, step, doubt = state
+        self.largest, self.in_doubt = (float(share), int(step)), bool(doubt)
+
     def summary(self) -> str:
         """How far the run can be trusted, in a line."""
         share, step = self.largest

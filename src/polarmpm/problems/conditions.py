@@ -335,20 +335,23 @@ class Conditions(Whole):
             start = f"term {k}."
             term.rows = {name[len(start) :]: a for name, a in rows.items() if name.startswith(start)}
 
-    def restore_terms(self, arrays: dict[str, np.ndarray]) -> None:
+    def restore_terms(self, arrays: dict[str, np.ndarray], known: int | None = None) -> None:
         """Put in what `term_state` gave, before `restore`; the problem has the same terms.
+
+        Args:
+            known: how many there were; those that come after them are new.
 
         Raises:
             InputError: other terms.
         """
-        with_state = [k for k, term in enumerate(self._terms) if term.state()]
+        with_state = [k for k, term in enumerate(self._terms[:known]) if term.state()]
         saved = {int(key.split("/")[0]) for key in arrays}
         if saved != set(with_state):
             raise InputError(
                 f"the saved state has {len(saved)} term(s) with a state of their own, the problem has "
                 f"{len(with_state)}"
             )
-        for term in self._terms:
+        for term in self._terms[:known]:
             term.committed = True
         for k in with_state:
             start = f"{k}/"

@@ -404,7 +404,7 @@ class QuasiStaticFEM(Problem):
     def restore(self, progress: Progress) -> None:
         """Continue from a state that has been put into the elements already; see `io.restart`."""
         self.check_open()
-        self.progress, self._equilibrium, self._last_x = progress, None, None
+        self.progress, self._equilibrium = progress, None
         self._turns.left(progress, changed=True)
         if self._system is not None:
             self._system.destroy()

@@ -365,15 +365,13 @@ class QuasiStatic(OnGrid):
 
     def kept(self) -> dict[str, np.ndarray]:
         out = super().kept()
-        if self._last_x is not None:
-            out["last_x"] = self._last_x
         if self._converged_loads is not None:
             out |= {"forces": self._converged_loads[0], "couples": self._converged_loads[1]}
         return out | {"box_energy": self.box_record.energies(self._system)}
 
     def keep(self, rows: dict[str, np.ndarray]) -> None:
         super().keep(rows)
-        self._last_x, self.box_record.kept = rows.get("last_x"), rows.get("box_energy")
+        self.box_record.kept = rows.get("box_energy")
         self._converged_loads = (rows["forces"], rows["couples"]) if "forces" in rows else None
 
     def restore(

@@ -97,7 +97,7 @@ class Results(Releasable):
         if isinstance(support, SurfaceSupport):
             if e is not None and support.reaction is not None:
                 return surface_reaction(support, point)
-        elif e is not None and support in e.prescribed.supports:
+        elif e is not None and support in e.supports:
             return e.reaction(support, point)
         raise InputError(f"reaction: no load step has been solved yet with {support.name}")
 

@@ -26,7 +26,7 @@ from ..tools.parallel import errors_on_all_ranks
 from . import newton
 from .linear import SingularTangent
 from .newton import Controls, Outcome, expected_to_end
-from .stepping import BETWEEN, Step, Stepped, T, check_alone
+from .stepping import BETWEEN, Step, Stepped, T, check_alone, restored_of
 
 _LENGTH_TOLERANCE = 1e-8  # of a step's length; the state is an equilibrium however long the step is
 # Least cosine between a step and its tangent; what is farther off may be another branch. If steps of a fifth
@@ -304,7 +304,9 @@ def march(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
         def take() -> tuple[Step | NotConverged | None, bool]:
             try:
                 done, step = next(steps, (0, None))
-            except NotConverged as error:  # the attempts have put back all; what has failed is to be looked at
+            except (
+                NotConverged
+            ) as error:  # the attempts have put back all; what has failed is to be looked at
                 return error, True
             if step is None:
                 return None, True
@@ -354,5 +356,6 @@ def _steps(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
             tuple(outcome.history),
             len(tried),
             outcome.unresolved,
+            restored_of(problem),
         )
         yield last

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any, Protocol, TypeVar
 
@@ -37,6 +37,21 @@ class Marching(Stepped, Protocol):
         """Do work as a whole or, if anything ends it early, not at all."""
 
 
+@dataclass(eq=False)
+class Restored:
+    """What a run knows that goes on from a restart file; output files are continued by it.
+
+    Attributes:
+        number: steps up to the saved state.
+        steps: those that are known, by their numbers; all of them unless the script has taken some away.
+        continued: the output files that this run has gone on with so far.
+    """
+
+    number: int
+    steps: dict[int, Step]
+    continued: set[Any] = field(default_factory=set)
+
+
 @dataclass(frozen=True)
 class Step:
     """A converged load step.
@@ -48,6 +63,7 @@ class Step:
         cuts: failed attempts before this one.
         unresolved: share of the step's work that is done inside the points' boxes, where neither the grid nor
             the points resolve it; None where points have no boxes.
+        restored: of a run that goes on from a restart file; None: it began with the undeformed body.
     """
 
     number: int
@@ -55,6 +71,7 @@ class Step:
     history: tuple[tuple[float, float], ...]
     cuts: int
     unresolved: float | None = None
+    restored: Restored | None = field(default=None, compare=False, repr=False)
 
     @property
     def iterations(self) -> int:
@@ -137,7 +154,9 @@ def march(problem: Marching, schedule: Schedule) -> Iterator[Step]:
         def take() -> Step | NotConverged | None:
             try:
                 step = next(steps, None)
-            except NotConverged as error:  # the attempts have put back all; what has failed is to be looked at
+            except (
+                NotConverged
+            ) as error:  # the attempts have put back all; what has failed is to be looked at
                 return error
             if step is not None:
                 problem.steps.append(step)
@@ -166,12 +185,19 @@ def check_alone(problem: Stepped, last: Step | None) -> None:
         )
 
 
+def restored_of(problem: Any) -> Restored | None:
+    """What a problem knows of the run before, if it goes on from a restart file."""
+    found: Restored | None = getattr(problem, "restored", None)
+    return found
+
+
 def _attempt(problem: Marching, factor: float, tried: list[str]) -> Step | Outcome:
     outcome = problem.attempt(factor)
     if not outcome.converged:
         tried.append(f"load factor {factor:.6g}: {outcome.reason} after {outcome.iterations} iterations")
         return outcome
-    return Step(problem.progress.step, factor, tuple(outcome.history), len(tried), outcome.unresolved)
+    reached, history = problem.progress.step, tuple(outcome.history)
+    return Step(reached, factor, history, len(tried), outcome.unresolved, restored_of(problem))
 
 
 def _equal(problem: Marching, schedule: Schedule) -> Iterator[Step]:
