@@ -51,6 +51,16 @@ def in_child(group, code, expected, words, scene):
     """The case of a call, from a process that may crash, hang or run out of memory."""
     if expected not in ("bad", "ok", "either"):
         raise ValueError(f"expected = {expected!r}: bad, ok or either")
+    found, ended = forked(lambda: _called(code, scene), scene["OUT"], _SECONDS)
+    name = " ; ".join(code.strip().split("\n"))
+    if found is None:
+        return Case(group, name, *ended)
+    kind, note = found
+    return Case(group, name, _verdict(kind, note, expected, words), note.split("\n")[0][:250])
+
+
+def forked(function, folder, seconds):
+    """What a function returns in a child (as JSON), or None and how the child has ended: verdict and note."""
     read, write = os.pipe()
     with tempfile.TemporaryFile("w+") as log:
         child = os.fork()
@@ -58,10 +68,10 @@ def in_child(group, code, expected, words, scene):
             os.close(read)
             os.dup2(log.fileno(), 1)
             os.dup2(log.fileno(), 2)
-            os.chdir(scene["OUT"])
-            signal.alarm(_SECONDS)
+            os.chdir(folder)
+            signal.alarm(seconds)
             resource.setrlimit(resource.RLIMIT_AS, (_BYTES, _BYTES))
-            os.write(write, json.dumps(_called(code, scene)).encode())
+            os.write(write, json.dumps(function()).encode())
             os._exit(0)
         os.close(write)
         with os.fdopen(read, "rb") as pipe:
@@ -69,12 +79,10 @@ def in_child(group, code, expected, words, scene):
         _, status = os.waitpid(child, 0)
         log.seek(0)
         said = " ".join(log.read()[-200:].split())
-    name = " ; ".join(code.strip().split("\n"))
     if found:
-        kind, note = json.loads(found)
-        return Case(group, name, _verdict(kind, note, expected, words), note.split("\n")[0][:250])
-    by = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
-    return Case(group, name, "hang" if by == signal.SIGALRM else "crash", f"status {status}: {said}")
+        return json.loads(found), None
+    late = os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGALRM
+    return None, ("hang" if late else "crash", f"status {status}: {said}")
 
 
 def _called(code, scene):

@@ -36,9 +36,18 @@ class Weights:
     table: np.ndarray
 
     def __post_init__(self) -> None:
-        lowest, count, table = map(np.asarray, (self.lowest, self.count, self.table))
+        try:
+            lowest, count, table = (np.asarray(a) for a in (self.lowest, self.count, self.table))
+        except Exception as e:  # rows of several lengths, say
+            raise InputError(f"Weights: arrays are needed: {e}") from e
+        self.lowest, self.count, self.table = lowest, count, table
         fits = lowest.ndim == 2 and lowest.shape == count.shape == table.shape[:2] and table.ndim == 4
-        fits = fits and table.shape[2] in (2, 3) and lowest.dtype.kind == count.dtype.kind == "i"
+        fits = (
+            fits
+            and table.shape[2] in (2, 3)
+            and table.dtype.kind == "f"
+            and lowest.dtype.kind == count.dtype.kind == "i"
+        )
         if not (fits and count.min(initial=1) >= 1 and count.max(initial=1) <= table.shape[3]):
             raise InputError(
                 f"Weights: lowest {lowest.dtype} {lowest.shape}, count {count.dtype} {count.shape}, table "

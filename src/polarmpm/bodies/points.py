@@ -470,9 +470,8 @@ class Points:
             InputError: values that aren't a row for each local point, or a selection without points.
         """
         with errors_on_all_ranks(self.comm):
-            found = np.asarray(values)
-            if found.dtype != bool:  # of which the mean is a share
-                found = checks.numeric("values", values, "one row for each local point")
+            # the mean of booleans is a share
+            found = checks.numeric("values", values, "one row for each local point", "biuf")
             if found.ndim == 0 or len(found) != len(self):
                 what = f"a row for each of the {len(self)} local points is needed"
                 raise checks.refuse("values", values, f"{what}; the shape is {found.shape}")

@@ -181,17 +181,16 @@ def _found(searched: Grid, body: _Body, per_cell: np.ndarray, xi: np.ndarray, sh
 
 
 def _points_per_cell(value: Any, dim: int) -> np.ndarray:
-    allowed = f"a positive whole number, or {dim} of them"
-    several = isinstance(value, Sequence | np.ndarray) and np.ndim(value) == 1
+    allowed = f"a positive whole number, or {dim} of them; at most {_CHUNK:.0e} points a cell"
+    several = checks.several(value)
     if several and len(value) != dim:
         raise checks.refuse("points_per_cell", value, allowed)
     number = [
-        checks.whole("points_per_cell", n, least=1, allowed=allowed)
+        checks.whole("points_per_cell", n, least=1, most=_CHUNK, allowed=allowed)
         for n in (value if several else [value] * dim)
     ]
     if math.prod(number) > _CHUNK:
-        what = f"{math.prod(number):.4g} points a cell; at most {_CHUNK:.0e} are allowed"
-        raise checks.refuse("points_per_cell", value, what)
+        raise checks.refuse("points_per_cell", value, allowed)
     return np.array(number, dtype=np.int64)
 
 

@@ -107,7 +107,7 @@ class Surface:
             raise checks.refuse(
                 "Surface.rectangle: edge2", edge2, f"parallel to edge1 = {checks.shown(edge1)}"
             )
-        several = isinstance(points, Sequence | np.ndarray) and np.ndim(points) > 0
+        several = checks.several(points)
         pair = checks.sequence("Surface.rectangle: points", points, 2) if several else (points, points)
         n1, n2 = (checks.whole("Surface.rectangle: points", n, least=1) for n in pair)
         check_memory("Surface.rectangle: points", points, n1 * n2 * _BYTES)

@@ -124,11 +124,15 @@ def array(name: str, value: Any, shape: Sequence[int | None], what: str = "") ->
     return found
 
 
-def numeric(name: str, value: Any, what: str = "") -> np.ndarray:
-    """Real numbers (float64) of whatever shape; not a number and infinite ones, too."""
+def numeric(name: str, value: Any, what: str = "", kinds: str = "iuf") -> np.ndarray:
+    """Real numbers (float64) of whatever shape; not a number and infinite ones, too.
+
+    Args:
+        kinds: of numpy's types; "biuf" takes booleans as zeros and ones.
+    """
     try:
         raw = np.asarray(value)
-        good = raw.dtype.kind in "iuf"
+        good = raw.dtype.kind in kinds
         found = raw.astype(float) if good else raw
     except Exception:  # rows of several lengths, say, and a user's class may do anything
         good = False
@@ -144,6 +148,11 @@ def _of(what: str) -> str:
 def vector(name: str, value: Any, dim: int, what: str = "") -> np.ndarray:
     """A vector (dim,) of finite numbers."""
     return array(name, value, (dim,), what or f"a vector of {dim} components")
+
+
+def several(value: Any) -> bool:
+    """Whether it is a sequence or an array rather than one thing."""
+    return isinstance(value, list | tuple | range) or (isinstance(value, np.ndarray) and value.ndim > 0)
 
 
 def sequence(name: str, value: Any, number: int, what: str = "values") -> tuple[Any, ...]:

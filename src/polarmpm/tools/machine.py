@@ -22,8 +22,7 @@ def check_memory(name: str, value: Any, needed: int) -> None:
     Bytes needed are counted before the work, and rather too few: what a large run just about needs passes.
     """
     if needed > memory():
+        asked, there = (min(n, 10**300) / 2**30 for n in (needed, memory()))
         raise checks.refuse(
-            name,
-            value,
-            f"at least {needed / 2**30:.3g} GiB are needed, this machine has {memory() / 2**30:.3g} GiB",
+            name, value, f"at least {asked:.3g} GiB are needed, this machine has {there:.3g} GiB"
         )
