@@ -165,7 +165,7 @@ class Conditions(Whole):
         self._stale = True
         return support
 
-    def _admit(self, where: Any, support: Support) -> None:  # noqa: B027
+    def _admit(self, where: Any, support: Support) -> None:
         """Take note of a support that the user has put on `where`, or refuse it."""
 
     def add(self, term: Term, *, counts: str | None = None) -> None:

@@ -16,7 +16,6 @@ from tqdm import tqdm
 from ..errors import InputError, NotConverged
 from .newton import Outcome
 
-
 T = TypeVar("T")
 
 
