@@ -176,7 +176,7 @@ class NodalSystem(ABC):
         for piece in self.terms.pieces:
             yield piece, None
 
-    def put_back(self) -> None:
+    def put_back(self) -> None:  # noqa: B027
         """What a load step had changed has been put back: whatever follows from it, too. Local."""
 
     def put_external(self, forces: np.ndarray) -> None:

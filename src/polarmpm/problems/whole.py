@@ -129,7 +129,7 @@ class Whole(ABC):
             self.closed = True
         dispose_of_dropped(self.comm)
 
-    def _free(self) -> None:
+    def _free(self) -> None:  # noqa: B027
         """Free what only further steps need. Collective."""
 
     def __enter__(self) -> Self:
