@@ -10,7 +10,7 @@ YIELDING = pm.VonMises(MATERIAL, k=2e4, H=1e5, l_p=0.1)
 
 def strip(cell=0.5, per_cell=2, material=MATERIAL, load=2e3, **options):
     """A cantilever in the plane, four by one metres."""
-    grid = pm.Grid.box((-1, -2), (6, 3), cell)
+    grid = pm.Grid.box((0, -2), (6, 3), cell)
     points = pm.seed(grid, bounds=((0, 0), (4, 1)), material=material, points_per_cell=per_cell)
     problem = pm.QuasiStatic(grid, points, **{"basis": "mpm", "reset": 2, **options})
     problem.fix(pm.plane(x=0.0), u=0, theta=0)

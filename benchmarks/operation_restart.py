@@ -89,7 +89,7 @@ def unloaded():
 
 def moved():
     """The strip a little higher."""
-    grid = pm.Grid.box((-1, -2), (6, 3), 0.5)
+    grid = pm.Grid.box((0, -2), (6, 3), 0.5)
     points = pm.seed(grid, bounds=((0, 0), (4, 1)), material=MATERIAL, points_per_cell=2)
     points.X = points.X + np.array([0.0, 1e-3])
     problem = pm.QuasiStatic(grid, points, basis="mpm", reset=None)
