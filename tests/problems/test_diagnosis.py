@@ -236,6 +236,24 @@ def test_unknowns_without_stiffness(energy, unknowns):
     assert "nodes have no stiffness" in finding.text
 
 
+def test_a_microrotation_that_nothing_holds():
+    """Without kappa and with theta free, a couple turns the points on the spot; a force does not."""
+    loose = pm.MicropolarElastic(lam=3e3, mu=2e3, kappa=0.0, alpha=1.0, beta=1.0, gamma=1.0)
+    problem = bar(material=loose)
+    problem.fix(near_the_wall, u=0)
+    problem.load(problem.points.farthest((1.0, 0.0)), couple=1.0)
+    finding = failure(problem).findings[0]
+    assert finding.kind == "linear system"
+    assert set(finding.unknowns) == {"theta"}
+    assert "is singular" in finding.text
+
+
+def test_negative_stiffness():
+    """Of an energy with the wrong sign."""
+    error = failure(user(lambda E, G, p: -p.a * ufl.inner(E, E) + ufl.inner(G, G)))
+    assert "negative stiffness: see the energy of UserEnergy" in error.findings[0].text
+
+
 @pytest.mark.parametrize("basis", ["mpm", "gimpm"])
 def test_too_few_points(basis):
     problem = bar(material=NEO_HOOKEAN, basis=basis, points_per_cell=1, upper=(4.0, 2.0))

@@ -32,7 +32,7 @@ from .wording import names_of, own_ids, place, smallest
 
 _MOST = 6  # findings
 _KEPT = ("x", "before", "residual", "loads", "external", "step", "carried")
-_NOTHING = 1e-12  # curvature along a motion, relative to the tangent's diagonal, that is rounding
+_NOTHING = 1e-13  # curvature along a motion, relative to the tangent's diagonal, that is rounding
 _WORK = 1e-8  # share of the forces that work on such a motion
 _LOCAL = 0.2  # share of the nodes that take part in a motion of a few nodes
 _WEAK = 1e-9  # its curvature
@@ -164,8 +164,8 @@ def _look_at_tangent(case: _Case, replay: Replay) -> None:
     try:
         free = ~system.prescribed.fixed[own]
         case.weak = weak.mode(np.where(free, forces[own], 0.0).ravel())
+        case.unstable = weak.negative > 0
         if problem.progress.step:
-            case.unstable = weak.negative > 0
             case.rate = _rate(case, weak)
     finally:
         weak.destroy()
@@ -258,8 +258,9 @@ def _mechanism(case: _Case, replay: Replay) -> Finding | None:
     sums = system.comm.allreduce(np.array([squares.sum(), np.sum(squares**2)]))
     taking_part = sums[0] ** 2 / sums[1] if sums[1] > 0 else system.nodes.total
     local = taking_part < max(6.0, _LOCAL * system.nodes.total)
-    nothing = abs(weak.curvature) < _NOTHING and weak.share > _WORK
-    if not nothing and not (local and abs(weak.curvature) < _WEAK and weak.share > _WORK):
+    curvature = abs(weak.curvature - system.diagonal_shift)
+    nothing = curvature < _NOTHING
+    if weak.share < _WORK or not (nothing or (local and curvature < _WEAK)):
         return None
     column = motion.argmax(axis=1) if len(motion) else np.zeros(0, dtype=int)
     top = motion[np.arange(len(motion)), column]
@@ -283,8 +284,10 @@ def _mechanism(case: _Case, replay: Replay) -> Finding | None:
 
 
 def _cure(case: _Case) -> str:
-    if isinstance(case.system, LoadedPoints) and case.system.interpolation.boxes is None:
-        return "take more points a cell, a spline basis with boxes, or a ghost penalty"
+    if isinstance(case.system, LoadedPoints):
+        if case.system.interpolation.boxes is None:
+            return "take more points a cell, a spline basis with boxes, or a ghost penalty"
+        return "hold it, or take more points a cell"
     return "hold it, or connect what hangs together by these nodes alone"
 
 
@@ -333,6 +336,12 @@ def _limit_load(case: _Case) -> Finding | None:
     factor = case.problem.progress.factor
     if case.way == "arc length":
         return None
+    if case.unstable and not case.problem.progress.step:
+        kinds = ", ".join(sorted({type(m).__name__ for m in case.problem.points.materials}))
+        return Finding(
+            "linear system",
+            f"the tangent of the unloaded body has a motion of negative stiffness: see the energy of {kinds}",
+        )
     if case.unstable:
         said = "the last converged state is not stable: the tangent has a motion of negative stiffness"
     elif case.rate is not None and case.rate > _YIELDING:
