@@ -90,6 +90,9 @@ def diagnose(problem: Any, error: NotConverged, way: str) -> list[Finding]:
         return [Finding("no diagnosis", str(e).splitlines()[0])]
     except Exception as e:
         return [Finding("no diagnosis", f"{type(e).__name__}: {e}")]
+    except BaseException:
+        problem._stale = True  # the solver may have been left in the middle of its work
+        raise
     finally:
         for name, value in kept.items():
             setattr(system, name, value)

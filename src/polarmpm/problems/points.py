@@ -165,9 +165,6 @@ class QuasiStatic(OnGrid):
         if self.load_shares.due():
             self._migrate()
 
-    def __repr__(self) -> str:
-        return described(self, f"{len(self.points)} points{of_rank(self.comm)}, basis {self.basis.name!r}")
-
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
         if isinstance(where, PlaneSpec):
@@ -374,3 +371,6 @@ class QuasiStatic(OnGrid):
     def system(self) -> LoadedPoints | None:
         """Active nodes, their increments and residual as of the last step; None before the first one."""
         return self._system
+
+    def __repr__(self) -> str:
+        return described(self, f"{len(self.points)} points{of_rank(self.comm)}, basis {self.basis.name!r}")
