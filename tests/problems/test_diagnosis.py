@@ -325,6 +325,22 @@ def test_an_error_in_the_diagnosis(monkeypatch):
     assert "ZeroDivisionError: nothing to divide by" in str(error)
 
 
+def test_an_interrupt_in_the_diagnosis(monkeypatch):
+    """Passes, and the run can go on from the last converged state."""
+
+    def interrupted(*arguments: Any) -> None:
+        raise KeyboardInterrupt
+
+    problem = push(clamp(bar()), 0.0, 8.0)
+    list(problem.march(1, to=0.5, progress=False))
+    x = problem.system.x.copy()
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(divergence, "repeat", interrupted)
+        list(problem.march(1, to=1e9, progress=False))
+    np.testing.assert_array_equal(problem.system.x, x)
+    assert next(problem.march(1, progress=False)).factor == 1.0
+
+
 def test_steps_that_converge_are_not_diagnosed(monkeypatch):
     monkeypatch.setattr(diagnosis, "explain", lambda *arguments: pytest.fail("diagnosed"))
     assert len(list(push(clamp(bar()), 0.0, 8.0).march(2, progress=False))) == 2
