@@ -123,7 +123,7 @@ class Problem(Releasable):
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
         schedule = Schedule(steps, to, adaptive, smallest, largest, easy, progress)
-        return March(self, march(self, schedule), "equal" if not adaptive else "adaptive")
+        return March(self, march, schedule, "adaptive" if adaptive else "equal")
 
     def system_at(self, factor: float) -> NodalSystem:
         """The nodal system in which equilibrium at a load factor is sought, at the increments that the last
@@ -208,7 +208,7 @@ class Problem(Releasable):
             )
         check_loads(self.comm, places, self._growth_of_terms(system))
         check_supports(self.comm, system.prescribed)
-        return March(self, arclength.march(self, schedule), "arc length")
+        return March(self, arclength.march, schedule, "arc length")
 
     def attempt_along(
         self, length: float, to: float | None = None, kink: bool = False

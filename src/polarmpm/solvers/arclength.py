@@ -20,11 +20,11 @@ from mpi4py import MPI
 import numpy as np
 from tqdm import tqdm
 
-from ..errors import InputError, LocalFailure, NotConverged
+from ..errors import InputError, LocalFailure
 from . import newton
 from .linear import SingularTangent
 from .newton import Controls, Outcome, expected_to_end
-from .stepping import Step
+from .stepping import Explain, Step, failed
 
 _LENGTH_TOLERANCE = 1e-8  # of a step's length; the state is an equilibrium however long the step is
 # Least cosine between a step and its tangent; what is farther off may be another branch. If steps of a fifth
@@ -291,11 +291,11 @@ class Marching(Protocol):
     def attempt_along(self, length: float, to: float | None, kink: bool = False) -> tuple[Outcome, float]: ...
 
 
-def march(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
-    """Converged steps; see `Problem.march_arc_length`."""
+def march(problem: Marching, schedule: ArcSchedule, explain: Explain | None = None) -> Iterator[Step]:
+    """Converged steps; see `Problem.march_arc_length`. `explain` as of `stepping.march`."""
     hidden = (not schedule.progress) if schedule.progress is not None else None
     with tqdm(disable=True if problem.comm.rank else hidden, bar_format=_BAR) as bar:
-        for done, step in enumerate(_steps(problem, schedule), 1):
+        for done, step in enumerate(_steps(problem, schedule, explain), 1):
             problem.steps.append(step)
             stop = schedule.until is not None and bool(schedule.until(step))
             stop = problem.comm.bcast(stop) or done == schedule.steps
@@ -306,7 +306,7 @@ def march(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
                 return
 
 
-def _steps(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
+def _steps(problem: Marching, schedule: ArcSchedule, explain: Explain | None) -> Iterator[Step]:
     length, largest = schedule.first, schedule.largest or schedule.first
     while schedule.to is None or problem.progress.factor != schedule.to:
         tried: list[str] = []
@@ -322,7 +322,7 @@ def _steps(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
             )
             length *= 0.5
             if length < schedule.smallest * schedule.first:
-                raise NotConverged(aim, outcome.history, tried)
+                raise failed(aim, outcome.history, tried, explain)
         if outcome.iterations <= _EASY:
             length = min(1.5 * length, largest)
         yield Step(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Protocol
@@ -105,15 +105,22 @@ class Schedule:
 _STEPS = 10  # of which the first adaptive one is a part, unless a number is given
 
 
-def march(problem: Marching, schedule: Schedule) -> Iterator[Step]:
-    """Steps to the final factor; see `Problem.march`."""
+Explain = Callable[[NotConverged], None]
+
+
+def march(problem: Marching, schedule: Schedule, explain: Explain | None = None) -> Iterator[Step]:
+    """Steps to the final factor; see `Problem.march`.
+
+    Args:
+        explain: puts into an error that is about to be raised why the step has failed.
+    """
     hidden = (not schedule.progress) if schedule.progress is not None else None
     if problem.comm.rank:
         hidden = True
     with tqdm(total=100, unit="%", disable=hidden, bar_format=_BAR) as bar:
         stepper = _adaptive if schedule.adaptive else _equal
         begin = problem.progress.factor
-        for step in stepper(problem, schedule):
+        for step in stepper(problem, schedule, explain):
             problem.steps.append(step)
             share = (step.factor - begin) / (schedule.to - begin) if schedule.to != begin else 1.0
             bar.update(100 * share - bar.n)
@@ -133,14 +140,24 @@ def _attempt(problem: Marching, factor: float, tried: list[str]) -> Step | Outco
     return Step(problem.progress.step, factor, tuple(outcome.history), len(tried), outcome.unresolved)
 
 
-def _equal(problem: Marching, schedule: Schedule) -> Iterator[Step]:
+def failed(
+    factor: float, history: Sequence[tuple[float, float]], tried: Sequence[str], explain: Explain | None
+) -> NotConverged:
+    """The error to raise, explained."""
+    error = NotConverged(factor, history, tried)
+    if explain is not None:
+        explain(error)
+    return error
+
+
+def _equal(problem: Marching, schedule: Schedule, explain: Explain | None) -> Iterator[Step]:
     begin = problem.progress.factor
     for k in range(1, schedule.number + 1):
         factor = schedule.to if k == schedule.number else _part(begin, schedule.to, k / schedule.number)
         tried: list[str] = []
         step = _attempt(problem, factor, tried)
         if isinstance(step, Outcome):
-            raise NotConverged(factor, step.history, tried)
+            raise failed(factor, step.history, tried, explain)
         yield step
 
 
@@ -161,7 +178,7 @@ _DENOMINATOR = 10**6  # different fractions are 1e-12 apart
 _FEW_DIGITS = 8 * float(np.finfo(float).eps)
 
 
-def _adaptive(problem: Marching, schedule: Schedule) -> Iterator[Step]:
+def _adaptive(problem: Marching, schedule: Schedule, explain: Explain | None) -> Iterator[Step]:
     first = (schedule.to - problem.progress.factor) / schedule.number
     largest = first if schedule.largest is None else math.copysign(schedule.largest, first)
     size = min(first, largest, key=abs)
@@ -177,7 +194,7 @@ def _adaptive(problem: Marching, schedule: Schedule) -> Iterator[Step]:
                 break
             size = 0.5 * min(size, left, key=abs)
             if abs(size) < schedule.smallest * abs(first):
-                raise NotConverged(factor, step.history, tried)
+                raise failed(factor, step.history, tried, explain)
         if step.iterations <= schedule.easy:
             size = min(1.5 * size, largest, key=abs)
         yield step
