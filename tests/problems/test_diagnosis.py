@@ -121,7 +121,7 @@ def test_a_part_that_floats():
     finding = failure(problem).findings[0]
     assert "the part of 8 point(s) around (6, 0.5) m can move" in finding.text
     np.testing.assert_allclose(finding.places, [(6, 0.5)])
-    parts = Parts.of(problem.system, problem.points)
+    parts = Parts.of(problem.system_at(1.0), problem.points)
     assert parts.count.tolist() == [8, 8]
     number, right = by_id(problem.points, parts.points), by_id(problem.points, problem.points.x[:, 0] > 5)
     assert len(set(number[right])) == len(set(number[~right])) == 1
