@@ -121,7 +121,7 @@ def test_a_part_that_floats():
     finding = failure(problem).findings[0]
     assert "the part of 8 point(s) around (6, 0.5) m can move" in finding.text
     np.testing.assert_allclose(finding.places, [(6, 0.5)])
-    parts = Parts.of(problem.system, problem.points)
+    parts = Parts.of(problem.system_at(1.0), problem.points)
     assert parts.count.tolist() == [8, 8]
     number, right = by_id(problem.points, parts.points), by_id(problem.points, problem.points.x[:, 0] > 5)
     assert len(set(number[right])) == len(set(number[~right])) == 1
@@ -236,6 +236,24 @@ def test_unknowns_without_stiffness(energy, unknowns):
     assert "nodes have no stiffness" in finding.text
 
 
+def test_a_microrotation_that_nothing_holds():
+    """Without kappa and with theta free, a couple turns the points on the spot; a force does not."""
+    loose = pm.MicropolarElastic(lam=3e3, mu=2e3, kappa=0.0, alpha=1.0, beta=1.0, gamma=1.0)
+    problem = bar(material=loose)
+    problem.fix(near_the_wall, u=0)
+    problem.load(problem.points.farthest((1.0, 0.0)), couple=1.0)
+    finding = failure(problem).findings[0]
+    assert finding.kind == "linear system"
+    assert set(finding.unknowns) == {"theta"}
+    assert "is singular" in finding.text
+
+
+def test_negative_stiffness():
+    """Of an energy with the wrong sign."""
+    error = failure(user(lambda E, G, p: -p.a * ufl.inner(E, E) + ufl.inner(G, G)))
+    assert "negative stiffness: see the energy of UserEnergy" in error.findings[0].text
+
+
 @pytest.mark.parametrize("basis", ["mpm", "gimpm"])
 def test_too_few_points(basis):
     problem = bar(material=NEO_HOOKEAN, basis=basis, points_per_cell=1, upper=(4.0, 2.0))
@@ -305,6 +323,23 @@ def test_an_error_in_the_diagnosis(monkeypatch):
     error = failure(push(bar(), 0.0, 10.0))
     assert kinds(error) == ["no diagnosis"]
     assert "ZeroDivisionError: nothing to divide by" in str(error)
+
+
+def test_an_interrupt_in_the_diagnosis(monkeypatch):
+    """Passes, and the run can go on from the last converged state."""
+
+    def interrupted(*arguments: Any) -> None:
+        raise KeyboardInterrupt
+
+    problem = push(clamp(bar()), 0.0, 8.0)
+    list(problem.march(1, to=0.5, progress=False))
+    x = problem.system.x.copy()
+    with monkeypatch.context() as patch:
+        patch.setattr(divergence, "repeat", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            list(problem.march(1, to=1e9, progress=False))
+    np.testing.assert_array_equal(problem.system.x, x)
+    assert next(problem.march(1, progress=False)).factor == 1.0
 
 
 def test_steps_that_converge_are_not_diagnosed(monkeypatch):

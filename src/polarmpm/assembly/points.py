@@ -323,6 +323,10 @@ class PointSystem(LoadedPoints):
             pattern.values[pattern.diagonal] += shift * np.tile(most, self.nodes.owned)
 
     @property
+    def diagonal_shift(self) -> float:
+        return _UNFELT if self._few else 0.0
+
+    @property
     def tangent(self) -> Any:
         return self.solver.matrix
 

@@ -139,6 +139,11 @@ class NodalSystem(ABC):
         of prescribed unknowns are left out, but for the diagonal. Of a symmetric one maybe the upper triangle
         only. None where it has another order."""
 
+    @property
+    def diagonal_shift(self) -> float:
+        """What `solve` adds to the tangent's diagonal, relative to it."""
+        return 0.0
+
     @abstractmethod
     def diagonal(self) -> np.ndarray:
         """Diagonal of the tangent (owned nodes, block)."""

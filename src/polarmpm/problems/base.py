@@ -146,7 +146,7 @@ class Problem(Results):
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
         schedule = Schedule(steps, to, adaptive, smallest, largest, easy, progress)
-        return March(self, march(self, schedule), "equal" if not adaptive else "adaptive")
+        return March(self, march, schedule, "adaptive" if adaptive else "equal")
 
     @collective("system_at")
     def system_at(self, factor: float) -> NodalSystem:
@@ -254,7 +254,7 @@ class Problem(Results):
         schedule = ArcSchedule(first, until, largest, smallest, to, steps, progress)
         with self._solving("march_arc_length"):
             self.whole(self._check_path)
-        return March(self, arclength.march(self, schedule), "arc length")
+        return March(self, arclength.march, schedule, "arc length")
 
     def _check_path(self) -> None:
         """Raise InputError unless all loads, terms and supports are such as the arc-length method takes."""

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -31,7 +32,7 @@ from .wording import names_of, own_ids, place, smallest
 
 _MOST = 6  # findings
 _KEPT = ("x", "before", "residual", "loads", "external", "step", "carried")
-_NOTHING = 1e-12  # curvature along a motion, relative to the tangent's diagonal, that is rounding
+_NOTHING = 1e-13  # curvature along a motion, relative to the tangent's diagonal, that is rounding
 _WORK = 1e-8  # share of the forces that work on such a motion
 _LOCAL = 0.2  # share of the nodes that take part in a motion of a few nodes
 _WEAK = 1e-9  # its curvature
@@ -48,6 +49,8 @@ class _Case:
 
     Attributes:
         pushed: what the loads have grown by in this step (nodes, block).
+        decisive: what makes an equilibrium impossible, whatever else there is.
+        motions: free rigid ones.
         weak: the weakest motion that the forces work on.
         rate: displacement by load factor over its mean so far; None: not known.
         unstable: the tangent at the start has a motion with a negative curvature.
@@ -58,6 +61,8 @@ class _Case:
     error: NotConverged
     way: str
     pushed: np.ndarray
+    decisive: list[Finding] = field(default_factory=list)
+    motions: list[Finding] = field(default_factory=list)
     weak: Mode | None = None
     rate: float | None = None
     unstable: bool = False
@@ -85,6 +90,9 @@ def diagnose(problem: Any, error: NotConverged, way: str) -> list[Finding]:
         return [Finding("no diagnosis", str(e).splitlines()[0])]
     except Exception as e:
         return [Finding("no diagnosis", f"{type(e).__name__}: {e}")]
+    except BaseException:
+        problem._stale = True  # the solver may have been left in the middle of its work
+        raise
     finally:
         for name, value in kept.items():
             setattr(system, name, value)
@@ -95,17 +103,22 @@ def _find(problem: Any, system: NodalSystem, error: NotConverged, way: str) -> l
     case = _Case(problem, system, error, way, _pushed(problem, system, error.factor, way))
     system.set_prescribed(problem._prescribed_at(system, error.factor))
     limit = max(1, min(len(error.history) - 1, problem.controls.max_iterations))
-    replay = divergence.repeat(system, problem.controls, limit, lambda r: _look_at_start(case, r))
+    hooks = partial(_look_at_start, case), partial(_look_at_tangent, case)
+    replay = divergence.repeat(system, problem.controls, limit, *hooks)
     system.x = replay.start.x
     if replay.start.residual is None or _not_finite(system, replay.start.residual):
         return [*filter(None, [_at_start_not_finite(case, replay)])]
-    causes, others = _causes(case, replay)
+    if case.decisive:
+        return case.decisive
+    if case.motions and replay.singular:
+        return case.motions
+    causes = [*filter(None, [_mechanism(case, replay), _few_points(case)])]
+    if not causes and not case.motions:  # of motions without stiffness the sign is a matter of rounding
+        causes = [*filter(None, [_limit_load(case)])]
     course = _course(case, replay)
-    if any(one.kind == "free rigid motion" for one in causes):
-        course = []
-    elif causes and causes[0].kind != "limit load":
+    if causes and causes[0].kind != "limit load":
         course = [f for f in course if f.kind in ("inside out", "not finite")]
-    return causes + course + others
+    return causes + course + case.motions
 
 
 def _pushed(problem: Any, system: NodalSystem, factor: float, way: str) -> np.ndarray:
@@ -120,7 +133,26 @@ def _pushed(problem: Any, system: NodalSystem, factor: float, way: str) -> np.nd
     return pushed
 
 
-def _look_at_start(case: _Case, replay: Replay) -> None:
+def _look_at_start(case: _Case, replay: Replay) -> bool:
+    """Before the first solution: what can be told without one. Whether that makes equilibrium impossible."""
+    forces, diagonal = replay.start.residual, replay.diagonal
+    assert forces is not None
+    assert diagonal is not None
+    without = _without_stiffness(case, diagonal)
+    if without is not None:
+        case.decisive = [without]
+        return True
+    parts = Parts.of(case.system, case.problem.points)
+    if case.way == "arc length":
+        forces = forces - case.pushed
+    free = freemotion.free_parts(case.system, parts, forces, diagonal)
+    case.motions = freemotion.findings(case.problem, case.system, parts, free)
+    if any(one.pushed for one in free):
+        case.decisive = case.motions
+    return bool(case.decisive)
+
+
+def _look_at_tangent(case: _Case, replay: Replay) -> None:
     """After the first solution: ask its matrix what it hardly resists."""
     system, problem = case.system, case.problem
     own = slice(0, system.nodes.owned)
@@ -135,8 +167,8 @@ def _look_at_start(case: _Case, replay: Replay) -> None:
     try:
         free = ~system.prescribed.fixed[own]
         case.weak = weak.mode(np.where(free, forces[own], 0.0).ravel())
+        case.unstable = weak.negative > 0
         if problem.progress.step:
-            case.unstable = weak.negative > 0
             case.rate = _rate(case, weak)
     finally:
         weak.destroy()
@@ -191,28 +223,6 @@ def _without_boxes(case: _Case, replay: Replay) -> bool:
 
 
 # causes ----------------------------------------------------------------------------------------------------
-def _causes(case: _Case, replay: Replay) -> tuple[list[Finding], list[Finding]]:
-    """What makes an equilibrium impossible, and what may or may not have to do with it."""
-    system, problem = case.system, case.problem
-    forces, diagonal = replay.start.residual, replay.diagonal
-    assert forces is not None
-    assert diagonal is not None
-    without = _without_stiffness(case, diagonal)
-    if without is not None:
-        return [without], []
-    parts = Parts.of(system, problem.points)
-    if case.way == "arc length":
-        forces = forces - case.pushed
-    free = freemotion.free_parts(system, parts, forces, diagonal)
-    motions = freemotion.findings(problem, system, parts, free)
-    if any(one.pushed for one in free) or (free and replay.singular):
-        return motions, []
-    found = [*filter(None, [_mechanism(case, replay), _few_points(case)])]
-    if not found:  # of motions without stiffness the sign is a matter of rounding
-        found = [*filter(None, [_limit_load(case)])] if not free else []
-    return found, motions
-
-
 def _without_stiffness(case: _Case, raw: np.ndarray) -> Finding | None:
     """Nodes that the body reaches, but whose diagonal is zero."""
     system, own = case.system, case.system.nodes.owned
@@ -251,8 +261,9 @@ def _mechanism(case: _Case, replay: Replay) -> Finding | None:
     sums = system.comm.allreduce(np.array([squares.sum(), np.sum(squares**2)]))
     taking_part = sums[0] ** 2 / sums[1] if sums[1] > 0 else system.nodes.total
     local = taking_part < max(6.0, _LOCAL * system.nodes.total)
-    nothing = abs(weak.curvature) < _NOTHING and weak.share > _WORK
-    if not nothing and not (local and abs(weak.curvature) < _WEAK and weak.share > _WORK):
+    curvature = abs(weak.curvature - system.diagonal_shift)
+    nothing = curvature < _NOTHING
+    if weak.share < _WORK or not (nothing or (local and curvature < _WEAK)):
         return None
     column = motion.argmax(axis=1) if len(motion) else np.zeros(0, dtype=int)
     top = motion[np.arange(len(motion)), column]
@@ -276,8 +287,10 @@ def _mechanism(case: _Case, replay: Replay) -> Finding | None:
 
 
 def _cure(case: _Case) -> str:
-    if isinstance(case.system, LoadedPoints) and case.system.interpolation.boxes is None:
-        return "take more points a cell, a spline basis with boxes, or a ghost penalty"
+    if isinstance(case.system, LoadedPoints):
+        if case.system.interpolation.boxes is None:
+            return "take more points a cell, a spline basis with boxes, or a ghost penalty"
+        return "hold it, or take more points a cell"
     return "hold it, or connect what hangs together by these nodes alone"
 
 
@@ -326,6 +339,12 @@ def _limit_load(case: _Case) -> Finding | None:
     factor = case.problem.progress.factor
     if case.way == "arc length":
         return None
+    if case.unstable and not case.problem.progress.step:
+        kinds = ", ".join(sorted({type(m).__name__ for m in case.problem.points.materials}))
+        return Finding(
+            "linear system",
+            f"the tangent of the unloaded body has a motion of negative stiffness: see the energy of {kinds}",
+        )
     if case.unstable:
         said = "the last converged state is not stable: the tangent has a motion of negative stiffness"
     elif case.rate is not None and case.rate > _YIELDING:

@@ -56,11 +56,18 @@ class Replay:
     singular: bool = False
 
 
-def repeat(system: NodalSystem, controls: Controls, limit: int, at_start: Callable[[Replay], None]) -> Replay:
+def repeat(
+    system: NodalSystem,
+    controls: Controls,
+    limit: int,
+    at_start: Callable[[Replay], bool],
+    with_factor: Callable[[Replay], None],
+) -> Replay:
     """Iterate again in a system whose step has begun, at most `limit` times. Collective.
 
     Args:
-        at_start: called when the first linear system has been solved, or not.
+        at_start: called before the first solution; True: there is no need to go on.
+        with_factor: called when the first linear system has been solved, or not.
     """
     replay, best = Replay(Iterate(0, system.x, None)), math.inf
     for k in range(limit + 1):
@@ -85,12 +92,12 @@ def repeat(system: NodalSystem, controls: Controls, limit: int, at_start: Callab
             best, replay.wrong = force, None
         elif replay.wrong is None:
             replay.wrong = here
-        if k == limit or force > controls.divergence:
+        if k == limit or force > controls.divergence or (k == 0 and at_start(replay)):
             return replay
         _update(system, replay)
         if k == 0:
             replay.first = system.x
-            at_start(replay)
+            with_factor(replay)
         if replay.singular:
             return replay
     return replay

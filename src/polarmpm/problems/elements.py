@@ -121,11 +121,6 @@ class QuasiStaticFEM(Problem):
         self._last_loads: np.ndarray | None = None  # forces of the last converged state's loads
         self._body: Any = None  # densities of body loads at the quadrature points
 
-    def __repr__(self) -> str:
-        e = self.elements
-        cells = f"{len(e.body.owned_cells)} {e.body.cell}s{of_rank(self.comm)}, degree {e.degree}"
-        return described(self, cells)
-
     def _changing(self) -> Iterator[Changing]:
         yield from super()._changing()
         for thing in (self.elements, self.forms, *self.forms.changing()):
@@ -416,3 +411,8 @@ class QuasiStaticFEM(Problem):
     def system(self) -> ElementSystem | None:
         """Nodes and residual as of the last step; None before the first one."""
         return self._system
+
+    def __repr__(self) -> str:
+        e = self.elements
+        cells = f"{len(e.body.owned_cells)} {e.body.cell}s{of_rank(self.comm)}, degree {e.degree}"
+        return described(self, cells)

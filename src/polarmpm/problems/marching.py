@@ -1,4 +1,4 @@
-"""The march that a script iterates over: says when it never does, and why a step has failed."""
+"""The march that a script iterates over: it says when none does."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import os
 import sys
 import warnings
 import weakref
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
+from functools import partial
 from typing import Any
 
 from ..errors import NotConverged
@@ -19,12 +20,13 @@ class March(Iterator[Step]):
     Warns, on rank 0, when it is dropped before the first step: `problem.march(10)` alone solves nothing.
 
     Args:
-        steps: makes them.
+        marching: makes the steps, of the problem, the schedule and what explains a failure.
         way: "equal", "adaptive" or "arc length", for the diagnosis.
     """
 
-    def __init__(self, problem: Any, steps: Iterator[Step], way: str):
-        self._problem, self._steps, self._way = problem, steps, way
+    def __init__(self, problem: Any, marching: Callable[..., Iterator[Step]], schedule: Any, way: str):
+        self._problem, self._way = problem, way
+        self._steps = marching(problem, schedule, partial(_explain, problem, way))
         self._begun = False
         self._unused: Any = None
         if problem.comm.rank == 0:
@@ -36,13 +38,7 @@ class March(Iterator[Step]):
 
     def __next__(self) -> Step:
         self._used()
-        try:
-            return next(self._steps)
-        except NotConverged as error:
-            from . import diagnosis  # lazy import: most runs need none
-
-            diagnosis.explain(self._problem, error, self._way)
-            raise
+        return next(self._steps)
 
     def close(self) -> None:
         """End the march where it is."""
@@ -59,6 +55,12 @@ class March(Iterator[Step]):
     def __repr__(self) -> str:
         state = "begun" if self._begun else "not begun"
         return f"{type(self).__name__}({self._way} steps, {state}, from {self._problem!r})"
+
+
+def _explain(problem: Any, way: str, error: NotConverged) -> None:
+    from . import diagnosis  # lazy import: most runs need none
+
+    diagnosis.explain(problem, error, way)
 
 
 def _line_of_script() -> tuple[str, int]:

@@ -195,9 +195,6 @@ class QuasiStatic(OnGrid):
                     self.points.materials, functions, "smaller cells", beyond=_SPLINES_LOCK, how=few
                 )
 
-    def __repr__(self) -> str:
-        return described(self, f"{len(self.points)} points{of_rank(self.comm)}, basis {self.basis.name!r}")
-
     def _changing(self) -> Iterator[Changing]:
         yield from super()._changing()
         for thing in (
@@ -429,3 +426,6 @@ class QuasiStatic(OnGrid):
     def system(self) -> LoadedPoints | None:
         """Active nodes, their increments and residual as of the last step; None before the first one."""
         return self._system
+
+    def __repr__(self) -> str:
+        return described(self, f"{len(self.points)} points{of_rank(self.comm)}, basis {self.basis.name!r}")

@@ -26,7 +26,7 @@ from ..tools.parallel import errors_on_all_ranks
 from . import newton
 from .linear import SingularTangent
 from .newton import Controls, Outcome, expected_to_end
-from .stepping import BETWEEN, Step, Stepped, T, check_alone, restored_of
+from .stepping import BETWEEN, Explain, Step, Stepped, T, check_alone, failed, restored_of
 
 _LENGTH_TOLERANCE = 1e-8  # of a step's length; the state is an equilibrium however long the step is
 # Least cosine between a step and its tangent; what is farther off may be another branch. If steps of a fifth
@@ -295,18 +295,16 @@ class Marching(Stepped, Protocol):
         """Do work as a whole or, if anything ends it early, not at all."""
 
 
-def march(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
-    """Converged steps; see `Problem.march_arc_length`."""
+def march(problem: Marching, schedule: ArcSchedule, explain: Explain | None = None) -> Iterator[Step]:
+    """Converged steps; see `Problem.march_arc_length`. `explain` as of `stepping.march`."""
     hidden = (not schedule.progress) if schedule.progress is not None else None
     with tqdm(disable=True if problem.comm.rank else hidden, bar_format=_BAR) as bar:
-        steps = enumerate(_steps(problem, schedule), 1)
+        steps = enumerate(_steps(problem, schedule, explain), 1)
 
         def take() -> tuple[Step | NotConverged | None, bool]:
             try:
                 done, step = next(steps, (0, None))
-            except (
-                NotConverged
-            ) as error:  # the attempts have put back all; what has failed is to be looked at
+            except NotConverged as error:  # all has been put back
                 return error, True
             if step is None:
                 return None, True
@@ -329,7 +327,7 @@ def march(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
                 yield step
 
 
-def _steps(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
+def _steps(problem: Marching, schedule: ArcSchedule, explain: Explain | None) -> Iterator[Step]:
     length, largest = schedule.first, schedule.largest or schedule.first
     last: Step | None = None
     while schedule.to is None or problem.progress.factor != schedule.to:
@@ -347,7 +345,7 @@ def _steps(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
             )
             length *= 0.5
             if length < schedule.smallest * schedule.first:
-                raise NotConverged(aim, outcome.history, tried)
+                raise failed(aim, outcome.history, tried, explain)
         if outcome.iterations <= _EASY:
             length = min(1.5 * length, largest)
         last = Step(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any, Protocol, TypeVar
@@ -142,21 +142,26 @@ BETWEEN: dict[str, Any] = {"above": 0.0, "most": 1.0, "allowed": "a number above
 _STEPS = 10  # of which the first adaptive one is a part, unless a number is given
 
 
-def march(problem: Marching, schedule: Schedule) -> Iterator[Step]:
-    """Steps to the final factor; see `Problem.march`."""
+Explain = Callable[[NotConverged], None]
+
+
+def march(problem: Marching, schedule: Schedule, explain: Explain | None = None) -> Iterator[Step]:
+    """Steps to the final factor; see `Problem.march`.
+
+    Args:
+        explain: puts into an error that is about to be raised why the step has failed.
+    """
     hidden = (not schedule.progress) if schedule.progress is not None else None
     if problem.comm.rank:
         hidden = True
     with tqdm(total=100, unit="%", disable=hidden, bar_format=_BAR) as bar:
         stepper = _adaptive if schedule.adaptive else _equal
-        begin, steps = problem.progress.factor, stepper(problem, schedule)
+        begin, steps = problem.progress.factor, stepper(problem, schedule, explain)
 
         def take() -> Step | NotConverged | None:
             try:
                 step = next(steps, None)
-            except (
-                NotConverged
-            ) as error:  # the attempts have put back all; what has failed is to be looked at
+            except NotConverged as error:  # all has been put back
                 return error
             if step is not None:
                 problem.steps.append(step)
@@ -200,7 +205,17 @@ def _attempt(problem: Marching, factor: float, tried: list[str]) -> Step | Outco
     return Step(reached, factor, history, len(tried), outcome.unresolved, restored_of(problem))
 
 
-def _equal(problem: Marching, schedule: Schedule) -> Iterator[Step]:
+def failed(
+    factor: float, history: Sequence[tuple[float, float]], tried: Sequence[str], explain: Explain | None
+) -> NotConverged:
+    """The error to raise, explained."""
+    error = NotConverged(factor, history, tried)
+    if explain is not None:
+        explain(error)
+    return error
+
+
+def _equal(problem: Marching, schedule: Schedule, explain: Explain | None) -> Iterator[Step]:
     begin, last = problem.progress.factor, None
     for k in range(1, schedule.number + 1):
         check_alone(problem, last)
@@ -208,7 +223,7 @@ def _equal(problem: Marching, schedule: Schedule) -> Iterator[Step]:
         tried: list[str] = []
         step = _attempt(problem, factor, tried)
         if isinstance(step, Outcome):
-            raise NotConverged(factor, step.history, tried)
+            raise failed(factor, step.history, tried, explain)
         last = step
         yield step
 
@@ -230,7 +245,7 @@ _DENOMINATOR = 10**6  # different fractions are 1e-12 apart
 _FEW_DIGITS = 8 * float(np.finfo(float).eps)
 
 
-def _adaptive(problem: Marching, schedule: Schedule) -> Iterator[Step]:
+def _adaptive(problem: Marching, schedule: Schedule, explain: Explain | None) -> Iterator[Step]:
     first = (schedule.to - problem.progress.factor) / schedule.number
     largest = first if schedule.largest is None else math.copysign(schedule.largest, first)
     size, last = min(first, largest, key=abs), None
@@ -247,7 +262,7 @@ def _adaptive(problem: Marching, schedule: Schedule) -> Iterator[Step]:
                 break
             size = 0.5 * min(size, left, key=abs)
             if abs(size) < schedule.smallest * abs(first):
-                raise NotConverged(factor, step.history, tried)
+                raise failed(factor, step.history, tried, explain)
         if step.iterations <= schedule.easy:
             size = min(1.5 * size, largest, key=abs)
         last = step

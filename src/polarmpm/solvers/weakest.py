@@ -66,7 +66,6 @@ class WeakTangent:
         self._pc.setFactorSetUpSolverType()
         factor = self._pc.getFactorMatrix()
         factor.setMumpsIcntl(14, 60)  # spare memory for pivoting, in per cent
-        factor.setMumpsIcntl(24, 1)  # null pivots are no error
         try:
             self._pc.setUp()
             failed = factor.getMumpsInfog(1) < 0
