@@ -50,7 +50,7 @@ def _captured() -> Iterator:
     try:
         kept = [os.dup(2), os.memfd_create("stderr")]
         os.dup2(kept[1], 2)
-    except OSError:  # there's no standard error, or no more descriptors
+    except (OSError, AttributeError):  # no standard error, no more descriptors, or another system
         for descriptor in kept:
             os.close(descriptor)
         yield lambda: ""
