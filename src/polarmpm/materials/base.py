@@ -12,6 +12,7 @@ import numpy as np
 import ufl
 
 from ..errors import InputError, TrustWarning
+from ..tools import quiet
 from ..tools.checks import require_finite
 
 _LOCKING = 0.49  # Poisson's ratio, see docs/stability.md
@@ -106,7 +107,8 @@ def evaluate_scalar(what: str, function: Callable[..., Any], *arguments: Any) ->
         InputError: it raises an error itself, or is not a scalar.
     """
     try:
-        value = ufl.as_ufl(function(*arguments))
+        with quiet.ufl():
+            value = ufl.as_ufl(function(*arguments))
     except InputError:
         raise
     except Exception as e:  # a user's function and UFL may raise anything

@@ -42,6 +42,21 @@ def compiler() -> Iterator[None]:
 
 
 @contextmanager
+def ufl() -> Iterator[None]:
+    """UFL's errors are raised only; it would print them, too, and the root logger's handler once more."""
+    logger, thread = logging.getLogger("UFL"), threading.get_ident()
+
+    def others(record: logging.LogRecord) -> bool:
+        return record.thread != thread or record.levelno < logging.ERROR
+
+    logger.addFilter(others)
+    try:
+        yield
+    finally:
+        logger.removeFilter(others)
+
+
+@contextmanager
 def _captured() -> Iterator:
     """Standard error of this process and of those it starts goes into memory."""
     with suppress(Exception):
