@@ -157,6 +157,15 @@ def test_nothing_is_left_of_what_is_interrupted(place, monkeypatch):
     assert integral(6.5) == pytest.approx(6.5)
 
 
+def test_any_path_will_do(place, monkeypatch, tmp_path):
+    monkeypatch.setenv("POLARMPM_CACHE", str(tmp_path / "a 'b\" $c;\n\u00e9 -o"))
+    assert integral(1.25) == pytest.approx(1.25)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("POLARMPM_CACHE", "forms/here")
+    assert integral(1.25) == pytest.approx(1.25)
+    assert len(folders(tmp_path / "forms/here")) == 1
+
+
 def test_on_all_ranks(place, monkeypatch, folder):
     """One folder for all, and one for each."""
     assert integral(7.5, COMM) == pytest.approx(7.5)

@@ -364,7 +364,10 @@ def obtain(
             trouble.append(f"{where}: {_reason(e)}")
             if folder is directory:
                 _warn(where, e)
-    raise KernelError(f"compiled code can't be kept or loaded ({'; '.join(trouble)}); {_way_out()}")
+    raise KernelError(
+        f"compiled code can't be kept or loaded ({'; '.join(trouble)}); {_way_out()}, or CC to another "
+        "compiler's command"
+    )
 
 
 def _known() -> Path | None:

@@ -268,7 +268,8 @@ def _compile(own: Callable[..., Any], comm: MPI.Comm, thing: Any, **options: dic
     def call(folder: Path) -> Any:
         with quiet.compiler():
             of_folder = {**options[kind], "cache_dir": str(folder)}
-            return own(MPI.COMM_SELF, thing, **{**options, kind: of_folder})
+            compiled, module, _ = own(MPI.COMM_SELF, thing, **{**options, kind: of_folder})
+        return compiled, module, (None, None)  # as of a form that is found, without its code
 
     def build(work: Path) -> tuple[Path, Any]:
         (work / "made").mkdir()
