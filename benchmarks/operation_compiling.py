@@ -199,7 +199,7 @@ def stopped(scene, quick, draw):
         (os.killpg if group else os.kill)(process.pid, signal.SIGKILL)
         process.wait()
         case = scene.case(f"killed {i} while compiling", cache)
-        left = [p.name for p in cache.rglob("*") if p.name.startswith(("work-", "unlocked-", "tmp"))]
+        left = [p.name for p in cache.rglob("*") if p.name.startswith((".polarmpm-", "tmp"))]
         if left and case.verdict == "right":
             case = Case(GROUP, case.name, "unclear", f"left behind: {left[0]}")
         yield case

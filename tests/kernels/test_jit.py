@@ -63,7 +63,7 @@ def place(tmp_path, monkeypatch):
 
 
 def entries(place) -> list[str]:
-    return sorted(p.name for p in place.iterdir() if p.name != ".lock")
+    return sorted(p.name for p in place.iterdir() if p.name != ".polarmpm.lock")
 
 
 def test_a_library_is_compiled_once_and_has_a_digest(place, key):
@@ -122,7 +122,7 @@ def test_damaged_libraries_are_compiled_again(place, key, change):
     assert not cache.holds(place, key, f"{key}.so")
     assert kept(place, key, 2) == [2]
     assert cache.holds(place, key, f"{key}.so")
-    assert not [name for name in entries(place) if name.startswith("work")]
+    assert not [name for name in entries(place) if name.startswith(".polarmpm-work")]
 
 
 def test_a_library_of_another_key_is_not_taken(place, key):
@@ -263,9 +263,9 @@ def test_compilers_that_fail(place, key, monkeypatch, name):
     monkeypatch.setenv("CC", command)
     with pytest.raises(KernelError, match=message):
         answer(key, 1)
-    assert not [e for e in entries(place) if e.startswith("work")]
+    assert not [e for e in entries(place) if e.startswith(".polarmpm-work")]
     monkeypatch.setenv("CC", " ")
-    assert answer(jit.digest(key), 1) == 1
+    assert answer(key, 1) == 1
 
 
 def test_compilers_that_fail_do_so_on_all_ranks(key, monkeypatch, folder):
@@ -289,14 +289,19 @@ def test_ranks_with_discs_of_their_own(key, monkeypatch, tmp_path):
 
 def test_what_killed_processes_leave_is_removed(place, key):
     assert answer(key, 1) == 1
-    (place / f"work-{key}-abcdefgh").mkdir()
-    (place / "work-dolfinx-0123-abcdefgh").mkdir()
-    old = place / "tmpabcdefgh"  # as earlier versions named them
-    old.mkdir()
-    os.utime(old, (0, 0))
-    (place / "unlocked-new").mkdir()
+    (place / f".polarmpm-work-{key}-abcdefgh").mkdir()
+    (place / ".polarmpm-work-dolfinx-0123-abcdefgh").mkdir()
+    (place / "tmpabcdefgh").mkdir()  # as earlier versions named them
+    (place / "tmpabcdefgh" / "kernel.c").write_text("")
+    kept = [".polarmpm-unlocked-new", "tmp_mine", "tmpinpput123", "work-of-mine-abcdefgh"]
+    for name in kept:  # a script may have its own things there
+        (place / name).mkdir()
+        (place / name / "result").write_text("")
+    for path in place.iterdir():
+        if path.name != kept[0]:
+            os.utime(path, (0, 0))
     assert answer(jit.digest(key), 1) == 1
-    assert [e for e in entries(place) if not e.endswith((".so", ".sha256"))] == ["unlocked-new"]
+    assert [e for e in entries(place) if not e.endswith((".so", ".sha256"))] == kept
 
 
 HOLDER = """
@@ -332,18 +337,18 @@ def test_another_process_is_waited_for_while_it_lives(place):
     """Its work folder stays while it's at work; when it's killed, the next one goes on at once."""
     first = holder("some-key", 0.5)
     assert cache.obtain("other", "other", lambda p: p, lambda w: _text(w))[0] == place
-    assert [e for e in entries(place) if e.startswith("work-some-key-")]
+    assert [e for e in entries(place) if e.startswith(".polarmpm-work-some-key-")]
     found = cache.obtain("some-key", "entry", lambda p: p.read_text(), lambda w: pytest.fail("made twice"))
     assert found == (place, "x")
     first.wait()
     second = holder("next-key", 1000.0)
     second.kill()
     second.wait()
-    assert [e for e in entries(place) if e.startswith("work-next-key-")]
+    assert [e for e in entries(place) if e.startswith(".polarmpm-work-next-key-")]
     begin = time.monotonic()
     assert cache.obtain("next-key", "entry2", lambda p: p, lambda w: _text(w))[0] == place
     assert time.monotonic() - begin < 5.0
-    assert not [e for e in entries(place) if e.startswith("work-")]
+    assert not [e for e in entries(place) if e.startswith(".polarmpm-work")]
 
 
 def _text(work):

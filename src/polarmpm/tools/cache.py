@@ -13,6 +13,7 @@ import hashlib
 import logging
 import os
 import platform
+import re
 import shutil
 import stat
 import sys
@@ -34,9 +35,11 @@ T = TypeVar("T")
 VARIABLE = "POLARMPM_CACHE"
 NO_COMPILER = "install gcc, or set CC to a C compiler's command"
 COMPILING = "compiling … (first time, about a minute)"
-_WAIT = 180.0  # seconds for which another process's compiler is waited for; then the work is done twice
+_WAIT = 90.0  # seconds for which another process's compiler is waited for; then the work is done twice
 _PROBE = 1 << 18  # bytes that a disc must take for a compiler's failure to be the compiler's
 _OLD = 86400.0  # seconds after which a work folder that nobody locks is given up
+_WORK, _UNLOCKED = ".polarmpm-work-", ".polarmpm-unlocked-"  # work folders: with the key's lock, or without
+_EARLIER = re.compile("tmp[a-z0-9_]{8}")  # work folders of earlier versions
 _log = logging.getLogger("polarmpm")
 _compiler = threading.RLock()  # locks on files are the process'
 
@@ -254,7 +257,7 @@ def _locked(root: Path, key: str) -> Iterator[int | None]:
     The lock is on one byte of a file, and ends with the process that holds it, however it ends.
     """
     try:
-        file = os.open(root / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+        file = os.open(root / ".polarmpm.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
     except OSError:
         yield None
         return
@@ -283,13 +286,15 @@ def _try_lock(file: int, key: str) -> bool | None:
 def _sweep(root: Path, file: int | None, key: str) -> None:
     """Remove work folders of processes that have been killed: nobody holds the lock of what they made."""
     for folder in root.iterdir():
-        kind, _, other = folder.name.partition("-")
-        if kind == "work" and file is not None and "-" in other:
-            other = other.rpartition("-")[0]
+        name, dead = folder.name, False
+        if name.startswith(_WORK) and file is not None:
+            other = name.removeprefix(_WORK).rpartition("-")[0]
             dead = other == key or bool(_try_lock(file, other))
-        else:  # made without a lock
-            dead = (kind == "unlocked" or kind.startswith("tmp")) and folder.is_dir()
-            dead = dead and time.time() - folder.lstat().st_mtime > _OLD
+        elif name.startswith(_UNLOCKED):
+            dead = time.time() - folder.lstat().st_mtime > _OLD
+        elif _EARLIER.fullmatch(name) and folder.is_dir():
+            inside = {f.name for f in folder.iterdir()}
+            dead = inside <= {"kernel.c", "kernel.so"} and time.time() - folder.stat().st_mtime > _OLD
         if dead:
             shutil.rmtree(folder, ignore_errors=True)
 
@@ -308,7 +313,7 @@ def _make(
             return None
         with suppress(OSError):
             _sweep(root, file, key)
-        prefix = f"work-{key}-" if file is not None else "unlocked-"
+        prefix = f"{_WORK}{key}-" if file is not None else _UNLOCKED
         work = Path(tempfile.mkdtemp(prefix=prefix, dir=root))
         try:
             try:
@@ -364,7 +369,10 @@ def obtain(
             trouble.append(f"{where}: {_reason(e)}")
             if folder is directory:
                 _warn(where, e)
-    raise KernelError(f"compiled code can't be kept or loaded ({'; '.join(trouble)}); {_way_out()}")
+    raise KernelError(
+        f"compiled code can't be kept or loaded ({'; '.join(trouble)}); {_way_out()}, or CC to another "
+        "compiler's command"
+    )
 
 
 def _known() -> Path | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 import sysconfig
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -267,6 +268,7 @@ def quadrature(cell: str, degree: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 _compiled: dict[str, tuple[Path, Any]] = {}  # by key: checked once a process
+_replaced = threading.RLock()  # dolfinx' function, by ours
 
 
 @contextmanager
@@ -278,15 +280,16 @@ def _own_cache() -> Iterator[None]:
     """
     from dolfinx import jit
 
-    own = jit.ffcx_jit
-    jit.ffcx_jit = partial(_compile, own)
-    try:
-        yield
-    finally:
-        jit.ffcx_jit = own
+    with _replaced:
+        own = jit.ffcx_jit
+        jit.ffcx_jit = partial(_compile, own)
+        try:
+            yield
+        finally:
+            jit.ffcx_jit = own
 
 
-def _option(module: Any, given: dict[str, Any]) -> str:
+def _option(module: Any, given: dict[str, Any] | None) -> str:
     """All options of dolfinx' or ffcx' compiler, in a fixed order, without those of waiting."""
     get = module.get_options if hasattr(module, "get_options") else module.get_parameters
     return str(sorted((k, str(v)) for k, v in get(given).items() if k not in ("cache_dir", "timeout")))
@@ -298,19 +301,16 @@ def _compile(own: Callable[..., Any], comm: MPI.Comm, thing: Any, **options: dic
     Raises:
         KernelError: it can't be compiled.
     """
-    import ffcx.naming
-    from dolfinx import jit
-
     kind = next((k for k in options if k.startswith("jit_")), "jit_options")
-    of_form = next((v for k, v in options.items() if k.startswith("form_compiler_")), {})
-    args = [*(options.get(kind) or {}).get("cffi_extra_compile_args", ["-O2", "-g0"]), "-w"]
-    ours = {**(options.get(kind) or {}), "cffi_extra_compile_args": args}
-    told = [_option(jit, ours), _option(ffcx, of_form), str(sysconfig.get_config_var("SOABI"))]
-    key = "dolfinx-" + ffcx.naming.compute_signature([thing], "\0".join([*told, cache.machine()]))
+    given = options.get(kind) or {}
+    arguments = [*given.get("cffi_extra_compile_args", ["-O2", "-g0"]), "-w"]
+    options = {**options, kind: {**given, "cffi_extra_compile_args": arguments}}
 
     def call(folder: Path) -> Any:
         with quiet.compiler():
-            return own(MPI.COMM_SELF, thing, **{**options, kind: {**ours, "cache_dir": str(folder)}})
+            of_folder = {**options[kind], "cache_dir": str(folder)}
+            compiled, module, _ = own(MPI.COMM_SELF, thing, **{**options, kind: of_folder})
+        return compiled, module, (None, None)  # as of a form that is found, without its code
 
     def build(work: Path) -> tuple[Path, Any]:
         (work / "made").mkdir()
@@ -320,11 +320,24 @@ def _compile(own: Callable[..., Any], comm: MPI.Comm, thing: Any, **options: dic
         return work / "made", built
 
     def get(near: Path | None, announced: bool) -> tuple[Path, Any]:
+        with quiet.compiler():
+            key = _key(thing, options)
         if key not in _compiled:
             _compiled[key] = cache.obtain(key, key, call, build, near, announced)
         return _compiled[key]
 
     return cache.on_all_ranks(comm, get)
+
+
+def _key(thing: Any, options: dict[str, dict[str, Any]]) -> str:
+    """Name of a form, an expression or an element in the cache, with the options of its compilation."""
+    import ffcx.naming
+    from dolfinx import jit
+
+    by_kind = {k.rpartition("_")[0]: v for k, v in options.items()}
+    told = [_option(jit, by_kind.get("jit")), _option(ffcx, by_kind.get("form_compiler"))]
+    tag = "\0".join([*told, str(sysconfig.get_config_var("SOABI")), cache.machine()])
+    return f"dolfinx-{ffcx.naming.compute_signature([thing], tag)}"
 
 
 def compile_form(form: Any, optimisation: str = "-O2") -> Any:

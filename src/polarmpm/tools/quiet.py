@@ -42,6 +42,21 @@ def compiler() -> Iterator[None]:
 
 
 @contextmanager
+def ufl() -> Iterator[None]:
+    """UFL's errors are raised only; it would print them, too, and the root logger's handler once more."""
+    logger, thread = logging.getLogger("UFL"), threading.get_ident()
+
+    def others(record: logging.LogRecord) -> bool:
+        return record.thread != thread or record.levelno < logging.ERROR
+
+    logger.addFilter(others)
+    try:
+        yield
+    finally:
+        logger.removeFilter(others)
+
+
+@contextmanager
 def _captured() -> Iterator:
     """Standard error of this process and of those it starts goes into memory."""
     with suppress(Exception):
@@ -50,7 +65,7 @@ def _captured() -> Iterator:
     try:
         kept = [os.dup(2), os.memfd_create("stderr")]
         os.dup2(kept[1], 2)
-    except OSError:  # there's no standard error, or no more descriptors
+    except (OSError, AttributeError):  # no standard error, no more descriptors, or another system
         for descriptor in kept:
             os.close(descriptor)
         yield lambda: ""
