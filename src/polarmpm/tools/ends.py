@@ -71,8 +71,8 @@ class _Ends:
             meetings.abort("", 1)
         self.done = True
         alike = words[word]
-        told = {w.error for w in words}
-        if min(alike) == MPI.COMM_WORLD.rank and getattr(error, "error", None) not in told:
+        elsewhere = {w.error for w in words} - {word.error, None}
+        if min(alike) == MPI.COMM_WORLD.rank and getattr(error, "error", None) not in elsewhere:
             self._print(kind, error, trace, alike)
 
     def _print(

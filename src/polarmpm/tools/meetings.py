@@ -12,7 +12,9 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import os
 import pickle
+import re
 import sys
 import time
 import traceback
@@ -202,13 +204,25 @@ def _apart(words: Words) -> PolarMPMError:
     calls = {word.call for word in words}
     by_rank = sorted(words.items(), key=lambda item: min(item[1]))
     if len(calls) == 1:
-        said = [f"{ranks_named(ranks)}: {word.given[:_SHOWN] or 'nothing'}" for word, ranks in by_rank]
+        parts = _differing([word.given for word, _ in by_rank])
+        said = [f"{ranks_named(r)}: {part}" for part, (_, r) in zip(parts, by_rank, strict=True)]
         return InputError(f"{calls.pop()}: the same is needed on all ranks, but they give " + "; ".join(said))
     return RanksApart({r: w.call for w, ranks in by_rank for r in ranks}, "; ".join(_doing(*i) for i in by_rank))
 
 
+def _differing(texts: list[str]) -> list[str]:
+    """Texts of arguments without what all of them begin and end with."""
+    names = [m.start() for m in re.finditer(r"\w+=", os.path.commonprefix(texts))]
+    rest = [text[names[-1] if names else 0 :] for text in texts]
+    same = os.path.commonprefix([text[::-1] for text in rest])[::-1]
+    end = len(same) - same.index(", ") if ", " in same else 0
+    return [text[: len(text) - end][:_SHOWN] or "nothing" for text in rest]
+
+
 def _doing(word: Word, ranks: list[int]) -> str:
-    return f"{ranks_named(ranks)} {word.call}" if word.ended else f"{ranks_named(ranks)}: {word.call}"
+    if word.ended:
+        return f"{ranks_named(ranks)} ha{'ve' if len(ranks) > 1 else 's'} ended"
+    return f"{ranks_named(ranks)}: {word.call}"
 
 
 def ranks_named(ranks: list[int]) -> str:
