@@ -366,10 +366,12 @@ class Points:
         if selection is not None:
             self.check(selection)
         rows = self.rows(selection)
+        with errors_on_all_ranks(self.comm):
+            part = np.asarray(values)[rows].sum(axis=0)
         number = self.comm.allreduce(len(rows))
         if number == 0:
             raise InputError("selection: contains no point")
-        return self.comm.allreduce(values[rows].sum(axis=0)) / number
+        return self.comm.allreduce(part) / number
 
     def mean_displacement(self, selection: Selection | None = None) -> np.ndarray:
         """Mean displacement (m) of a selection, shape (d,). Collective."""

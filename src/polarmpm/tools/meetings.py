@@ -1,18 +1,17 @@
 """Meetings of the ranks: collective calls begin with one, so that none of them waits in vain for the others.
 
-A meeting passes a few words along a binary tree of the ranks and back: which call each of them is in, what it was
-given, what has gone wrong. Where words differ, every rank gets an error that tells them. A rank whose script
-has ended goes on to meetings until all have (`tools.ends`), so that the others learn of it.
+A meeting passes a few words along a binary tree of the ranks and back: which call each of them is in, what it
+was given, what has gone wrong. Where words differ, every rank gets an error that tells them. A rank whose
+script has ended goes on to meetings until all have (`tools.ends`), so that the others learn of it.
 
-Messages go from rank to rank on the communicator itself, under a tag of their own: a rank that leaves needs no
-partner to say so, and a communicator that only some ranks know by now needn't be made.
+Messages go from rank to rank on the communicator itself, under a tag of their own: a rank that leaves needs
+no partner to say so, and a communicator that only some ranks know by now needn't be made.
 """
 
 from __future__ import annotations
 
 import contextlib
 import functools
-import os
 import pickle
 import re
 import sys
@@ -194,6 +193,8 @@ def _told(error: BaseException) -> PolarMPMError | str:
 
 def described_error(error: BaseException) -> str:
     """Kind and text of an error, at most a few lines."""
+    if isinstance(error, SystemExit):
+        return f"sys.exit({error.code!r})"
     text = str(error)
     text = text if len(text) <= 1000 else text[:1000] + "..."
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
@@ -207,14 +208,26 @@ def _apart(words: Words) -> PolarMPMError:
         parts = _differing([word.given for word, _ in by_rank])
         said = [f"{ranks_named(r)}: {part}" for part, (_, r) in zip(parts, by_rank, strict=True)]
         return InputError(f"{calls.pop()}: the same is needed on all ranks, but they give " + "; ".join(said))
-    return RanksApart({r: w.call for w, ranks in by_rank for r in ranks}, "; ".join(_doing(*i) for i in by_rank))
+    return RanksApart(
+        {r: w.call for w, ranks in by_rank for r in ranks}, "; ".join(_doing(*i) for i in by_rank)
+    )
+
+
+def _beginning(texts: list[str]) -> str:
+    """What all texts begin with."""
+    least, most = min(texts), max(texts)
+    return least[: next((k for k, (a, b) in enumerate(zip(least, most, strict=False)) if a != b), len(least))]
 
 
 def _differing(texts: list[str]) -> list[str]:
     """Texts of arguments without what all of them begin and end with."""
-    names = [m.start() for m in re.finditer(r"\w+=", os.path.commonprefix(texts))]
-    rest = [text[names[-1] if names else 0 :] for text in texts]
-    same = os.path.commonprefix([text[::-1] for text in rest])[::-1]
+    same = _beginning(texts)
+    begin = max((m.start() for m in re.finditer(r"\w+=", same)), default=0)
+    last = same.rfind(", ") + 2
+    if last > begin and any(re.match(r"\w+=", text[last:]) for text in texts):
+        begin = last
+    rest = [text[begin:] for text in texts]
+    same = _beginning([text[::-1] for text in rest])[::-1]
     end = len(same) - same.index(", ") if ", " in same else 0
     return [text[: len(text) - end][:_SHOWN] or "nothing" for text in rest]
 
