@@ -46,8 +46,8 @@ class ErrorOnAnotherRank(PolarMPMError, RuntimeError):
 
 
 class RanksApart(PolarMPMError, RuntimeError):
-    """The ranks aren't in the same collective call, so that they would wait for each other for ever; raised on
-    all of them alike, naming what each is in. None of these calls has done anything.
+    """The ranks aren't in the same collective call, and would wait for each other for ever; raised on all of
+    them alike, naming what each is in. None of these calls has done anything.
 
     Attributes:
         calls: what each rank is in, by rank.

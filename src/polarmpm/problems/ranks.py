@@ -58,29 +58,21 @@ def check_alike(comm: MPI.Comm, amplitudes: Sequence[Amplitude], factor: float, 
     first = next((p for p in comm.allgather(places[0].tolist() if len(places) else None) if p), None)
     if first is None:
         return
-    place = np.array([first])
-    found = comm.allgather([_asked(a, factor, place) for a in functions])
-    for k, amplitude in enumerate(functions):
-        values = {rank: np.array(of_rank[k]) for rank, of_rank in enumerate(found) if of_rank[k] is not None}
-        if not values:
+    for amplitude in functions:
+        try:
+            with errors_on_all_ranks(comm):
+                own = amplitude.at(factor, np.array([first]))[0]
+        except Exception:  # it may want all of the rank's positions; its errors show where it's needed
             continue
-        rank, value = next(iter(values.items()))
-        size = max(float(np.abs(v).max()) for v in values.values())
-        for other, v in values.items():
-            if np.abs(v - value).max() > _ROUNDING * size:
-                at = f" and {tuple(round(c, 9) for c in first)}" if amplitude.field else ""
-                raise InputError(
-                    f"{amplitude.name} is {value.tolist()} on rank {rank} and {v.tolist()} on rank {other} at "
-                    f"load factor {factor:g}{at}; a function has to give the same on every rank"
-                )
-
-
-def _asked(amplitude: Amplitude, factor: float, place: np.ndarray) -> list[float] | None:
-    try:
-        values: list[float] = amplitude.at(factor, place)[0].tolist()
-    except Exception:  # it may want all of the rank's positions; its errors show where it's needed
-        return None
-    return values
+        values = np.array(comm.allgather(own))
+        apart = np.abs(values - values[0]).max(axis=1) > _ROUNDING * np.abs(values).max()
+        if np.any(apart):
+            other = int(np.argmax(apart))
+            at = f" and {tuple(round(c, 9) for c in first)}" if amplitude.field else ""
+            raise InputError(
+                f"{amplitude.name} is {values[0].tolist()} on rank 0 and {values[other].tolist()} on rank "
+                f"{other} at load factor {factor:g}{at}; a function has to give the same on every rank"
+            )
 
 
 def check_masks(prescribed: Prescribed, nodes: Nodes) -> None:

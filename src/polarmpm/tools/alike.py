@@ -14,7 +14,7 @@ import numpy as np
 
 _DIGITS = 10  # in which numbers are compared
 _FEW = 8  # entries that are written out
-_LONGEST = 400  # characters; what is longer ends in a digest
+_LONGEST = 2000  # characters; what is longer ends in a digest
 
 
 def described(args: tuple[Any, ...], options: Mapping[str, Any]) -> str:

@@ -1,9 +1,9 @@
-"""The end of a process among others: an error or exit on one rank ends the run, and doesn't leave the others waiting.
+"""The end of a process among others: an error or exit on one rank ends the run, and leaves no other waiting.
 
-Importing the package on several ranks installs two hooks. When an uncaught error, `sys.exit` or the end of the
-script ends a rank, it tells the others so at their next meeting (`tools.meetings`). After an error, or a status
-other than 0, all have to come to their end within a short grace; otherwise MPI ends them. Errors that are
-the same on all ranks are printed once.
+Importing the package on several ranks installs two hooks. When an uncaught error, `sys.exit` or the end of
+the script ends a rank, it tells the others so at their next meeting (`tools.meetings`). After an error, or
+a status other than 0, all have to come to their end within a short grace; otherwise MPI ends them. Errors
+that are the same on all ranks are printed once.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ class _Ends:
             meetings.abort("", 1)
         self.done = True
         alike = words[word]
-        told = {w.error for w in words}
-        if min(alike) == MPI.COMM_WORLD.rank and getattr(error, "error", None) not in told:
+        elsewhere = {w.error for w in words} - {word.error, None}
+        if min(alike) == MPI.COMM_WORLD.rank and getattr(error, "error", None) not in elsewhere:
             self._print(kind, error, trace, alike)
 
     def _print(
@@ -103,7 +103,7 @@ class _Ends:
 
 
 def leave(word: Word, grace: float | None) -> Words | None:
-    """Go to the meetings of all communicators until all ranks have ended; None: they haven't within the grace.
+    """Go to the meetings of all communicators until all ranks have ended; None: they haven't in the grace.
 
     Ranks that have never met may never do: there a rank that ends well doesn't wait for long.
     """
@@ -137,7 +137,7 @@ def leave(word: Word, grace: float | None) -> Words | None:
 
 def install() -> None:
     """Put in the hooks, where there are several ranks; once."""
-    if MPI.COMM_WORLD.size > 1 and getattr(sys.exit, "__self__", None).__class__ is not _Ends:
+    if MPI.COMM_WORLD.size > 1 and not isinstance(getattr(sys.exit, "__self__", None), _Ends):
         own = _Ends()
         sys.excepthook = own.fails
         sys.exit = own.exits

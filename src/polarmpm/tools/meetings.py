@@ -1,11 +1,11 @@
 """Meetings of the ranks: collective calls begin with one, so that none of them waits in vain for the others.
 
-A meeting passes a few words along a binary tree of the ranks and back: which call each of them is in, what it was
-given, what has gone wrong. Where words differ, every rank gets an error that tells them. A rank whose script
-has ended goes on to meetings until all have (`tools.ends`), so that the others learn of it.
+A meeting passes a few words along a binary tree of the ranks and back: which call each of them is in, what it
+was given, what has gone wrong. Where words differ, every rank gets an error that tells them. A rank whose
+script has ended goes on to meetings until all have (`tools.ends`), so that the others learn of it.
 
-Messages go from rank to rank on the communicator itself, under a tag of their own: a rank that leaves needs no
-partner to say so, and a communicator that only some ranks know by now needn't be made.
+Messages go from rank to rank on the communicator itself, under a tag of their own: a rank that leaves needs
+no partner to say so, and a communicator that only some ranks know by now needn't be made.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import pickle
+import re
 import sys
 import time
 import traceback
@@ -192,6 +193,8 @@ def _told(error: BaseException) -> PolarMPMError | str:
 
 def described_error(error: BaseException) -> str:
     """Kind and text of an error, at most a few lines."""
+    if isinstance(error, SystemExit):
+        return f"sys.exit({error.code!r})"
     text = str(error)
     text = text if len(text) <= 1000 else text[:1000] + "..."
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
@@ -202,15 +205,37 @@ def _apart(words: Words) -> PolarMPMError:
     calls = {word.call for word in words}
     by_rank = sorted(words.items(), key=lambda item: min(item[1]))
     if len(calls) == 1:
-        said = [f"{ranks_named(ranks)}: {word.given[:_SHOWN] or 'nothing'}" for word, ranks in by_rank]
+        parts = _differing([word.given for word, _ in by_rank])
+        said = [f"{ranks_named(r)}: {part}" for part, (_, r) in zip(parts, by_rank, strict=True)]
         return InputError(f"{calls.pop()}: the same is needed on all ranks, but they give " + "; ".join(said))
     return RanksApart(
         {r: w.call for w, ranks in by_rank for r in ranks}, "; ".join(_doing(*i) for i in by_rank)
     )
 
 
+def _beginning(texts: list[str]) -> str:
+    """What all texts begin with."""
+    least, most = min(texts), max(texts)
+    return least[: next((k for k, (a, b) in enumerate(zip(least, most, strict=False)) if a != b), len(least))]
+
+
+def _differing(texts: list[str]) -> list[str]:
+    """Texts of arguments without what all of them begin and end with."""
+    same = _beginning(texts)
+    begin = max((m.start() for m in re.finditer(r"\w+=", same)), default=0)
+    last = same.rfind(", ") + 2
+    if last > begin and any(re.match(r"\w+=", text[last:]) for text in texts):
+        begin = last
+    rest = [text[begin:] for text in texts]
+    same = _beginning([text[::-1] for text in rest])[::-1]
+    end = len(same) - same.index(", ") if ", " in same else 0
+    return [text[: len(text) - end][:_SHOWN] or "nothing" for text in rest]
+
+
 def _doing(word: Word, ranks: list[int]) -> str:
-    return f"{ranks_named(ranks)} {word.call}" if word.ended else f"{ranks_named(ranks)}: {word.call}"
+    if word.ended:
+        return f"{ranks_named(ranks)} ha{'ve' if len(ranks) > 1 else 's'} ended"
+    return f"{ranks_named(ranks)}: {word.call}"
 
 
 def ranks_named(ranks: list[int]) -> str:
