@@ -112,6 +112,9 @@ class Amplitude:
         try:
             given = checks.numeric(self.name, raw)
             one = given.ndim == 0 or (self.field and given.shape == (n,) != (self.size,))
+            # an array (n, 1) isn't to be broadcast to several components
+            if not one and given.shape[-1] != self.size:
+                raise ValueError
             values = given[:, None] if one and given.ndim else given
             values = np.broadcast_to(values, (n, self.size))
         except ValueError:
