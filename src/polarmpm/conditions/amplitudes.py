@@ -108,7 +108,8 @@ class Amplitude:
         n = len(positions)
         if self.function is None:
             return np.broadcast_to(factor * self.constant, (n, self.size))
-        raw = self.function(factor, positions) if self.field else self.function(factor)
+        # a copy: what a script does with its positions is up to it
+        raw = self.function(factor, positions.copy()) if self.field else self.function(factor)
         try:
             given = checks.numeric(self.name, raw)
             one = given.ndim == 0 or (self.field and given.shape == (n,) != (self.size,))
