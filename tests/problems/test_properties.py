@@ -53,7 +53,8 @@ def in_balance(problem: Any) -> None:
     """The sum of all forces vanishes, but for rounding."""
     found = problem.balance()
     largest = max((float(np.linalg.norm(part.force)) for part in found.parts), default=0.0)
-    assert np.linalg.norm(found.force) <= 1e-5 * largest + 1e-9
+    turning = max((float(np.linalg.norm(part.moment)) for part in found.parts), default=0.0)
+    assert np.linalg.norm(found.force) <= 1e-5 * largest + 1e-9 * (1.0 + turning)
 
 
 def total(problem: Any, name: str = "loads") -> np.ndarray:

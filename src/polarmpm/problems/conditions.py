@@ -29,7 +29,7 @@ from .state import Progress
 from .turns import Turns
 
 
-class Conditions(ABC):
+class Conditions(Turns, ABC):
     """Supports, loads and terms of a problem. All methods are collective.
 
     Attributes:
@@ -40,7 +40,6 @@ class Conditions(ABC):
     """
 
     knows_undeformed = False  # where a surface that is added in mid-run was in the undeformed body
-    body = "points"  # what the script has made it of, for messages
 
     def __init__(self, comm: MPI.Comm, points: Points, dim: int):
         self.comm, self.points, self.progress = comm, points, Progress()
@@ -53,7 +52,8 @@ class Conditions(ABC):
         self._terms: list[Term] = []
         # released since the last converged step: a balanced reset must not carry along what they did
         self._leaving: list[Support | Term] = []
-        self.given, self._turns = Register(), Turns(points, self.body)
+        self.given = Register()
+        self._leave()
         self._stale = False  # conditions have changed since the system was built
 
     @property
@@ -127,7 +127,7 @@ class Conditions(ABC):
                 a stiffness that isn't positive, materials that don't name their moduli; springs elsewhere.
                 When the next step begins, a support at whose nodes there is nothing of the body.
         """
-        self._turns.outside("fix")
+        self._check_outside("fix")
         check_counts("fix", counts)
         springs = {"stiffness": stiffness, "rotation_stiffness": rotation_stiffness, "normal": normal}
         if isinstance(where, Surface):
@@ -155,7 +155,7 @@ class Conditions(ABC):
         self._stale = True
         return support
 
-    def _admit(self, where: Any, support: Support) -> None:  # noqa: B027
+    def _admit(self, where: Any, support: Support) -> None:
         """Take note of a support that the user has put on `where`, or refuse it."""
 
     def add(self, term: Term, *, counts: str | None = None) -> None:
@@ -165,7 +165,7 @@ class Conditions(ABC):
         Raises:
             InputError: not a term, one that is in a problem already, or one that doesn't fit this problem.
         """
-        self._turns.outside("add")
+        self._check_outside("add")
         if not isinstance(term, Term):
             raise InputError(
                 f"term = {shown(term)} is not a Term; derive from polarmpm.Term or polarmpm.SurfaceTerm"
@@ -254,7 +254,7 @@ class Conditions(ABC):
         density: bool = False,
         share: float = 1.0,
     ) -> Applied:
-        self._turns.outside(name)
+        self._check_outside(name)
         check_counts(name, counts)
         if selection is not None:
             self.points.check(selection)

@@ -357,7 +357,7 @@ class QuasiStatic(OnGrid):
             reference = self._migrate(reference)
         else:
             self.load_shares.restore(shares)
-        self._turns.left(progress, changed=True)
+        self._leave(changed=True)
         if reference is None or lattice is None or values is None:
             progress.reset_due = True
             return
