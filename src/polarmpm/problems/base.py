@@ -133,6 +133,7 @@ class Problem(Results):
     def _solving(self, what: str) -> Iterator[None]:
         """While a load step is prepared or solved; what a script may have put in wrongly is checked first."""
         with self._turn(what):
+            checks.instance("controls", self.controls, Controls, "polarmpm.Controls(...) is")
             for observer in self.observers:
                 checks.instance(
                     "observers", observer, Observer, "objects of a class of polarmpm.Observer are"
