@@ -105,6 +105,7 @@ class Elements:
         x = values[:, :, : self.dim].reshape(-1, self.dim)
         points = Points(x, volume, half, materials[0], self.comm)
         points.put_materials(materials, np.repeat(of_cell, len(xi)))
+        points._mesh = self.mesh
         points.id = (self.body.original_cells[:, None] * len(xi) + np.arange(len(xi))).ravel()
         points.regions = tuple(r for r in (Regions.of(self.body, len(xi)),) if r is not None)
         return points

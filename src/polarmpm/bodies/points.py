@@ -98,6 +98,7 @@ class Points:
     hardening: np.ndarray
     dissipation: np.ndarray
     steps: int = 0
+    _mesh: Any = None  # of elements, whose communicator it is and dies with it
 
     def __init__(
         self,

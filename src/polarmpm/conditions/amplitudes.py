@@ -109,11 +109,14 @@ class Amplitude:
         n = len(positions)
         if self.function is None:
             return np.broadcast_to(factor * self.constant, (n, self.size))
-        # positions are copied, as the function may change what it is given
+        # a copy: what a script does with its positions is up to it
         raw = self.function(factor, positions.copy()) if self.field else self.function(factor)
         try:
             given = checks.numeric(self.name, raw)
             one = given.ndim == 0 or (self.field and given.shape == (n,) != (self.size,))
+            # an array (n, 1) isn't to be broadcast to several components
+            if not one and given.shape[-1] != self.size:
+                raise ValueError
             values = given[:, None] if one and given.ndim else given
             values = np.broadcast_to(values, (n, self.size))
         except ValueError:

@@ -49,7 +49,7 @@ class Support:
 
     def mask(self, nodes: Positioned) -> np.ndarray:
         """Which nodes are meant, (n,) bool."""
-        return checks.mask(f"{self.name}: the predicate", self.where(nodes.position), len(nodes))
+        return checks.mask(f"{self.name}: the predicate", self.where(nodes.position.copy()), len(nodes))
 
 
 def make_support(

@@ -166,7 +166,8 @@ class Problem(Results):
     @contextmanager
     def _solving(self, what: str) -> Iterator[None]:
         """While a load step is prepared or solved; what a script may have put in wrongly is checked first."""
-        with self._turns.take(what, self.progress):
+        with self._turn(what):
+            checks.instance("controls", self.controls, Controls, "polarmpm.Controls(...) is")
             for observer in self.observers:
                 checks.instance(
                     "observers", observer, Observer, "objects of a class of polarmpm.Observer are"
@@ -381,7 +382,7 @@ class Problem(Results):
                 self._commit_terms(system, start.x)
                 base = self.progress.rotation_factor
                 self._commit(system, at_points, factor)
-                self._turns.left(self.progress, changed=True)
+                self._leave(changed=True)
                 self._note(outcome)
                 system.prescribed.start_from(factor, system.x)
                 self._settle()
@@ -418,7 +419,7 @@ class Problem(Results):
         Raises:
             InputError: the body isn't any more as this problem has left it.
         """
-        self._turns.check(self.progress)
+        self._check_left()
         last = {} if self._last_x is None else {"last_x": self._last_x}
         rows = {f"rows.{name}": a for name, a in self.rows.items()}
         return last | rows | self.term_rows() | self.load_rows()

@@ -33,7 +33,7 @@ from .turns import Turns
 from .whole import Changing, Whole
 
 
-class Conditions(Whole):
+class Conditions(Whole, Turns):
     """Supports, loads and terms of a problem. All methods are collective.
 
     Attributes:
@@ -44,7 +44,6 @@ class Conditions(Whole):
     """
 
     knows_undeformed = False  # where a surface that is added in mid-run was in the undeformed body
-    body = "points"  # what the script has made it of, for messages
 
     def __init__(self, comm: MPI.Comm, points: Points, dim: int):
         self.comm, self.points, self.progress = comm, points, Progress()
@@ -57,7 +56,8 @@ class Conditions(Whole):
         self._terms: list[Term] = []
         # released since the last converged step: a balanced reset must not carry along what they did
         self._leaving: list[Support | Term] = []
-        self.given, self._turns = Register(), Turns(points, self.body)
+        self.given = Register()
+        self._leave()
         self._stale = False  # conditions have changed since the system was built
         self._unasked: list[Amplitude] = []  # functions that haven't been compared over the ranks yet
 
@@ -66,7 +66,7 @@ class Conditions(Whole):
         conditions: list[Any] = [*self._supports, *self._loads, *self._terms, *self._leaving]
         for given in self.given:
             conditions += [given, *getattr(given.condition, "parts", (given.condition,))]
-        for thing in (self.progress, self.points, self._turns, *conditions):
+        for thing in (self.progress, self.points, *conditions):
             yield thing, None
         for condition in conditions:
             if isinstance(condition, Support) and isinstance(condition.where, Plane):
@@ -151,7 +151,7 @@ class Conditions(Whole):
                 a stiffness that isn't positive, materials that don't name their moduli; springs elsewhere.
                 When the next step begins, a support at whose nodes there is nothing of the body.
         """
-        self._turns.outside("fix")
+        self._check_outside("fix")
         check_counts("fix", counts)
         where = self._named(where)
         springs = {"stiffness": stiffness, "rotation_stiffness": rotation_stiffness, "normal": normal}
@@ -193,7 +193,7 @@ class Conditions(Whole):
         Raises:
             InputError: not a term, one that is in a problem already, or one that doesn't fit this problem.
         """
-        self._turns.outside("add")
+        self._check_outside("add")
         if not isinstance(term, Term):
             raise InputError(
                 f"term = {shown(term)} is not a Term; derive from polarmpm.Term or polarmpm.SurfaceTerm"
@@ -287,7 +287,7 @@ class Conditions(Whole):
         density: bool = False,
         share: float = 1.0,
     ) -> Applied:
-        self._turns.outside(name)
+        self._check_outside(name)
         check_counts(name, counts)
         if selection is not None:
             self.points.check(selection)

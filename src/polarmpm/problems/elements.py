@@ -242,7 +242,7 @@ class QuasiStaticFEM(Problem):
         counts: str | None,
     ) -> Applied:
         name = f"{what} {self.given.next('load')} ({facets.name})"
-        self._turns.outside(name)
+        self._check_outside(name)
         check_counts(name, counts)
         follows = checks.flag(f"{name}: follows", follows)
         if all(v is None for v in values.values()):
@@ -400,7 +400,7 @@ class QuasiStaticFEM(Problem):
         """Continue from a state that has been put into the elements already; see `io.restart`."""
         self.check_open()
         self.progress, self._equilibrium = progress, None
-        self._turns.left(progress, changed=True)
+        self._leave(changed=True)
         if self._system is not None:
             self._system.destroy()
             self._system = None

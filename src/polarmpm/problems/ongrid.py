@@ -175,7 +175,7 @@ class OnGrid(Problem):
         self.load_shares.distributed()
         if route is None:
             return reference
-        self._turns.left(self.progress, changed=True)
+        self._leave(changed=True)
         self._conservation.moved(before, self.points, self.grid)
         self.keep({name: route.forward(rows) for name, rows in kept.items()})
         self._attempted = None

@@ -283,6 +283,14 @@ class QuasiStatic(OnGrid):
     def cell_size(self) -> float:
         return min(self.grid.smallest)
 
+    @property
+    def rotation_limit(self) -> float:
+        return self._rotation_limit
+
+    @rotation_limit.setter
+    def rotation_limit(self, limit: float) -> None:
+        self._rotation_limit = checks.number("rotation_limit", limit, above=0.0)
+
     # solving --------------------------------------------------------------------------------------
     def _increments(self, system: LoadedPoints) -> Increments:
         return system.interpolation.gather(system.x)
@@ -403,7 +411,7 @@ class QuasiStatic(OnGrid):
             reference = self._migrate(reference)
         else:
             self.load_shares.restore(shares)
-        self._turns.left(progress, changed=True)
+        self._leave(changed=True)
         if reference is None or lattice is None or values is None:
             progress.reset_due = True
             return

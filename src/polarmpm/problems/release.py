@@ -106,7 +106,7 @@ class Releasable(Conditions):
             InputError: not a condition of this problem, or released already; both `over` and `until`, or no
                 time at all; a term that can't fade; nothing has been solved yet that could fade.
         """
-        self._turns.outside("release")
+        self._check_outside("release")
         fade, given = fading(self.progress.factor, over, until), self.given.of(condition)
         if given is None:
             raise InputError(f"release: {described(condition)} is no condition of this problem")
