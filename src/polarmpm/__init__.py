@@ -13,6 +13,7 @@ from .bodies.seeding import seed
 from .bodies.selection import Selection
 from .errors import (
     ErrorOnAnotherRank,
+    Finding,
     InputError,
     KernelError,
     NotConserved,
@@ -20,6 +21,7 @@ from .errors import (
     OutputError,
     PointsOutsideGrid,
     PolarMPMError,
+    RanksApart,
     SupportLost,
     TrustWarning,
 )
@@ -41,14 +43,19 @@ from .solvers.stepping import Step
 from .terms.base import Boxes, Piece, Term
 from .terms.ghost import GhostPenalty
 from .terms.surfaceterms import SurfaceTerm
+from .tools import ends
+
+ends.install()
 
 if TYPE_CHECKING:
     from .materials.cones import DruckerPrager, VonMises
     from .materials.plastic import Continuation, Plastic, UserPlasticity
+    from .materials.pyramids import MohrCoulomb, Tresca
     from .materials.regions import ConeApex, Edge, Region, SmoothPart, YieldSurface
 
 _PLASTIC = {
     **dict.fromkeys(("DruckerPrager", "VonMises"), "cones"),
+    **dict.fromkeys(("MohrCoulomb", "Tresca"), "pyramids"),
     **dict.fromkeys(("Continuation", "Plastic", "UserPlasticity"), "plastic"),
     **dict.fromkeys(("ConeApex", "Edge", "Region", "SmoothPart", "YieldSurface"), "regions"),
 }
@@ -77,6 +84,7 @@ __all__ = [
     "EverySteps",
     "Facets",
     "Field",
+    "Finding",
     "GhostPenalty",
     "Grid",
     "Hencky",
@@ -85,6 +93,7 @@ __all__ = [
     "Material",
     "MaterialField",
     "MicropolarElastic",
+    "MohrCoulomb",
     "NeoHookean",
     "Never",
     "NotConserved",
@@ -98,6 +107,7 @@ __all__ = [
     "PolarMPMError",
     "QuasiStatic",
     "QuasiStaticFEM",
+    "RanksApart",
     "Recorder",
     "Region",
     "Selection",
@@ -108,6 +118,7 @@ __all__ = [
     "SurfaceTerm",
     "Table",
     "Term",
+    "Tresca",
     "TrustWarning",
     "UserEnergy",
     "UserPlasticity",

@@ -23,13 +23,13 @@ def f(tau: Any, nu: Any, chi: Any, p: Any) -> Any:
 # numbers --------------------------------------------------------------------------------------------
 def test_numbers_of_the_cone():
     """T (4.34)-(4.36) for 30 and 10 degrees: sin 30 = 1/2, so a = 6/5 and k = 6 c sqrt(3)/5."""
-    material = pm.DruckerPrager(HENCKY, phi=math.pi / 6, psi=math.radians(10), c=5.0)
+    material = pm.DruckerPrager(HENCKY, phi=math.pi / 6, psi=math.radians(10), c=5.0, cone="compression")
     numbers = material.plastic_parameters()
     assert numbers["friction"] == pytest.approx(1.2, rel=1e-14)
     assert numbers["dilatancy"] == pytest.approx(0.36863, rel=1e-4)
     assert numbers["k"] == material.strength == pytest.approx(6 * math.sqrt(3), rel=1e-14)
     assert material.parameters() == {**HENCKY.parameters(), **numbers}
-    assert pm.DruckerPrager(HENCKY, phi=math.pi / 6, k=7.0).strength == 7.0
+    assert pm.DruckerPrager(HENCKY, phi=math.pi / 6, k=7.0, cone="compression").strength == 7.0
 
 
 def regions(material: Any) -> list[str]:
@@ -50,7 +50,7 @@ def test_what_a_material_is():
 
 
 # bad arguments --------------------------------------------------------------------------------------
-CONE = {"phi": 0.5, "psi": 0.2, "k": K, "l_p": L_P}
+CONE = {"phi": 0.5, "psi": 0.2, "k": K, "l_p": L_P, "cone": "compression"}
 BAD_CONES = [
     ({"k": None, "c": -1.0}, r"c = -1 is out of range: c > 0"),
     ({"k": None, "c": 0.0}, r"c = 0 is out of range"),

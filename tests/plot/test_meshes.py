@@ -117,7 +117,7 @@ def test_without_values():
 
 def test_bad_values_are_refused_on_all_ranks():
     elements = bent("triangle")
-    with pytest.raises(pm.InputError, match=r"values: have the shape .* numbers are needed at nodes"):
+    with pytest.raises(pm.InputError, match=r"values: have the shape .* numbers are needed"):
         plot.plot_mesh(elements, np.zeros(len(elements.nodes) + 1 - COMM.rank))
     with pytest.raises(pm.InputError, match="at = 'edges': allowed are nodes, cells, points"):
         plot.plot_mesh(elements, np.zeros(3), at="edges")

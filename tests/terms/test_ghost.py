@@ -420,9 +420,9 @@ def test_bad_choices(options, message):
 
 
 def test_bad_numbers():
-    with pytest.raises(pm.InputError, match="displacement = -1 is negative"):
+    with pytest.raises(pm.InputError, match=r"displacement = -1\.0: a finite number, not negative"):
         pm.GhostPenalty(-1.0)
-    with pytest.raises(pm.InputError, match="rotation = nan is not a finite number"):
+    with pytest.raises(pm.InputError, match="rotation = nan: a finite number"):
         pm.GhostPenalty(1.0, float("nan"))
     with pytest.raises(pm.InputError, match="power = 2: allowed are 1 and 3"):
         pm.GhostPenalty(1.0, power=2)

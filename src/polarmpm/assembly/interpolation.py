@@ -21,15 +21,16 @@ from ..bodies.points import Points
 from ..bodies.reference import Increments, Reference
 from ..errors import InputError
 from ..forms.points import PointForm
-from ..geometry.grid import Grid
+from ..geometry.grid import MARGIN, Grid
 from ..geometry.nodes import ActiveNodes
 from ..kernels import native
 from ..kinematics.layout import Layout
 from ..kinematics.motion import Motion
 from ..materials.base import parameter_values
-from ..terms.base import Boxes, Piece, Term
+from ..terms.base import Boxes, Piece, Term, pieces_of
 from ..terms.settings import GridSetting
 from ..tools import checks
+from ..tools.checks import shown
 from ..tools.parallel import errors_on_all_ranks
 from .nodesets import Groups, group_points, node_sets_of, ownership_priorities, reached_cells
 from .pointboxes import PointBoxes, has_boxes
@@ -82,10 +83,11 @@ class Interpolation:
         setting = GridSetting(grid, basis, self.layout, points, w, reached)
         self.pieces: list[Piece] = []
         for term in terms:
-            for piece in term.pieces(setting):
-                piece.of, piece.fresh = term, not term.committed
+            for piece in pieces_of(term, setting):
+                piece.fresh = not term.committed
                 self.pieces.append(piece)
-        of_pieces = [_boxes_of(piece) for piece in self.pieces]
+        with errors_on_all_ranks(grid.comm):
+            of_pieces = [_boxes_of(piece, grid) for piece in self.pieces]
         more = [b.numbers(grid).ravel() for b in of_pieces]
         touched, node_sets, node_offsets = node_sets_of(grid, groups, more)
         priorities = ownership_priorities(grid, groups, touched) if grid.comm.size > 1 else None
@@ -150,6 +152,7 @@ class Interpolation:
     def rebase_rotations(self, x: np.ndarray) -> None:
         """Count rotation increments from the points' current rotations on, at nodal increments x (nodes,
         block); weights and F stay."""
+        self.reference.side_gradients = self.reference.side_gradients.copy()
         for boxes in self.boxes or ():
             boxes.rebase_rotations(self.reference, x)
         self.reference.rebase_rotations(self.points)
@@ -192,12 +195,17 @@ class Interpolation:
         motion.move(self.points, self.reference, inc)
 
 
-def _boxes_of(piece: Piece) -> Boxes:
-    if not isinstance(piece.boxes, Boxes):
+def _boxes_of(piece: Piece, grid: Grid) -> Boxes:
+    boxes = piece.boxes
+    if not isinstance(boxes, Boxes) or len(boxes.count) != grid.dim:
         raise InputError(
-            f"{piece.name}: acts on {piece.boxes!r}; on a grid boxes of lattice nodes are needed"
+            f"{piece.name}: acts on {shown(boxes)}; on a grid boxes of {grid.dim}-dimensional lattice nodes "
+            "are needed"
         )
-    return piece.boxes
+    numbers, last = boxes.numbers(grid), int(grid.node_number(np.array(grid.shape) + MARGIN))
+    if numbers.size and not 0 <= numbers.min() <= numbers.max() <= last:
+        raise InputError(f"{piece.name}: acts on nodes that the lattice doesn't have")
+    return boxes
 
 
 def _gather(batch: native.Batch, x: np.ndarray, framed: int, z: np.ndarray, value: np.ndarray | None) -> None:

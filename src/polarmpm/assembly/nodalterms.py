@@ -11,7 +11,7 @@ from mpi4py import MPI
 import numpy as np
 
 from ..kernels import native
-from ..terms.base import Boxes, NodeSets, Piece, multiply
+from ..terms.base import Boxes, NodeSets, Piece, forces_of, matrices_of, multiply
 
 
 @dataclass
@@ -26,7 +26,7 @@ class _Places:
     def add(self, piece: Piece, x: np.ndarray, values: np.ndarray) -> None:
         sums = self.constant
         if sums is None:
-            entries = np.broadcast_to(piece.matrices(x), self.kept.shape)[self.kept]
+            entries = np.broadcast_to(matrices_of(piece, x), self.kept.shape)[self.kept]
             sums = np.bincount(self.inverse, entries, minlength=len(self.at))
             self.constant = sums if piece.linear else None
         values[self.at] += sums
@@ -68,7 +68,7 @@ class NodalTerms:
         out = np.zeros_like(x)
         for piece, rows in self._parts():
             if which(piece):
-                out += self._scatter(rows, piece.forces(x[rows]))
+                out += self._scatter(rows, forces_of(piece, x[rows]))
         return out
 
     def work(self, start: np.ndarray, end: np.ndarray) -> dict[str, float]:
@@ -77,7 +77,7 @@ class NodalTerms:
         out: dict[str, float] = {}
         for piece, rows in self._parts():
             if not piece.external:
-                mean = 0.5 * (piece.forces(start[rows]) + piece.forces(end[rows]))
+                mean = 0.5 * (forces_of(piece, start[rows]) + forces_of(piece, end[rows]))
                 work = float(np.sum(mean * (end - start)[rows]))
                 out[piece.name] = out.get(piece.name, 0.0) + self.comm.allreduce(work)
         return out
@@ -141,7 +141,7 @@ class NodalTerms:
         """Local nodes (n,) of each set and its tangent (n b, n b) at increments (nodes, b)."""
         for piece, rows in self._parts():
             matrices = np.broadcast_to(
-                piece.matrices(x[rows]), (*rows.shape, rows.shape[1], len(piece.pairs))
+                matrices_of(piece, x[rows]), (*rows.shape, rows.shape[1], len(piece.pairs))
             )
             m, n, b = len(rows), rows.shape[1], x.shape[1]
             full = np.zeros((m, n, b, n, b))
@@ -149,9 +149,11 @@ class NodalTerms:
                 full[:, :, i, :, j] += matrices[..., k]
             yield from zip(rows, full.reshape(m, n * b, n * b), strict=True)
 
-    def products(self, x: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Tangents at x times a direction, summed at the nodes of this rank, (nodes, b)."""
+    def products(
+        self, x: np.ndarray, direction: np.ndarray, which: Callable[[Piece], bool] = lambda piece: True
+    ) -> np.ndarray:
+        """Tangents of some pieces at x times a direction, summed at the nodes of this rank, (nodes, b)."""
         out = np.zeros_like(x)
-        for piece, rows in self._parts():
-            out += self._scatter(rows, multiply(piece.pairs, piece.matrices(x[rows]), direction[rows]))
+        for piece, rows in filter(lambda part: which(part[0]), self._parts()):
+            out += self._scatter(rows, multiply(piece.pairs, matrices_of(piece, x[rows]), direction[rows]))
         return out

@@ -15,9 +15,9 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..errors import InputError
 from ..geometry.grid import Grid
 from ..geometry.nodes import ActiveNodes
+from ..tools.checks import number
 from ..tools.parallel import Route
 from .points import Points
 
@@ -142,9 +142,8 @@ class LoadShares:
     """
 
     def __init__(self, comm: MPI.Comm, limit: Any):
-        number = isinstance(limit, (int, float, np.number)) and not isinstance(limit, bool)
-        if limit is not None and not (number and np.isfinite(limit) and limit > 1):
-            raise InputError(f"rebalance = {limit!r}: a number greater than 1, or None")
+        if limit is not None:
+            limit = number("rebalance", limit, above=1.0, allowed="a number greater than 1, or None")
         self.comm, self.limit = comm, limit
         self.shares = Shares(work=1.0)  # the points haven't been distributed yet
 

@@ -15,11 +15,15 @@ from mpi4py import MPI
 import numpy as np
 
 from ..errors import InputError
+from ..geometry.surfaces import Surface
 from ..kinematics import rotations
 from ..kinematics.stretch import domain_half_length, right_stretch
 from ..materials.base import Material, check_material
 from ..tools import checks
+from ..tools.checks import refuse, whole
+from ..tools.meetings import collective
 from ..tools.parallel import Route, communicator_named, errors_on_all_ranks, name_of
+from .regions import Regions
 from .selection import Selection, check_selection, fingerprint
 
 # name -> (shape after the point axis; "d" is the space dimension, type)
@@ -66,10 +70,12 @@ class Points:
         unresolved: share of the last step's work that is done inside the point's box, scalar: what neither
             the grid nor the points resolve.
         materials: the materials that `material` counts.
+        steps: how often load steps have changed them, of whatever problem; the same on all ranks.
         plastic_F, plastic_wryness: Fp of F = Fe Fp and Gp (1/m) of Gamma = Ge + Gp (T 4.1), tensors; like the
             following two only in bodies with plastic materials.
         hardening: accumulated plastic strain chi, scalar.
         dissipation: plastic dissipation per reference volume so far (Pa), scalar.
+        regions, surfaces: physical groups of the mesh that the points come from; see `region` and `surface`.
         arrangements: how often points have joined or been assigned a material; a problem is made of one.
 
     A copy (`copy.copy`, `copy.deepcopy`) is a body of its own, on the same communicator. Selections of the
@@ -91,6 +97,8 @@ class Points:
     plastic_wryness: np.ndarray
     hardening: np.ndarray
     dissipation: np.ndarray
+    steps: int = 0
+    _mesh: Any = None  # of elements, whose communicator it is and dies with it
 
     def __init__(
         self,
@@ -127,6 +135,8 @@ class Points:
         self.q = rotations.identity(n)
         self.wryness = np.zeros((n, 3, 3))
         self.unresolved = np.zeros(n)
+        self.regions: tuple[Regions, ...] = ()
+        self.surfaces: dict[str | int, Surface] = {}
         self._has_plastic_state = False
         self._fingerprints: tuple[int, ...] = ()  # the present one, then those before other points joined
         self.arrangements = 0
@@ -190,6 +200,7 @@ class Points:
         return len(self.id)
 
     @property
+    @collective("total")
     def total(self) -> int:
         """Number of points of all ranks. Collective."""
         total: int = self.comm.allreduce(len(self))
@@ -256,12 +267,14 @@ class Points:
         """All state by name, for output and restart; the arrays themselves, not copies."""
         return {name: getattr(self, name) for name in self.fields}
 
-    def replace(self, arrays: dict[str, np.ndarray]) -> None:
-        """Put in a whole state (restart, migration): every one of `fields`, one row a point."""
+    def replace(self, arrays: dict[str, np.ndarray], same: bool = False) -> None:
+        """Put in a whole state (restart, migration): every one of `fields`, one row a point. `same`: they
+        are the points of before, so that selections of them stay valid; collective."""
+        known = self.fingerprints() if same else ()
         for name, (shape, kind) in self.fields.items():
             full = (len(arrays["id"]), *(self.dim if s == "d" else s for s in shape))
             setattr(self, name, np.ascontiguousarray(arrays[name], dtype=kind).reshape(full))
-        self._fingerprints = ()
+        self._fingerprints = known
 
     def migrate(self, destination: np.ndarray) -> Route:
         """Move each point, with all its state, to rank `destination[i]`. Collective.
@@ -274,6 +287,7 @@ class Points:
         self._fingerprints = known
         return route
 
+    @collective("join")
     def join(self, other: Points) -> None:
         """Add the points of another set (another material, say); their ids follow on. Before a problem is
         made of them; collective.
@@ -299,9 +313,14 @@ class Points:
         theirs["id"] = theirs["id"] + first
         theirs["material"] = theirs["material"] + number
         self.replace({name: np.concatenate([a, theirs[name]]) for name, a in self.arrays().items()})
+        self.regions += tuple(r.joined(first) for r in other.regions)
+        for group, surface in other.surfaces.items():
+            mine_too = self.surfaces.get(group)
+            self.surfaces[group] = surface if mine_too is None else mine_too.joined(surface)
         self._fingerprints = (*self.fingerprints(), *known)  # selections of these points stay valid
         self.arrangements += 1
 
+    @collective("assign", compare=True)
     def assign(self, selection: Selection, material: Material) -> None:
         """Give points another material, such as a weaker one to a row. Before a problem is made of them;
         collective.
@@ -347,6 +366,7 @@ class Points:
         ids = np.concatenate(self.comm.allgather(self.id[mask]))
         return Selection(np.sort(ids), self.fingerprints()[0])
 
+    @collective("where")
     def where(self, predicate: Callable[[np.ndarray], np.ndarray]) -> Selection:
         """Points whose current position fulfils a predicate of x (n, d) -> (n,) bool; there may be none, on
         which nothing can act. Collective.
@@ -360,6 +380,34 @@ class Points:
             mask = checks.mask("predicate", predicate(self.x.copy()), len(self))  # it may change what it gets
         return self._select(mask)
 
+    def region(self, name: str | int) -> Selection:
+        """Points seeded in a region of a mesh, a physical group of its cells, by its name or tag, wherever
+        they are now. Collective.
+
+        Raises:
+            InputError: no such region, or points that don't come from a mesh with regions.
+        """
+        if not isinstance(name, str):
+            name = whole("region", name, allowed="the name or the number of a physical group is needed")
+        masks = [m for m in (r.mask(self.id, name) for r in self.regions) if m is not None]
+        if not masks:
+            raise refuse("region", name, _among([k for r in self.regions for k in r.known], "regions"))
+        return self._select(np.any(masks, axis=0))
+
+    def surface(self, name: str | int) -> Surface:
+        """The boundary of the undeformed body in a physical group of facets of the mesh that it was seeded
+        from, by its name or tag: for `fix`, `load`, `traction` and `pressure`, as `Elements.surface`.
+
+        Raises:
+            InputError: no such group on the boundary, or points that don't come from a mesh with groups.
+        """
+        if not isinstance(name, str):
+            name = whole("surface", name, allowed="the name or the number of a physical group is needed")
+        if name not in self.surfaces:
+            raise refuse("surface", name, _among(list(map(repr, self.surfaces)), "groups of boundary facets"))
+        return self.surfaces[name]
+
+    @collective("farthest", compare=True)
     def farthest(self, direction: Sequence[float], tolerance: float | None = None) -> Selection:
         """The layer of points farthest in a direction, within `tolerance` (m). Collective.
 
@@ -387,6 +435,7 @@ class Points:
             tolerance = (1.0 - 1e-6) * float(half @ np.abs(n))
         return self._select(along >= most - tolerance)
 
+    @collective("nearest", compare=True)
     def nearest(self, position: Sequence[float], count: int = 1) -> Selection:
         """The `count` points nearest to a position (m); ties go to the lower ids. All points where there are
         fewer. Collective.
@@ -414,6 +463,7 @@ class Points:
         at = np.minimum(np.searchsorted(selection.ids, self.id), len(selection) - 1)
         return np.flatnonzero(selection.ids[at] == self.id)
 
+    @collective("mean")
     def mean(self, values: np.ndarray, selection: Selection | None = None) -> Any:
         """Plain mean over a selection of values given for the local points (np, ...). Collective.
 
@@ -438,3 +488,9 @@ class Points:
         """Mean displacement (m) of a selection, shape (d,). Collective."""
         mean: np.ndarray = self.mean(self.displacement, selection)
         return mean
+
+
+def _among(known: list[str], what: str) -> str:
+    if not known:
+        return f"these points have no {what}; pm.seed_mesh keeps those of a mesh with physical groups"
+    return f"the {what} are {', '.join(dict.fromkeys(known))}"

@@ -14,6 +14,7 @@ from ..geometry.grid import Grid
 from ..materials.base import Material, check_material
 from ..tools import checks
 from ..tools.machine import check_memory
+from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from .cutboxes import half_axes, inside_parts
 from .partition import distribute
@@ -29,6 +30,7 @@ _ROUNDING = 1e-9  # of a box's half lengths: bounds that near to its faces are o
 Inside = Callable[[np.ndarray], np.ndarray]
 
 
+@collective("seed", comm=lambda grid, *args, **options: grid.comm, compare=True)
 def seed(
     grid: Grid,
     inside: Inside | None = None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from mpi4py import MPI
 
@@ -27,6 +27,7 @@ class Selection:
 
     ids: np.ndarray
     body: int | None = None
+    alike: ClassVar = ("ids", "body")  # on all ranks
 
     def __post_init__(self) -> None:
         try:

@@ -25,9 +25,8 @@ def check_counts(name: str, counts: str | None) -> str | None:
         InputError: something else.
     """
     if counts is not None and not (isinstance(counts, str) and counts in COUNTS):
-        raise InputError(
-            f"{name}: counts = {checks.shown(counts)}: allowed are {' and '.join(map(repr, COUNTS))}"
-        )
+        allowed = f"allowed are {' and '.join(map(repr, COUNTS))}"
+        raise checks.refuse(f"{name}: counts", counts, allowed)
     return counts
 
 
@@ -62,16 +61,16 @@ class Amplitude:
         self.name, self.size = name, size
         self.begun, self._differs = 0.0, False
         self.fade: Fade | None = None
-        self.function: Callable[..., Any] | None = value if callable(value) else None
+        self.function: Callable[..., Any] | None = None
         self.field = False
-        if self.function is not None:
-            self.field = _positional(self.function) >= 2
-            takes = ("factor", "positions") if self.field else ("factor",)
-            checks.function(name, self.function, takes=takes)
+        if callable(value):
+            self.field = _positional(value) >= 2
+            takes = ("load factor", "positions")[: 1 + self.field]
+            self.function = checks.function(name, value, takes=takes)
             if not self.field:
                 self.at(1.0, np.zeros((1, 1)))
         else:
-            constant = checks.numeric(name, value, "a number, a sequence or a function")
+            constant = checks.numeric(name, value, f"{_numbers(size)}, or a function of the load factor")
             if constant.shape not in ((), (size,)):
                 raise checks.refuse(name, value, f"{_numbers(size)} needed")
             self.constant = np.broadcast_to(constant, (size,)).astype(float)
@@ -110,17 +109,21 @@ class Amplitude:
         n = len(positions)
         if self.function is None:
             return np.broadcast_to(factor * self.constant, (n, self.size))
-        # positions are copied, as the function may change what it is given
+        # a copy: what a script does with its positions is up to it
         raw = self.function(factor, positions.copy()) if self.field else self.function(factor)
         try:
             given = checks.numeric(self.name, raw)
             one = given.ndim == 0 or (self.field and given.shape == (n,) != (self.size,))
+            # an array (n, 1) isn't to be broadcast to several components
+            if not one and given.shape[-1] != self.size:
+                raise ValueError
             values = given[:, None] if one and given.ndim else given
             values = np.broadcast_to(values, (n, self.size))
-        except ValueError:  # InputError, too
+        except ValueError:
+            where = f", or an array of shape ({n}, {self.size})" if self.field else ""
             raise InputError(
-                f"{self.name} returned {checks.shown(raw)} at load factor {factor:g}; {self.size} number(s) "
-                "are needed"
+                f"{self.name} returned {checks.shown(raw)} at load factor {factor:g}; {_numbers(self.size)} "
+                f"needed{where}"
             ) from None
         self._check(values, factor)
         if one and self.size > 1 and np.any(given):

@@ -12,6 +12,7 @@ from ..bodies.points import Points
 from ..bodies.selection import Selection
 from ..errors import InputError
 from ..kinematics.layout import Layout
+from ..tools.checks import shown
 from .amplitudes import Amplitude, Fade
 
 
@@ -25,6 +26,12 @@ class Load:
     selection: Selection | None
     density: bool = False
     share: float = 1.0
+
+    def __repr__(self) -> str:
+        unit = ("N m", "N/m^2") if self.couple else ("N", "N/m^3")
+        of = "all points" if self.selection is None else f"{len(self.selection)} point(s)"
+        value = "a function" if self.amplitude.function is not None else f"{self.amplitude.constant.tolist()}"
+        return f"Load({self.name!r}: {value} {unit[self.density]} on {of})"
 
     def add_to(self, out: np.ndarray, points: Points, factor: float) -> None:
         """Add this load's values (np, size) at the local points."""
@@ -46,6 +53,10 @@ class HandedOver:
     fade: Fade
     values: np.ndarray
 
+    def __repr__(self) -> str:
+        what, fade = "couples (N m)" if self.couple else "forces (N)", self.fade
+        return f"HandedOver({self.name!r}: {what}, fading from load factor {fade.begin:g} to {fade.end:g})"
+
     def add_to(self, out: np.ndarray, points: Points, factor: float) -> None:
         """Add this load's values (np, size) at the local points."""
         out += self.values * self.fade.share(factor)
@@ -65,6 +76,14 @@ class Applied:
     name: str
     parts: tuple[Any, ...]
 
+    def __repr__(self) -> str:
+        return f"Applied({self.name!r}: {', '.join(map(repr, self.parts))})"
+
+
+def no_microrotation(name: str, couple: Any) -> InputError:
+    """The error of a couple on a body that can't take it."""
+    return InputError(f"{name}: couple = {shown(couple)}, but the material has no microrotation")
+
 
 def make_loads(
     name: str,
@@ -81,7 +100,7 @@ def make_loads(
     if selection is not None and len(selection) == 0:
         raise InputError(f"{name}: the selection contains no point")
     if couple is not None and not layout.rotations:
-        raise InputError(f"{name}: couple = {couple!r}, but the material has no microrotation")
+        raise no_microrotation(name, couple)
     loads = []
     for value, is_couple, size in ((force, False, layout.dim), (couple, True, layout.rotations)):
         if value is not None:

@@ -163,12 +163,24 @@ class Prescribed:
             gained[:, d:] = np.where(self._fresh[:, d:], _short(gained[:, d:]), gained[:, d:])
         out: np.ndarray = np.where(self.fixed, self.base + gained, 0.0)
         if self.layout.rotations == 3:
+            with errors_on_all_ranks(self.comm):
+                self._check_turns(before, now, whole)
             way = rotations.relative_vector(now[whole, d:], before[whole, d:])
             if np.any(self.base[whole, d:]):
                 q = rotations.turned(rotations.from_vector(self.base[whole, d:]), way)
                 way = rotations.to_vector(np.where(q[:, :1] < 0, -q, q))
             out[whole, d:] = way
         return out
+
+    def _check_turns(self, before: np.ndarray, now: np.ndarray, whole: np.ndarray) -> None:
+        """Raise InputError for rotations, where all components are prescribed, that change by so much
+        that another way leads to the same place."""
+        d = self.layout.dim
+        far = np.zeros(len(whole), dtype=bool)
+        far[whole] = turns_too_far(before[whole, d:], now[whole, d:])
+        for support, mask in zip(self.supports, self.masks, strict=True):
+            if np.any(far & mask) and any(column >= d for column in support.columns):
+                raise InputError(f"{support.name}: {TOO_FAR}")
 
     @property
     def _fresh(self) -> np.ndarray:
@@ -178,6 +190,21 @@ class Prescribed:
             for column in support.columns if support.total and not support.committed else ():
                 out[mask, column] = True
         return out
+
+
+TOO_FAR = (
+    "theta changes by pi or more in one step, after which a body in space isn't where the numbers say; "
+    "take more load steps"
+)
+
+
+def turns_too_far(before: np.ndarray, now: np.ndarray) -> np.ndarray:
+    """Whether rotation vectors (n, 3) change by pi or more. Those of functions that keep within a turn of pi
+    jump to the other side there, which is no change."""
+    change = np.linalg.norm(now - before, axis=1)
+    largest = np.maximum(np.linalg.norm(now, axis=1), np.linalg.norm(before, axis=1))
+    far: np.ndarray = (change >= np.pi) & (largest > (1 + 1e-6) * np.pi)
+    return far
 
 
 def _short(angle: np.ndarray) -> np.ndarray:

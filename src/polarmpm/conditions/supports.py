@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.nodes import Positioned
 from ..kinematics.layout import Layout
+from ..tools import checks
 from .amplitudes import Amplitude
 
 
@@ -42,15 +43,13 @@ class Support:
     committed: bool = False
     met: tuple[float, float] | None = None
 
+    def __repr__(self) -> str:
+        prescribed = dict.fromkeys(a.name.split(", ")[-1] for a, _ in self.columns.values())
+        return f"Support({self.name!r}: {', '.join(prescribed)})"
+
     def mask(self, nodes: Positioned) -> np.ndarray:
         """Which nodes are meant, (n,) bool."""
-        mask = np.asarray(self.where(nodes.position))
-        if mask.shape != (len(nodes),) or mask.dtype != bool:
-            raise InputError(
-                f"{self.name}: the predicate returned {mask.dtype} {mask.shape}; "
-                "a bool for each node is needed"
-            )
-        return mask
+        return checks.mask(f"{self.name}: the predicate", self.where(nodes.position.copy()), len(nodes))
 
 
 def make_support(

@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..kernels.kernel import Kernel, PointSpace, compile_expressions, matrix
 from ..kinematics import tensors as kin
 from ..materials.base import Material, evaluate_energy, named_parameters, parameter_values
-from ..tools import checks, compat
+from ..tools import checks, compat, quiet
 from .strains import elastic_stress, pushed, strain_measures
 
 if TYPE_CHECKING:
@@ -166,7 +166,8 @@ class FieldForm:
         state, out = PointState(self.material, self._inputs), []
         for field in self.fields:
             try:
-                value = ufl.as_ufl(field.function(state))
+                with quiet.ufl():
+                    value = ufl.as_ufl(field.function(state))
             except InputError:
                 raise
             except Exception as e:  # a user's function and UFL may raise anything

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -28,6 +28,8 @@ class Surface:
         InputError: shapes that don't go together, an area that isn't positive, a normal that isn't of unit
             length, a number that isn't finite.
     """
+
+    alike: ClassVar = ("x", "area", "normal")  # on all ranks
 
     def __init__(self, x: Any, area: Any, normal: Any):
         found = checks.numeric("Surface: x", x, "positions")
@@ -56,6 +58,11 @@ class Surface:
 
     def __len__(self) -> int:
         return len(self.x)
+
+    def joined(self, other: Surface) -> Surface:
+        """Both surfaces as one."""
+        parts = ((getattr(s, name) for s in (self, other)) for name in ("x", "area", "normal"))
+        return Surface(*(np.concatenate(list(pair)) for pair in parts))
 
     @classmethod
     def line(cls, a: Sequence[float], b: Sequence[float], points: int) -> Surface:

@@ -130,4 +130,6 @@ def _values(field: Field, points: Points) -> np.ndarray:
             f"field {field.name!r}: the shape {values.shape} is given; a row for each of the {len(points)} "
             "points is needed"
         )
+    if values.dtype.kind not in "biuf":
+        raise InputError(f"field {field.name!r}: values of the type {values.dtype}; numbers are needed")
     return padded(values) if values.ndim == 2 and values.shape[1] == points.dim else values

@@ -13,7 +13,7 @@ import ufl
 from ufl.corealg.traversal import unique_pre_traversal
 
 from ..errors import InputError, TrustWarning
-from ..tools import checks
+from ..tools import checks, quiet
 
 _LOCKING = 0.49  # Poisson's ratio, see docs/stability.md
 
@@ -125,7 +125,8 @@ def evaluate_scalar(what: str, function: Callable[..., Any], *arguments: Any) ->
         InputError: it raises an error itself, or is not a scalar.
     """
     try:
-        value = ufl.as_ufl(function(*arguments))
+        with quiet.ufl():
+            value = ufl.as_ufl(function(*arguments))
     except InputError:
         raise
     except Exception as e:  # a user's function and UFL may raise anything

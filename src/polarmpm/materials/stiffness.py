@@ -10,7 +10,7 @@ import ufl
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
-from ..tools import compat
+from ..tools import compat, quiet
 from .base import Material, evaluate_energy, evaluate_measures
 
 
@@ -37,7 +37,8 @@ def _second_derivative(material: Material, place: tuple[int, int], *, wryness: b
     w = evaluate_energy(material, arguments, SimpleNamespace(**material.parameters()))
     second = ufl.diff(ufl.diff(w, t), t)
     try:
-        value = apply_derivatives(apply_algebra_lowering(second))((), {size: (0.0,)})
+        with quiet.ufl():
+            value = apply_derivatives(apply_algebra_lowering(second))((), {size: (0.0,)})
     except Exception:  # UFL evaluates numbers of most of its functions only
         return 0.0
     return abs(float(value)) if np.isfinite(float(value)) else 0.0

@@ -19,9 +19,11 @@ from ..bodies.points import Points
 from ..errors import InputError
 from ..io.files import check_output
 from ..io.paraview import box_corners
-from ..tools.parallel import raise_on_all_ranks
+from ..tools import checks
+from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks
 from . import drawing
 from .meshfaces import Faces, gather_faces
+from .options import Options, check_axes, check_curves, check_panels
 
 _MOST_FACES = 60_000
 # corners of a box's faces, the first axis running fastest; lower and upper face of each axis
@@ -33,6 +35,7 @@ _FACES = {
 
 def gather(comm: MPI.Comm, values: np.ndarray) -> np.ndarray | None:
     """Rows of all ranks, on rank 0; None elsewhere. Collective."""
+    checks.communicator("comm", comm)
     parts = comm.gather(values)
     return None if parts is None else np.concatenate(parts)
 
@@ -54,6 +57,7 @@ def subplots(
     """
     from matplotlib.figure import Figure  # not pyplot: no display, no global state
 
+    rows, columns, solid = check_panels(rows, columns, figsize, solid)
     figure = Figure(figsize or (6.0 * columns, 4.2 * rows), constrained_layout=True)
     if not solid:
         return figure, figure.subplots(rows, columns, **options)
@@ -95,26 +99,28 @@ def plot_points(
         The matplotlib axes on rank 0 (`ax.figure` is the figure), None elsewhere.
 
     Raises:
-        InputError: not one value for each local point; on every rank alike.
+        InputError: not one value for each local point, or another argument that isn't allowed; on every rank
+            alike.
     """
-    error = None
-    if values is not None and np.shape(values) != (len(points),):
-        error = InputError(f"values: have the shape {np.shape(values)}, {len(points)} numbers are needed")
-    raise_on_all_ranks(points.comm, error)
+    checks.instance("points", points, Points, "material points, such as seed makes, are")
+    look = {"ax": ax, "label": label, "limits": limits, "cmap": cmap, "length": length, "view": view}
+    options = Options(
+        points.comm, points.dim, values, len(points), **look, undeformed=undeformed, domains=domains
+    )
     now = _boxes(points.x, points.F, points.half_length if domains else points.half_length0, domains)
-    X, half, corners = (gather(points.comm, length[0] * a) for a in (points.X, points.half_length0, now))
-    colour = None if values is None else gather(points.comm, np.asarray(values, float))
+    X, half, corners = (gather(points.comm, options.factor * a) for a in (points.X, points.half_length0, now))
+    colour = None if options.values is None else gather(points.comm, options.values)
     if X is None or half is None or corners is None:
         return None
     body = _Body(X, half, corners, colour)
-    mappable = drawing.colours(body.values, cmap, limits)
+    mappable = drawing.colours(body.values, cmap, options.limits)
     if points.dim == 2:
         ax = ax or drawing.new_axes(body.span)
         _draw_flat(ax, body, undeformed, mappable)
     else:
         ax = ax or drawing.new_axes(body.span, projection="3d")
-        _draw_solid(ax, body, undeformed, mappable, view)
-    drawing.name_axes(ax, points.dim, length[1])
+        _draw_solid(ax, body, undeformed, mappable, options.view)
+    drawing.name_axes(ax, points.dim, options.unit)
     if mappable is not None and label is not None:
         drawing.colour_bar(ax, mappable, label, points.dim)
     return ax
@@ -151,45 +157,48 @@ def plot_mesh(
         The matplotlib axes on rank 0 (`ax.figure` is the figure), None elsewhere.
 
     Raises:
-        InputError: not one value for each local node, cell or point; on every rank alike.
+        InputError: not one value for each local node, cell or point, or a wrong option; on every rank alike.
     """
-    faces = gather_faces(elements, _mesh_values(elements, values, at), at == "nodes")
+    count = _number_at(elements, at)
+    look = {"ax": ax, "label": label, "limits": limits, "cmap": cmap, "length": length, "view": view}
+    options = Options(elements.comm, elements.dim, values, count, **look, undeformed=undeformed, edges=edges)
+    shown = options.values
+    if at == "points" and shown is not None:
+        shown = elements.cell_mean(shown)
+    faces = gather_faces(elements, shown, at == "nodes")
     if faces is None:
         return None
-    faces.scale(length[0])
-    mappable = drawing.colours(faces.values if faces.of_nodes is None else faces.of_nodes, cmap, limits)
+    faces.scale(options.factor)
+    of_faces = faces.values if faces.of_nodes is None else faces.of_nodes
+    mappable = drawing.colours(of_faces, cmap, options.limits)
     if elements.dim == 2:
         ax = ax or drawing.new_axes(faces.span)
         _draw_flat_mesh(ax, faces, undeformed, edges, mappable)
     else:
         ax = ax or drawing.new_axes(faces.span, projection="3d")
         if undeformed:
-            drawing.solid_undeformed(ax, faces.before, faces.outward, view)
+            drawing.solid_undeformed(ax, faces.before, faces.outward, options.view)
         fill = drawing.rgba(mappable, faces.values, len(faces.now))
         drawing.solid_faces(ax, faces.now, fill, edges)
         drawn = [faces.now, faces.before] if undeformed else [faces.now]
-        drawing.finish_solid(ax, [a.reshape(-1, 3) for a in drawn], view)
-    drawing.name_axes(ax, elements.dim, length[1])
+        drawing.finish_solid(ax, [a.reshape(-1, 3) for a in drawn], options.view)
+    drawing.name_axes(ax, elements.dim, options.unit)
     if mappable is not None and label is not None:
         drawing.colour_bar(ax, mappable, label, elements.dim)
     return ax
 
 
-def _mesh_values(elements: Elements, values: np.ndarray | None, at: str) -> np.ndarray | None:
-    """Values at the nodes or on the cells, see `plot_mesh`. Collective."""
+def _number_at(elements: Elements, at: str) -> int:
+    """How many values are needed on this rank, see `plot_mesh`."""
+    checks.instance("elements", elements, Elements, "a meshed body, polarmpm.Elements(...), is")
     counts = {
         "nodes": len(elements.nodes),
         "cells": len(elements.body.owned_cells),
         "points": len(elements.points),
     }
-    if at not in counts:
-        raise InputError(f"at = {at!r}: allowed are {', '.join(counts)}")
-    colour = None if values is None else np.asarray(values, float)
-    error = None
-    if colour is not None and colour.shape != (counts[at],):
-        error = InputError(f"values: have the shape {colour.shape}, {counts[at]} numbers are needed at {at}")
-    raise_on_all_ranks(elements.comm, error)
-    return elements.cell_mean(colour) if colour is not None and at == "points" else colour
+    if not isinstance(at, str) or at not in counts:
+        raise checks.refuse("at", at, f"allowed are {', '.join(counts)}")
+    return counts[at]
 
 
 def load_displacement(
@@ -211,14 +220,22 @@ def load_displacement(
 
     Returns:
         The matplotlib axes on rank 0, None elsewhere.
+
+    Raises:
+        InputError: displacements and loads that don't go together.
     """
-    if comm.rank:
+    if checks.communicator("comm", comm).rank:
         return None
+    curves = check_curves("curves", curves)
+    reference = {} if reference is None else check_curves("reference", reference)
+    for name, text in (("xlabel", xlabel), ("ylabel", ylabel)):
+        checks.instance(name, text, str, "a text is")
+    check_axes(ax, solid=False)
     ax = ax or drawing.new_axes(None)
     marks = "osD^v<>"
     for k, (name, (x, y)) in enumerate(curves.items()):
         ax.plot(x, y, "-", marker=marks[k % len(marks)], markersize=4, linewidth=1.5, label=name)
-    for k, (name, (x, y)) in enumerate((reference or {}).items()):
+    for k, (name, (x, y)) in enumerate(reference.items()):
         # the marks go around once more, so that they differ from those of the lines
         style = {"marker": "x+*1234"[k % 7], "markersize": 7, "markeredgewidth": 1.4}
         ax.plot(x, y, color="black", linestyle="none", label=name, zorder=3, **style)
@@ -239,8 +256,13 @@ def save(
     """Write a figure (or the figure of axes) of rank 0 to a .png, .pdf or .svg file. Collective.
 
     Raises:
-        InputError: the file can't be written, or its kind is unknown; on every rank alike.
+        InputError: the file can't be written, or its kind is unknown; not a figure; on every rank alike.
     """
+    checks.communicator("comm", comm)
+    dpi = checks.number("dpi", dpi, above=0.0)
+    with errors_on_all_ranks(comm):
+        if comm.rank == 0 and not hasattr(getattr(figure, "figure", None), "savefig"):
+            raise checks.refuse("figure", figure, "a figure of matplotlib, or axes of one, are needed")
     file = check_output(comm, path)
     error: Exception | None = None
     if comm.rank == 0:

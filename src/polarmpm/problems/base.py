@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from mpi4py import MPI
@@ -17,24 +19,26 @@ from ..conditions.prescribed import Prescribed
 from ..conditions.proportional import check_linear, check_loads, check_supports
 from ..conditions.supports import Support
 from ..errors import InputError
-from ..forms.stresses import MaterialField
 from ..geometry.nodes import Nodes
 from ..solvers import arclength
 from ..solvers.arclength import ArcSchedule, Path
 from ..solvers.newton import Controls, Outcome
 from ..solvers.stepping import Schedule, Step, march
-from ..terms.surfaces import SurfaceSupport
+from ..tools import checks
+from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from ..tools.timing import Timer
-from . import attempts
+from . import attempts, ranks
+from .marching import March
 from .observer import Observer
-from .reactions import Balance, Equilibrium, Reaction, point_about, surface_reaction
-from .release import Releasable
-from .state import Fields, StateFields, choose_fields
+from .reactions import Equilibrium
+from .results import Results
+from .state import StateFields, check_rows
+from .whole import Changing, Undo
 from .work import StepStart, step_work
 
 
-class Problem(Releasable):
+class Problem(Results):
     """Equilibrium of a body under slowly changing loads. All methods are collective.
 
     Attributes:
@@ -43,16 +47,38 @@ class Problem(Releasable):
         observers: told what happens in the run, see `Observer`.
         rows: arrays (np, ...) of the script's own by name, one row for each of `points`.
         timer: CPU seconds of this rank by phase.
+        failed_at: increments (nodes, block) at which the last attempt has failed, for its diagnosis.
     """
 
     def __init__(self, comm: MPI.Comm, points: Points, dim: int, controls: Controls | None):
         super().__init__(comm, points, dim)
+        if controls is not None:
+            checks.instance("controls", controls, Controls, "polarmpm.Controls(...), or None, is")
         self.controls, self.timer = controls or Controls(), Timer()
         self.observers: list[Observer] = []
         self.rows: dict[str, np.ndarray] = {}
         self.steps: list[Step] = []
         self._fields = StateFields(comm)
         self._last_x: np.ndarray | None = None  # where the points were before the last step
+        self.failed_at: np.ndarray | None = None
+
+    def _changing(self) -> Iterator[Changing]:
+        yield from super()._changing()
+        for thing in (self._equilibrium, *self.observers):
+            if thing is not None:
+                yield thing, None
+        if self.system is not None:
+            yield from self.system.changing()
+
+    def _put_back(self, undo: Undo) -> None:
+        tried = self.system
+        super()._put_back(undo)
+        if self.system is not None:
+            self.system.put_back()
+            self._stale = True  # the solver may have been left in the middle of its work
+        for system in {tried, self.system} if self.comm.size == 1 else ():
+            if system is not None:
+                system.destroy()
 
     # what the methods differ in -------------------------------------------------------------------
     @abstractmethod
@@ -66,6 +92,10 @@ class Problem(Releasable):
     @abstractmethod
     def _increments(self, system: Any) -> Increments:
         """Increments at the local points."""
+
+    @abstractmethod
+    def volume_ratios(self, increments: Increments) -> np.ndarray:
+        """J (np,) after increments of the local points, relative to some state in which it is positive."""
 
     @abstractmethod
     def _check(self, increments: Increments) -> str:
@@ -115,21 +145,54 @@ class Problem(Releasable):
             NotConverged: with what was tried; the last converged state is intact.
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
-        return march(self, Schedule(steps, to, adaptive, smallest, largest, easy, progress))
+        schedule = Schedule(steps, to, adaptive, smallest, largest, easy, progress)
+        return March(self, march, schedule, "adaptive" if adaptive else "equal")
 
+    @collective("system_at")
     def system_at(self, factor: float) -> NodalSystem:
         """The nodal system in which equilibrium at a load factor is sought, at the increments that the last
         step has led to, with the loads of that factor; `evaluate(True)` makes its residual and tangent."""
-        system = self._prepare()
-        self._put_loads(system, factor)
-        system.set_prescribed(self._prescribed_at(system, factor))
-        return system
+        factor = _factor(factor)
+
+        def make() -> NodalSystem:
+            system = self._prepare()
+            self._put_loads(system, factor)
+            system.set_prescribed(self._prescribed_at(system, factor))
+            return system
+
+        with self._solving("system_at"):
+            return self.whole(make)
+
+    @contextmanager
+    def _solving(self, what: str) -> Iterator[None]:
+        """While a load step is prepared or solved; what a script may have put in wrongly is checked first."""
+        with self._turn(what):
+            checks.instance("controls", self.controls, Controls, "polarmpm.Controls(...) is")
+            for observer in self.observers:
+                checks.instance(
+                    "observers", observer, Observer, "objects of a class of polarmpm.Observer are"
+                )
+            if self.rows:
+                with errors_on_all_ranks(self.comm):
+                    for name, rows in self.rows.items():
+                        check_rows(name, rows, len(self.points))
+            yield
 
     def _prescribed_at(self, system: NodalSystem, factor: float) -> np.ndarray:
         return system.prescribed.increments(factor)
 
     def attempt(self, factor: float) -> Outcome:
-        """Try to find equilibrium at a load factor; on failure everything stays as it was."""
+        """Try to find equilibrium at a load factor; on failure everything stays as it was.
+
+        Raises:
+            InputError: not a finite load factor; the body or the progress have been changed since the last
+                step, such as by another problem; or this is called from within a load step.
+        """
+        factor = _factor(factor)
+        with ranks.step(self, f"the step to load factor {factor:.9g}", factor), self._solving("attempt"):
+            return self.whole(partial(self._attempt_or_fall_back, factor))
+
+    def _attempt_or_fall_back(self, factor: float) -> Outcome:
         outcome = self._attempt(factor)
         if not outcome.converged and self._fall_back():
             tried, outcome = outcome.history, self._attempt(factor)
@@ -155,6 +218,7 @@ class Problem(Releasable):
         self._finish(system, start, outcome, factor)
         return outcome
 
+    @collective("march_arc_length", compare=True)
     def march_arc_length(
         self,
         first: float,
@@ -189,6 +253,12 @@ class Problem(Releasable):
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
         schedule = ArcSchedule(first, until, largest, smallest, to, steps, progress)
+        with self._solving("march_arc_length"):
+            self.whole(self._check_path)
+        return March(self, arclength.march, schedule, "arc length")
+
+    def _check_path(self) -> None:
+        """Raise InputError unless all loads, terms and supports are such as the arc-length method takes."""
         system = self._prepare()
         with errors_on_all_ranks(self.comm):
             places = self._load_places()
@@ -200,7 +270,6 @@ class Problem(Releasable):
             )
         check_loads(self.comm, places, self._growth_of_terms(system))
         check_supports(self.comm, system.prescribed)
-        return arclength.march(self, schedule)
 
     def attempt_along(
         self, length: float, to: float | None = None, kink: bool = False
@@ -209,6 +278,15 @@ class Problem(Releasable):
         failure everything stays as it was. With `kink` the step may turn off its tangent. Returns the load
         factor found, too. That loads and supports are such as they have to be is checked by
         `march_arc_length`."""
+        length = arclength.check_length("length", length)
+        to, kink = None if to is None else _factor(to, "to"), checks.flag("kink", kink)
+        with (
+            ranks.step(self, f"the step of length {length:.9g} m", 1.0),
+            self._solving("attempt_along"),
+        ):
+            return self.whole(partial(self._along_or_fall_back, length, to, kink))
+
+    def _along_or_fall_back(self, length: float, to: float | None, kink: bool) -> tuple[Outcome, float]:
         outcome, found = self._attempt_along(length, to, kink)
         if not outcome.converged and self._fall_back():
             tried = outcome.history
@@ -300,18 +378,18 @@ class Problem(Releasable):
                 self._close(system)
                 self._equilibrium = Equilibrium.of(system)
                 self._last_x, self.progress.factor_change = self.points.x, factor - self.progress.factor
-                for observer in self.observers:
-                    observer.after_convergence(self, factor)
+                ranks.tell(self.comm, self.observers, lambda one: one.after_convergence(self, factor))
                 self._commit_terms(system, start.x)
                 base = self.progress.rotation_factor
                 self._commit(system, at_points, factor)
+                self._leave(changed=True)
                 self._note(outcome)
                 system.prescribed.start_from(factor, system.x)
                 self._settle()
-                for observer in self.observers:
-                    observer.after_commit(self, self.progress.rotation_factor != base)
+                rebased = self.progress.rotation_factor != base
+                ranks.tell(self.comm, self.observers, lambda one: one.after_commit(self, rebased))
             else:
-                system.x = start.x
+                self.failed_at, system.x = system.x, start.x
 
     def _commit_terms(self, system: NodalSystem, start: np.ndarray) -> None:
         """Tell the terms of a step that has converged, from increments (nodes, block) at its start."""
@@ -323,119 +401,36 @@ class Problem(Releasable):
             term.committed = True
 
     def _tell_of_reset(self) -> None:
-        for observer in self.observers:
-            observer.after_reset(self)
+        ranks.tell(self.comm, self.observers, lambda one: one.after_reset(self))
 
     def _prescribed(self, nodes: Nodes, supports: Sequence[Support] | None = None) -> Prescribed:
         """Prescribed unknowns of some supports; by default of those that act."""
         with self.timer("conditions"):
             acting = self.supports if supports is None else supports
             made = Prescribed(nodes, acting, self.layout, self.comm, self.cell_size)
+            ranks.check_masks(made, nodes)
             made.start_from(self.progress.factor, made.base)
             return made
 
     # restart --------------------------------------------------------------------------------------
     def kept(self) -> dict[str, np.ndarray]:
-        """What is kept for each local point from step to step, beside its state: rows (np, ...) by name."""
-        return {f"rows.{name}": a for name, a in self.rows.items()} | self.term_rows() | self.load_rows()
+        """What is kept for each local point from step to step, beside its state: rows (np, ...) by name.
+
+        Raises:
+            InputError: the body isn't any more as this problem has left it.
+        """
+        self._check_left()
+        last = {} if self._last_x is None else {"last_x": self._last_x}
+        rows = {f"rows.{name}": a for name, a in self.rows.items()}
+        return last | rows | self.term_rows() | self.load_rows()
 
     def keep(self, rows: dict[str, np.ndarray]) -> None:
         """Put in rows such as those of `kept`."""
         self.rows = {name[5:]: a for name, a in rows.items() if name.startswith("rows.")}
         self.restore_term_rows(rows)
         self.restore_load_rows(rows)
+        self._last_x = rows.get("last_x")
 
-    # results --------------------------------------------------------------------------------------
-    def fields(self, *names: str | MaterialField) -> Fields:
-        """Energy, Cauchy stress and couple stress at the local points, or what is asked for.
 
-        Args:
-            *names: any of energy (Pa), stress (Pa), couple_stress (N/m) and mean_pressure (Pa), or a
-                `MaterialField`; default: the first three.
-
-        Returns:
-            The fields by name; `.energy`, `.stress` and `.couple_stress` for short.
-
-        Raises:
-            InputError: an unknown name.
-        """
-        return self._fields.evaluate(self.points, choose_fields(names, self.points.plastic))
-
-    def energy(self) -> float:
-        """Strain energy of the body (J)."""
-        energy: float = self.comm.allreduce(float(self.fields("energy").energy @ self.points.volume0))
-        return energy
-
-    def energies(self) -> dict[str, float]:
-        """Energy balance of the run so far, in J (J per unit thickness in plane strain).
-
-        - external: work of the loads, and of the supports' reactions on prescribed displacements;
-        - carried: work of the initial stresses and forces that balanced resets carry along;
-        - stored: strain energy, with what hardening stores;
-        - dissipated: by plastic flow;
-        - ghost: work against the ghost penalty's forces;
-        - terms: work against the forces of other terms that aren't loads or supports;
-        - residue: external + carried - stored - dissipated - ghost - terms: the error of the trapezoidal
-          rule, which falls with the square of the step, and what relaxes at resets that aren't balanced and
-          where couples in space meet a new base of the rotations.
-        """
-        p, dissipated = self.progress, 0.0
-        if self.points.plastic:
-            dissipated = self.comm.allreduce(float(self.points.dissipation @ self.points.volume0))
-        out = {
-            "external": p.external_work,
-            "carried": p.carried_work,
-            "stored": self.energy(),
-            "dissipated": dissipated,
-            "ghost": p.ghost_work,
-            "terms": p.term_work,
-        }
-        gained = p.external_work + p.carried_work
-        return out | {"residue": gained - out["stored"] - dissipated - p.ghost_work - p.term_work}
-
-    def reaction(self, support: Support | SurfaceSupport, about: Any = None) -> Reaction:
-        """Force (N), shape (d,), couple (N m), shape (r,), and moment with which a support holds the body in
-        the last converged step, by the components that it prescribes: `force, couple = problem.reaction(s)`,
-        or `.force`, `.couple` and `.moment`, see `Reaction`.
-
-        The couple sums the nodes' couples. The moment is that of forces and couples about the point `about`
-        (default: the origin), where nodes and body are now; couples count in it.
-
-        Where two supports hold the same unknown, its force belongs to the one that was given first; the
-        other's `shared` says what that is. So the reactions of all supports add up.
-
-        Raises:
-            InputError: nothing has been solved yet, the support has been released, or not what `fix` has
-                returned.
-        """
-        if not isinstance(support, Support | SurfaceSupport):
-            raise InputError(f"reaction: support = {support!r} is not what fix has returned")
-        point, given = point_about(about, self.layout.dim), self.given.of(support)
-        if given is None:
-            raise InputError(f"reaction: {support.name} isn't a support of this problem")
-        if given.released is not None:
-            raise InputError(f"reaction: {support.name} was released at load factor {given.released:g}")
-        e = self._equilibrium
-        if isinstance(support, SurfaceSupport):
-            if e is not None and support.reaction is not None:
-                return surface_reaction(support, point)
-        elif e is not None and support in e.prescribed.supports:
-            return e.reaction(support, point)
-        raise InputError(f"reaction: no load step has been solved yet with {support.name}")
-
-    def balance(self, about: Any = None) -> Balance:
-        """Loads, reactions and what else acts on the body in the last converged step: forces, and moments
-        about the point `about` (default: the origin) in the current configuration. Print it.
-
-        Raises:
-            InputError: nothing has been solved yet.
-        """
-        point = point_about(about, self.layout.dim)
-        if self._equilibrium is None:
-            raise InputError("balance: no load step has been solved yet")
-        return self._equilibrium.balance(point)
-
-    @property
-    def unknowns(self) -> int:
-        """Number of unknowns of the last step, prescribed ones included."""
-        return 0 if self.system is None else self.system.nodes.total * self.layout.block
+def _factor(value: Any, name: str = "factor") -> float:
+    return checks.number(name, value, allowed="a finite load factor")

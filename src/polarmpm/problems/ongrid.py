@@ -28,6 +28,7 @@ from ..geometry.grid import Grid
 from ..geometry.planes import Plane
 from ..kernels.kernel import Kernel
 from ..kinematics.motion import Motion
+from ..tools.disposal import dispose_of_dropped
 from .balancing import BalancedResets
 from .base import Problem
 from .boxes import BoxRecord
@@ -82,6 +83,7 @@ class OnGrid(Problem):
                 self._seal.check(self.points)
             if not self._stale:
                 return old
+        dispose_of_dropped(self.comm)
         self._compile()
         reset = old is None or p.reset_due
         if old is None or reset:
@@ -173,6 +175,7 @@ class OnGrid(Problem):
         self.load_shares.distributed()
         if route is None:
             return reference
+        self._leave(changed=True)
         self._conservation.moved(before, self.points, self.grid)
         self.keep({name: route.forward(rows) for name, rows in kept.items()})
         self._attempted = None

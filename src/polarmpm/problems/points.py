@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from mpi4py import MPI
@@ -35,13 +35,17 @@ from ..solvers.newton import Controls, Outcome
 from ..solvers.resetting import ResetPolicy, WhenDistorted, make_policy
 from ..terms.base import Term
 from ..terms.ghost import Ghost, GhostPenalty, make_penalty
+from ..tools import checks
+from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks, values_by_number
 from .balancing import BalancedResets
 from .boxes import BoxRecord
 from .conservation import Conservation
+from .described import described, of_rank
 from .ongrid import Compiled, OnGrid
 from .state import Fields, Progress
 from .surfaces import add_load
+from .whole import Changing
 
 ASSEMBLIES = ("direct", "projection")
 _DISTORTED = WhenDistorted()
@@ -51,8 +55,8 @@ PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": Fal
 
 
 def _check_assembly(assembly: str, basis: Basis) -> str:
-    if assembly not in ASSEMBLIES:
-        raise InputError(f"assembly = {assembly!r}: allowed are {', '.join(ASSEMBLIES)}")
+    if not isinstance(assembly, str) or assembly not in ASSEMBLIES:
+        raise checks.refuse("assembly", assembly, f"allowed are {', '.join(ASSEMBLIES)}")
     if assembly == "projection" and basis.no_projection:
         raise InputError(
             f"assembly = 'projection': basis = {basis.name!r}, allowed is "
@@ -62,14 +66,28 @@ def _check_assembly(assembly: str, basis: Basis) -> str:
 
 
 def _check_boxes(boxes: bool | None, basis: Basis) -> bool:
-    if boxes not in (None, True, False):
-        raise InputError(f"boxes = {boxes!r}: allowed are True, False and None")
+    if boxes is not None and not isinstance(boxes, bool | np.bool_):
+        raise checks.refuse("boxes", boxes, "allowed are True, False and None")
     if boxes and not basis.fills_boxes:
         allowed = names(lambda b: b.fills_boxes)
         raise InputError(
             f"boxes = True: basis = {basis.name!r} has no second derivatives; allowed are {allowed}"
         )
-    return basis.fills_boxes if boxes is None else boxes
+    return basis.fills_boxes if boxes is None else bool(boxes)
+
+
+def _check_body(grid: Grid, points: Points) -> None:
+    """Raise an error unless points lie in a grid. Collective."""
+    checks.instance("grid", grid, Grid, "a background grid, such as Grid.box makes, is")
+    checks.instance("points", points, Points, "material points, such as seed makes, are")
+    if points.dim != grid.dim:
+        raise InputError(f"points have {points.dim} dimensions, the grid has {grid.dim}")
+    if MPI.Comm.Compare(points.comm, grid.comm) not in (MPI.IDENT, MPI.CONGRUENT):
+        raise InputError("points: are on other ranks than the grid; give both the same comm")
+    if not points.total:
+        raise InputError("points: there is no point")
+    check_state(points)
+    check_inside(grid, points)
 
 
 class QuasiStatic(OnGrid):
@@ -115,6 +133,7 @@ class QuasiStatic(OnGrid):
         PointsOutsideGrid: points lie outside the grid; the message names them.
     """
 
+    @collective("QuasiStatic", comm=lambda self, grid, *args, **options: grid.comm, compare=True)
     def __init__(
         self,
         grid: Grid,
@@ -130,26 +149,19 @@ class QuasiStatic(OnGrid):
         solver: str = "auto",
         boxes: bool | None = None,
     ):
+        _check_body(grid, points)
+        balanced_reset = checks.flag("balanced_reset", balanced_reset)
         self.grid = self.initial_grid = grid
         self._moving = MovingGrid(grid)
         self.basis, self.policy = basis_of(basis), make_policy(reset)
         self.assembly, self.solver = _check_assembly(assembly, self.basis), check_solver(solver)
-        if points.dim != grid.dim:
-            raise InputError(f"points have {points.dim} dimensions, the grid has {grid.dim}")
-        check_state(points)
-        check_inside(grid, points)
         super().__init__(grid.comm, points, grid.dim, controls)
         self.forms = [make_form(m, grid.dim) for m in points.materials]
         for form in self.forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
             try_energy(form.material)
-        if grid.comm.rank == 0:
-            functions = f"the functions of basis={self.basis.name!r}"
-            if self.basis.locks:
-                warn_of_locking(points.materials, functions, "basis='bspline'")
-            else:
-                few = "displacements are 2 to 6 % too small with 32 and 16 cells across a body that bends"
-                warn_of_locking(points.materials, functions, "smaller cells", beyond=_SPLINES_LOCK, how=few)
+        with errors_on_all_ranks(grid.comm):
+            self._warn_of_locking()
         self.rotation_limit = 1.0
         self.boxes = _check_boxes(boxes, self.basis)
         self.box_record = BoxRecord(points, self.forms, grid.comm)
@@ -171,14 +183,45 @@ class QuasiStatic(OnGrid):
         if self.load_shares.due():
             self._migrate()
 
+    def _warn_of_locking(self) -> None:
+        """On one rank; an error where the script makes errors of warnings."""
+        if self.comm.rank == 0:
+            functions = f"the functions of basis={self.basis.name!r}"
+            if self.basis.locks:
+                warn_of_locking(self.points.materials, functions, "basis='bspline'")
+            else:
+                few = "displacements are 2 to 6 % too small with 32 and 16 cells across a body that bends"
+                warn_of_locking(
+                    self.points.materials, functions, "smaller cells", beyond=_SPLINES_LOCK, how=few
+                )
+
+    def _changing(self) -> Iterator[Changing]:
+        yield from super()._changing()
+        for thing in (
+            *(self.policy, self.box_record, self.load_shares, self.load_shares.shares),
+            *(self._conservation, self._moving, self._compiled, self._resets),
+        ):
+            yield thing, None
+
+    def _free(self) -> None:
+        self.box_record.kept = self.box_record.energies(self._system)
+        if self._system is not None:
+            self._system.destroy()
+            self._system = None
+
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
         if isinstance(where, PlaneSpec):
             self.basis.check_plane(where, self.initial_grid)
             return where.resolve(self.initial_grid, self.points, now=self.grid), where.name
-        if callable(where):
-            return where, getattr(where, "__name__", "predicate")
-        raise InputError(f"where = {where!r}: a plane or a predicate of node positions")
+        what = "a plane, a Surface or a predicate of node positions (n, d) is"
+        return checks.function("fix: where", where, what, takes=("positions",)), getattr(
+            where, "__name__", "predicate"
+        )
+
+    def _named(self, where: Any) -> Any:
+        named = isinstance(where, str | int | np.integer) and not isinstance(where, bool)
+        return self.points.surface(where) if named and self.points.surfaces else where
 
     def _admit(self, where: Any, support: Support) -> None:
         self._moving.admit(where, support, self.supports, self.progress.step > 0)
@@ -191,16 +234,17 @@ class QuasiStatic(OnGrid):
             for load in handed:
                 load.add_to(self._converged_loads[load.couple], self.points, factor)
 
+    @collective("load", compare=True)
     def load(
         self,
-        where: Selection | Surface,
+        where: Selection | Surface | str | int,
         *,
         force: Any = None,
         couple: Any = None,
         counts: str | None = None,
     ) -> Term | Applied:
         """A dead force (N) and couple (N m) in total, shared equally by selected points, or spread evenly
-        over a surface.
+        over a surface, also one by the name of a group of facets of the mesh that the points come from.
 
         Numbers are ramped, functions of the load factor give the value. In plane strain they count per unit
         thickness, and the couple is one number.
@@ -213,12 +257,12 @@ class QuasiStatic(OnGrid):
         Returns:
             The load, for `release`.
         """
+        where = self._named(where)
         if isinstance(where, Surface):
             return add_load(self, where, force, couple, counts)
         if not isinstance(where, Selection):
-            raise InputError(
-                f"selection = {where!r}: use points.where, points.farthest, points.nearest, or a Surface"
-            )
+            allowed = "use points.where, points.farthest, points.nearest, or a Surface"
+            raise checks.refuse("selection", where, allowed)
         share = 1.0 / max(1, len(where))
         return self._add_loads(f"load {self.given.next('load')}", where, (force, couple), counts, share=share)
 
@@ -239,12 +283,25 @@ class QuasiStatic(OnGrid):
     def cell_size(self) -> float:
         return min(self.grid.smallest)
 
+    @property
+    def rotation_limit(self) -> float:
+        return self._rotation_limit
+
+    @rotation_limit.setter
+    def rotation_limit(self, limit: float) -> None:
+        self._rotation_limit = checks.number("rotation_limit", limit, above=0.0)
+
     # solving --------------------------------------------------------------------------------------
     def _increments(self, system: LoadedPoints) -> Increments:
         return system.interpolation.gather(system.x)
 
+    def volume_ratios(self, increments: Increments) -> np.ndarray:
+        change = np.eye(self.grid.dim) + increments.gradient
+        ratios: np.ndarray = rotations.determinant(change)
+        return ratios
+
     def _check(self, increments: Increments) -> str:
-        bad = rotations.determinant(np.eye(self.grid.dim) + increments.gradient) <= 0
+        bad = self.volume_ratios(increments) <= 0
         inverted = self.comm.allreduce(int(np.sum(bad)))
         return f"{inverted} material point(s) turned inside out" if inverted else ""
 
@@ -271,7 +328,9 @@ class QuasiStatic(OnGrid):
         self._converged_loads = self._attempted
         p = self.progress
         p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
-        p.reset_due = self.policy.due(p.since_reset, increments.gradient, self.comm)
+        with errors_on_all_ranks(self.comm, "the reset policy") as answer:
+            due = answer.alike = bool(self.policy.due(p.since_reset, increments.gradient, self.comm))
+        p.reset_due = due
         if not p.reset_due and self.layout.rotations:
             largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
             if self.comm.allreduce(largest, op=MPI.MAX) > self.rotation_limit:
@@ -311,15 +370,13 @@ class QuasiStatic(OnGrid):
 
     def kept(self) -> dict[str, np.ndarray]:
         out = super().kept()
-        if self._last_x is not None:
-            out["last_x"] = self._last_x
         if self._converged_loads is not None:
             out |= {"forces": self._converged_loads[0], "couples": self._converged_loads[1]}
         return out | {"box_energy": self.box_record.energies(self._system)}
 
     def keep(self, rows: dict[str, np.ndarray]) -> None:
         super().keep(rows)
-        self._last_x, self.box_record.kept = rows.get("last_x"), rows.get("box_energy")
+        self.box_record.kept = rows.get("box_energy")
         self._converged_loads = (rows["forces"], rows["couples"]) if "forces" in rows else None
 
     def restore(
@@ -337,6 +394,7 @@ class QuasiStatic(OnGrid):
             shares: how well the points are distributed, from `LoadShares.state`; None: they are distributed
                 now.
         """
+        self.check_open()
         self.progress, self._equilibrium, self._conservation = progress, None, Conservation(self.comm)
         self.keep(kept)
         self._seal, self._arrangement = None, self.points.arrangements
@@ -353,6 +411,7 @@ class QuasiStatic(OnGrid):
             reference = self._migrate(reference)
         else:
             self.load_shares.restore(shares)
+        self._leave(changed=True)
         if reference is None or lattice is None or values is None:
             progress.reset_due = True
             return
@@ -364,6 +423,7 @@ class QuasiStatic(OnGrid):
         self._system.carried[:] = carried
 
     # results --------------------------------------------------------------------------------------
+    @collective("fields")
     def fields(self, *names: str | MaterialField) -> Fields:
         found = super().fields(*names)
         if "energy" in found:
@@ -374,3 +434,6 @@ class QuasiStatic(OnGrid):
     def system(self) -> LoadedPoints | None:
         """Active nodes, their increments and residual as of the last step; None before the first one."""
         return self._system
+
+    def __repr__(self) -> str:
+        return described(self, f"{len(self.points)} points{of_rank(self.comm)}, basis {self.basis.name!r}")

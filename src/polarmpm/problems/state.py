@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 
@@ -14,6 +15,7 @@ from ..errors import InputError
 from ..forms.stresses import MECHANICAL, TABLE, FieldForm, MaterialField
 from ..kernels.kernel import Kernel
 from ..materials.base import parameter_values
+from ..tools.checks import shown
 
 
 @dataclass
@@ -60,6 +62,9 @@ class Fields(Mapping[str, np.ndarray]):
     def __len__(self) -> int:
         return len(self._values)
 
+    def __repr__(self) -> str:
+        return f"Fields({', '.join(f'{name} {a.shape}' for name, a in self._values.items())})"
+
     @property
     def energy(self) -> np.ndarray:
         """Strain energy per reference volume (Pa), (np,)."""
@@ -74,6 +79,14 @@ class Fields(Mapping[str, np.ndarray]):
     def couple_stress(self) -> np.ndarray:
         """Cauchy couple stress (N/m), (np, 3, 3)."""
         return self["couple_stress"]
+
+
+def check_rows(name: Any, rows: Any, count: int) -> None:
+    """Raise InputError unless these are rows of a script's own, one for each local point."""
+    if not isinstance(name, str) or not isinstance(rows, np.ndarray) or rows.shape[:1] != (count,):
+        raise InputError(
+            f"rows[{shown(name)}] = {shown(rows)}: an array with {count} rows, one a point, is needed"
+        )
 
 
 class StateFields:
@@ -120,9 +133,9 @@ def choose_fields(names: Sequence[str | MaterialField], plastic: bool) -> list[M
     """
     out = []
     for given in names or [field.name for field in MECHANICAL]:
-        if not isinstance(given, MaterialField) and given not in TABLE:
+        if not isinstance(given, MaterialField) and not (isinstance(given, str) and given in TABLE):
             allowed = f"{', '.join(TABLE)} and a MaterialField"
-            raise InputError(f"fields: {given!r} is unknown; allowed are {allowed}")
+            raise InputError(f"fields: {shown(given)} is unknown; allowed are {allowed}")
         field = given if isinstance(given, MaterialField) else TABLE[given]
         if TABLE.get(field.name, field) is not field:
             raise InputError(f"fields: {field.name!r} is the name of one of the package's fields")

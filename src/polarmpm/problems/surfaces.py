@@ -14,7 +14,7 @@ from ..kinematics.layout import Layout
 from ..materials.base import Material
 from ..terms.base import Term
 from ..terms.surfaces import Pressure, SurfaceSupport, Traction
-from ..tools.checks import require_finite
+from ..tools import checks
 from .state import Progress
 
 _PENALTY = 1e3  # default springs: a layer of a thousandth of a cell, of the body's stiffness
@@ -97,8 +97,7 @@ def add_support(
     support = None
     if components or normal is None:
         support = make_support(_nowhere, name, components, layout, 0)
-    if not isinstance(augment, bool):
-        raise InputError(f"{name}: augment = {augment!r}: True or False")
+    augment = checks.flag(f"{name}: augment", augment)
     springs = _stiffness(problem, f"{name}: stiffness", stiffness, 0)
     turning = 0.0
     if _turns(support, layout):
@@ -120,10 +119,7 @@ def _stiffness(problem: Loaded, argument: str, value: float | None, rotation: in
     if value is None:
         size = problem.cell_size
         return max(_springs(argument, m, size, rotation) for m in problem.points.materials)
-    require_finite(argument, value)
-    if value <= 0:
-        raise InputError(f"{argument} = {value:g} is not positive")
-    return float(value)
+    return checks.number(argument, value, above=0.0)
 
 
 def _turns(support: Support | None, layout: Layout) -> bool:

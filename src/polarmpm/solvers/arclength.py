@@ -21,10 +21,12 @@ import numpy as np
 from tqdm import tqdm
 
 from ..errors import InputError, LocalFailure, NotConverged
+from ..tools import checks
+from ..tools.parallel import errors_on_all_ranks
 from . import newton
 from .linear import SingularTangent
 from .newton import Controls, Outcome, expected_to_end
-from .stepping import Step
+from .stepping import BETWEEN, Explain, Step, Stepped, T, check_alone, failed, restored_of
 
 _LENGTH_TOLERANCE = 1e-8  # of a step's length; the state is an equilibrium however long the step is
 # Least cosine between a step and its tangent; what is farther off may be another branch. If steps of a fifth
@@ -47,30 +49,33 @@ class ArcSchedule:
     progress: bool | None = None
 
     def __post_init__(self) -> None:
-        for name in ("first", "largest"):
-            value = getattr(self, name)
-            if name == "largest" and value is None:
-                continue
-            if not (_is_number(value) and math.isfinite(value) and value > 0):
-                raise InputError(f"{name} = {value!r}: a positive length (m)")
-        if self.largest is not None and self.largest < self.first:
-            raise InputError(f"largest = {self.largest!r}: at least first = {self.first!r}")
-        if not (_is_number(self.smallest) and 0 < self.smallest <= 1):
-            raise InputError(f"smallest = {self.smallest!r}: between 0 and 1")
-        if self.to is not None and not (_is_number(self.to) and math.isfinite(self.to)):
-            raise InputError(f"to = {self.to!r}: a finite load factor")
-        if self.steps is not None and (
-            not isinstance(self.steps, int) or self.steps is True or self.steps < 1
-        ):
-            raise InputError(f"steps = {self.steps!r}: a positive whole number")
-        if self.until is not None and not callable(self.until):
-            raise InputError(f"until = {self.until!r}: a function of the step that tells when to stop")
+        first = check_length("first", self.first)
+        checked: dict[str, Any] = {
+            "first": first,
+            "smallest": checks.number("smallest", self.smallest, **BETWEEN),
+        }
+        if self.largest is not None:
+            checked["largest"] = check_length("largest", self.largest)
+            if checked["largest"] < first:
+                raise checks.refuse("largest", self.largest, f"at least first = {first!r}")
+        if self.to is not None:
+            checked["to"] = checks.number("to", self.to, allowed="a finite load factor")
+        if self.steps is not None:
+            checked["steps"] = checks.whole("steps", self.steps, least=1)
+        if self.until is not None:
+            what = "a function of the step that tells when to stop is"
+            checks.function("until", self.until, what, takes=("step",))
+        if self.progress is not None:
+            checked["progress"] = checks.flag("progress", self.progress)
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
         if self.until is None and self.to is None and self.steps is None:
             raise InputError("march_arc_length: one of until, to and steps has to tell where to stop")
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+def check_length(name: str, value: Any) -> float:
+    """Length of a step along the path (m)."""
+    return checks.number(name, value, above=0.0, allowed="a positive length (m)")
 
 
 # what may depend on the load factor -----------------------------------------------------------------
@@ -281,34 +286,52 @@ def _iterate(path: Path, controls: Controls, outcome: Outcome) -> None:
 
 
 # the march --------------------------------------------------------------------------------------------
-class Marching(Protocol):
+class Marching(Stepped, Protocol):
     """What following a path needs of a problem."""
-
-    comm: MPI.Comm
-    progress: Any
-    steps: list[Step]
 
     def attempt_along(self, length: float, to: float | None, kink: bool = False) -> tuple[Outcome, float]: ...
 
+    def whole(self, work: Callable[[], T]) -> T:
+        """Do work as a whole or, if anything ends it early, not at all."""
 
-def march(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
-    """Converged steps; see `Problem.march_arc_length`."""
+
+def march(problem: Marching, schedule: ArcSchedule, explain: Explain | None = None) -> Iterator[Step]:
+    """Converged steps; see `Problem.march_arc_length`. `explain` as of `stepping.march`."""
     hidden = (not schedule.progress) if schedule.progress is not None else None
     with tqdm(disable=True if problem.comm.rank else hidden, bar_format=_BAR) as bar:
-        for done, step in enumerate(_steps(problem, schedule), 1):
+        steps = enumerate(_steps(problem, schedule, explain), 1)
+
+        def take() -> tuple[Step | NotConverged | None, bool]:
+            try:
+                done, step = next(steps, (0, None))
+            except NotConverged as error:  # all has been put back
+                return error, True
+            if step is None:
+                return None, True
             problem.steps.append(step)
-            stop = schedule.until is not None and bool(schedule.until(step))
+            stop = False
+            if schedule.until is not None:
+                with errors_on_all_ranks(problem.comm, "until"):
+                    stop = bool(schedule.until(step))
             stop = problem.comm.bcast(stop) or done == schedule.steps
             bar.update()
             bar.set_postfix_str(f"load factor {step.factor:.6g}, {step.iterations} iterations")
-            yield step
-            if stop:
-                return
+            return step, stop
+
+        stop = False
+        while not stop:
+            step, stop = problem.whole(take)
+            if isinstance(step, NotConverged):
+                raise step
+            if step is not None:
+                yield step
 
 
-def _steps(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
+def _steps(problem: Marching, schedule: ArcSchedule, explain: Explain | None) -> Iterator[Step]:
     length, largest = schedule.first, schedule.largest or schedule.first
+    last: Step | None = None
     while schedule.to is None or problem.progress.factor != schedule.to:
+        check_alone(problem, last)
         tried: list[str] = []
         begin = problem.progress.factor
         while True:
@@ -322,13 +345,15 @@ def _steps(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
             )
             length *= 0.5
             if length < schedule.smallest * schedule.first:
-                raise NotConverged(aim, outcome.history, tried)
+                raise failed(aim, outcome.history, tried, explain)
         if outcome.iterations <= _EASY:
             length = min(1.5 * length, largest)
-        yield Step(
+        last = Step(
             problem.progress.step,
             problem.progress.factor,
             tuple(outcome.history),
             len(tried),
             outcome.unresolved,
+            restored_of(problem),
         )
+        yield last

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ..errors import InputError
+from ..tools import checks
 from .direct import DirectSolver
 from .linear import LinearSolver, Tangent
 
@@ -53,17 +53,17 @@ def register_solver(name: str, make: Callable[[Tangent], LinearSolver], *, whole
     Raises:
         InputError: the name is taken, or make is not a function.
     """
-    if not isinstance(name, str) or name == "auto" or name in SOLVERS:
-        raise InputError(f"solver = {name!r}: a name other than auto, {', '.join(SOLVERS)}")
-    if not callable(make):
-        raise InputError(f"solver {name!r}: make = {make!r} is not a function of a Tangent")
-    SOLVERS[name] = Solver(make, whole_rows)
+    taken = f"a name other than auto, {', '.join(SOLVERS)}"
+    if checks.text("solver", name, taken) == "auto" or name in SOLVERS:
+        raise checks.refuse("solver", name, taken)
+    checks.function(f"solver {name!r}: make", make, "a function of a Tangent is", takes=("tangent",))
+    SOLVERS[name] = Solver(make, checks.flag("whole_rows", whole_rows))
 
 
 def check_solver(solver: str) -> str:
     """Raise InputError unless it is "auto" or a known solver's name."""
-    if solver != "auto" and solver not in SOLVERS:
-        raise InputError(f"solver = {solver!r}: allowed are auto, {', '.join(SOLVERS)}")
+    if not isinstance(solver, str) or (solver != "auto" and solver not in SOLVERS):
+        raise checks.refuse("solver", solver, f"allowed are auto, {', '.join(SOLVERS)}")
     return solver
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from ..errors import LocalFailure
+from ..tools import checks
 from .linear import SingularTangent
 
 
@@ -52,12 +53,27 @@ class Controls:
         max_iterations: linear solves before the step counts as failed.
         divergence: force measure at which the step counts as failed. Bending overshoots by 1e3 to 1e4 in
             the first iteration, so it is far above that.
+
+    Raises:
+        InputError: tolerances that aren't below 1, or no iterations.
     """
 
     force_tolerance: float = 1e-9
     energy_tolerance: float = 1e-16
     max_iterations: int = 25
     divergence: float = 1e14
+
+    def __post_init__(self) -> None:
+        checked = {
+            "force_tolerance": checks.number("force_tolerance", self.force_tolerance, above=0.0, below=1.0),
+            "energy_tolerance": checks.number(
+                "energy_tolerance", self.energy_tolerance, least=0.0, below=1.0
+            ),
+            "max_iterations": checks.whole("max_iterations", self.max_iterations, least=1),
+            "divergence": checks.number("divergence", self.divergence, above=1.0),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
 
 @dataclass
@@ -80,6 +96,11 @@ class Outcome:
     def iterations(self) -> int:
         """Linear solves."""
         return max(0, len(self.history) - 1)
+
+    def __repr__(self) -> str:
+        force = f", force measure {self.history[-1][0]:.2g}" if self.history else ""
+        what = "converged" if self.converged else f"failed: {self.reason or 'no reason yet'}"
+        return f"Outcome({what}; {self.iterations} iterations{force})"
 
 
 def solve(system: System, controls: Controls) -> Outcome:

@@ -7,13 +7,13 @@ it can't balance is lost unless it is carried along.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from mpi4py import MPI
 
 import numpy as np
 
-from ..errors import InputError
+from ..tools import checks
 
 
 class ResetPolicy(Protocol):
@@ -30,8 +30,7 @@ class EverySteps:
     n: int = 1
 
     def __post_init__(self) -> None:
-        if not isinstance(self.n, int) or self.n < 1:
-            raise InputError(f"reset every n = {self.n!r} steps: a positive whole number is allowed")
+        object.__setattr__(self, "n", checks.whole("n", self.n, least=1))
 
     def due(self, steps: int, gradient: np.ndarray, comm: MPI.Comm) -> bool:
         return steps >= self.n
@@ -44,8 +43,8 @@ class WhenDistorted:
     limit: float = 0.2
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.limit) and self.limit > 0):
-            raise InputError(f"limit = {self.limit!r}: a positive number is allowed")
+        allowed = "a positive number is allowed"
+        object.__setattr__(self, "limit", checks.number("limit", self.limit, above=0.0, allowed=allowed))
 
     def due(self, steps: int, gradient: np.ndarray, comm: MPI.Comm) -> bool:
         transposed = np.swapaxes(gradient, 1, 2)
@@ -63,11 +62,17 @@ class Never:
 
 
 def make_policy(reset: int | ResetPolicy | None) -> ResetPolicy:
-    """A number n means every n steps, None never."""
+    """A number n means every n steps, None never.
+
+    Raises:
+        InputError: something else; a policy whose `due` can't be called as that of `ResetPolicy`.
+    """
     if reset is None:
         return Never()
-    if isinstance(reset, bool) or not (isinstance(reset, int) or hasattr(reset, "due")):
-        raise InputError(
-            f"reset = {reset!r}: a whole number of steps, None, or a policy such as WhenDistorted(0.2)"
-        )
-    return EverySteps(reset) if isinstance(reset, int) else reset
+    allowed = "a positive whole number of steps, None, or a policy such as WhenDistorted(0.2)"
+    if isinstance(reset, type) or not hasattr(reset, "due"):
+        return EverySteps(checks.whole("reset", reset, least=1, allowed=allowed))
+    policy: Any = reset
+    checks.function(f"reset: {type(policy).__name__}.due", policy.due, takes=("steps", "gradient", "comm"))
+    made: ResetPolicy = policy
+    return made

@@ -19,6 +19,7 @@ from .. import __version__
 from ..io.files import check_output
 from ..problems.base import Problem
 from ..problems.elements import QuasiStaticFEM
+from ..tools import checks
 
 
 def arguments(
@@ -37,9 +38,9 @@ def arguments(
     Without a `cell` there is no option for it; `bases` are those to choose from."""
     parser = _parser(description)
     if cell is not None:
-        parser.add_argument("--cell", type=float, default=cell, help="cell size (unit of the scene)")
-    parser.add_argument("--points-per-cell", type=int, default=points_per_cell, help="in each direction")
-    parser.add_argument("--steps", type=int, default=steps, help="number of load steps")
+        parser.add_argument("--cell", type=positive, default=cell, help="cell size (unit of the scene)")
+    parser.add_argument("--points-per-cell", type=count, default=points_per_cell, help="in each direction")
+    parser.add_argument("--steps", type=count, default=steps, help="number of load steps")
     parser.add_argument("--basis", choices=bases, default=basis, help="weighting functions")
     return _parse(parser, output, more, argv)
 
@@ -56,10 +57,26 @@ def element_arguments(
 ) -> argparse.Namespace:
     """As `arguments`, of a demo with finite elements."""
     parser = _parser(description)
-    parser.add_argument("--elements", type=int, default=elements, help="number along the body")
+    parser.add_argument("--elements", type=count, default=elements, help="number along the body")
     parser.add_argument("--degree", type=int, choices=(1, 2), default=degree, help="of the elements")
-    parser.add_argument("--steps", type=int, default=steps, help="number of load steps")
+    parser.add_argument("--steps", type=count, default=steps, help="number of load steps")
     return _parse(parser, output, more, argv)
+
+
+def count(text: str) -> int:
+    """A positive whole number of the command line."""
+    try:
+        return checks.whole("", int(text), least=1)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive whole number") from None
+
+
+def positive(text: str) -> float:
+    """A positive number of the command line."""
+    try:
+        return checks.number("", float(text), above=0.0)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number") from None
 
 
 def _parser(description: str) -> argparse.ArgumentParser:
@@ -90,7 +107,7 @@ def report(
     cpu_s (by phase, summed over ranks, with total), peak_memory_mb (likewise) and version; with finite
     elements also elements, and points are the quadrature points.
     """
-    comm = problem.comm
+    comm = checks.instance("problem", problem, Problem, "a problem is").comm
     seconds = {**problem.timer.seconds, "total": time.process_time()}
     known: tuple[str, ...] = ("cell", "points_per_cell", "steps", "basis")
     elements = {}

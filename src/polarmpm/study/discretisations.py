@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import pickle
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -10,6 +9,7 @@ from typing import Any
 
 from ..errors import InputError
 from ..problems.base import Problem
+from ..tools import checks
 
 # the order in which tables and figures have them; "rest" is what no phase has
 PHASES = ("assembly", "factor", "solve", "update", "reset", "pattern", "conditions", "rest")
@@ -24,11 +24,20 @@ class Case:
         result: function without arguments that gives a number or a vector after the last step.
         kernel: CPU seconds that the material's kernel needs at all points, for the residual alone (False) or
             with the tangent (True); None where the assembly can't be taken apart.
+
+    Raises:
+        InputError: not a problem, not functions.
     """
 
     problem: Problem
     result: Callable[[], Any]
     kernel: Callable[[bool], float] | None = None
+
+    def __post_init__(self) -> None:
+        checks.instance("problem", self.problem, Problem, "a problem, ready to march, is")
+        checks.function("result", self.result, "a function without arguments is")
+        if self.kernel is not None:
+            checks.function("kernel", self.kernel, takes=("tangent",))
 
 
 @dataclass(frozen=True)
@@ -58,20 +67,21 @@ class Discretisation:
 
     def __post_init__(self) -> None:
         for name in ("method", "label"):
-            if not isinstance(getattr(self, name), str) or not getattr(self, name):
-                raise InputError(f"{name} = {getattr(self, name)!r}: a text is needed")
-        if not isinstance(self.h, int | float) or not math.isfinite(self.h) or self.h <= 0:
-            raise InputError(f"h = {self.h!r}: a positive cell size")
-        if isinstance(self.steps, bool) or not isinstance(self.steps, int) or self.steps < 1:
-            raise InputError(f"steps = {self.steps!r}: a positive whole number")
-        if not callable(self.build):
-            raise InputError(f"build = {self.build!r}: a function is needed")
+            checks.text(name, getattr(self, name), "a text is needed")
+        h = checks.number("h", self.h, above=0.0, allowed="a positive cell size")
+        object.__setattr__(self, "h", h)
+        object.__setattr__(self, "steps", checks.whole("steps", self.steps, least=1))
+        checks.flag("adaptive", self.adaptive)
+        checks.function("build", self.build)
+        named = isinstance(self.arguments, Mapping) and all(isinstance(name, str) for name in self.arguments)
+        if not named:
+            raise checks.refuse("arguments", self.arguments, "arguments of build by name are needed")
         try:
             pickle.dumps((self.build, dict(self.arguments)))
-        except (pickle.PicklingError, AttributeError, TypeError) as e:
+        except Exception as e:  # a script's classes may raise anything
             raise InputError(
-                f"build = {self.build!r}: it and its arguments must be known by name to another process; "
-                f"functions at the top level of a module or script are ({e})"
+                f"build = {checks.shown(self.build)}: it and its arguments must be known by name to another "
+                f"process; functions at the top level of a module or script are ({e})"
             ) from None
 
 

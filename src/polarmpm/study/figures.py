@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
 from ..plot import figures as plot
+from ..plot.options import check_axes
+from ..tools import checks
 from .discretisations import PHASES, Row
-from .tables import check_name, digits, error_names, methods
+from .tables import check_name, check_rows, digits, error_names, methods
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")
 _MARKERS = "osD^vP<>"
@@ -43,9 +44,12 @@ def errors(
     Raises:
         InputError: no row has an error of this name; unknown `over`.
     """
-    if over not in _AXES:
-        raise InputError(f"over = {over!r}: allowed are {', '.join(_AXES)}")
+    if not isinstance(over, str) or over not in _AXES:
+        raise checks.refuse("over", over, f"allowed are {', '.join(_AXES)}")
     check_name(rows, name)
+    published = check_rows("published", published)
+    slopes = [checks.whole("slopes", order) for order in slopes]
+    check_axes(ax, solid=False)
     if ax is None:
         _, ax = plot.subplots(figsize=(6.5, 4.6))
     every = methods([*rows, *published])
@@ -109,7 +113,7 @@ def save_errors(
     slopes: Sequence[int] = (),
 ) -> None:
     """Write a figure with one panel for each reference; see `errors`."""
-    names = error_names(rows)
+    names = error_names(check_rows("rows", rows))
     columns = min(2, max(1, len(names)))
     lines = max(1, -(-len(names) // columns))
     figure, axes = plot.subplots(lines, columns, figsize=(5.4 * columns, 4.0 * lines + 0.6), squeeze=False)
@@ -127,7 +131,8 @@ def save_errors(
 
 def phases(rows: Sequence[Row], ax: Any = None) -> Any:
     """Draw the phases' shares in each discretisation's CPU time as stacked bars, the kernel's hatched."""
-    rows = [r for r in rows if r.phases and r.cpu_s]
+    rows = [r for r in check_rows("rows", rows) if r.phases and r.cpu_s]
+    check_axes(ax, solid=False)
     if ax is None:
         _, ax = plot.subplots(figsize=(8.0, 0.9 + 0.27 * len(rows)))
     total = np.array([r.cpu_s for r in rows], dtype=float)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -22,6 +22,7 @@ from ..errors import InputError, NotConverged, PointsOutsideGrid
 from ..kernels import native
 from ..problems.base import Problem
 from ..problems.elements import QuasiStaticFEM
+from ..tools import checks
 from ..tools.timing import Timer
 from .discretisations import Case, Discretisation, Row
 
@@ -53,7 +54,14 @@ def run(
     """
     if MPI.COMM_WORLD.size > 1:
         raise InputError("run: a study starts processes of its own; run the script on one rank")
+    if not isinstance(discretisations, Iterable) or isinstance(discretisations, str):
+        raise checks.refuse("discretisations", discretisations, "a list of Discretisation is needed")
     discretisations = list(discretisations)
+    for one in discretisations:
+        checks.instance("discretisations", one, Discretisation, "objects of study.Discretisation are")
+    references = _checked(references)
+    if record is not None:
+        checks.function("record", record, takes=("row",))
     if not discretisations:
         raise InputError("discretisations: none is given")
     names = [(d.method, d.label) for d in discretisations]
@@ -69,19 +77,42 @@ def run(
 
 
 def compare(row: Row, references: Mapping[str, Reference]) -> Row:
-    """The row with its errors; see `run`."""
+    """The row with its errors; see `run`.
+
+    Raises:
+        InputError: a reference that doesn't fit the result.
+    """
+    checks.instance("row", row, Row, "a study.Row is")
+    references = _checked(references)
     if row.failed_at is not None:
         return row
     found, errors = np.array(row.result), {}
     for name, reference in references.items():
         if callable(reference):
-            errors[name] = float(reference(found))
+            errors[name] = checks.number(f"references: {name}, of the result,", reference(found), least=0.0)
             continue
-        exact = np.atleast_1d(np.asarray(reference, float))
+        exact = np.atleast_1d(reference)
         if exact.shape != found.shape:
             raise InputError(f"references: {name!r} has the shape {exact.shape}, the result {found.shape}")
         errors[name] = float(np.linalg.norm(found - exact))
     return replace(row, errors=errors)
+
+
+def _checked(references: Any) -> dict[str, Any]:
+    """Functions or vectors by name."""
+    if not isinstance(references, Mapping):
+        raise checks.refuse("references", references, 'vectors or functions by name, {"exact": (0.0, -1.0)}')
+    found: dict[str, Any] = {}
+    for name, reference in references.items():
+        checks.text("references: a name", name)
+        of = f"references: {name}"
+        if callable(reference):
+            found[name] = checks.function(of, reference, takes=("result",))
+        else:
+            found[name] = checks.numeric(of, reference, "a vector, or a function of the result")
+            if not np.all(np.isfinite(found[name])):
+                raise checks.refuse(of, reference, "finite numbers are needed")
+    return found
 
 
 def _in_new_process(d: Discretisation) -> Row:
@@ -100,7 +131,7 @@ def _measure(d: Discretisation) -> Row:
     try:
         case = d.build(**d.arguments)
         if not isinstance(case, Case):
-            raise InputError(f"build = {d.build!r}: returned {case!r} and not a study.Case")
+            raise InputError(f"build = {d.build!r}: returned {checks.shown(case)} and not a study.Case")
         problem = case.problem
     except PointsOutsideGrid as e:
         return replace(row, failed_at=0.0, failure=str(e))
@@ -122,7 +153,8 @@ def _measure(d: Discretisation) -> Row:
     result: tuple[float, ...] = ()
     kernel = None
     if failed is None:
-        result = tuple(float(v) for v in np.atleast_1d(np.asarray(case.result(), float)))
+        found = checks.numeric("result, of the case,", case.result(), "a number or a vector")
+        result = tuple(float(v) for v in np.atleast_1d(found).ravel())
         if case.kernel is not None:
             tangents = timer.calls.get("factor", 0)
             others = timer.calls.get("assembly", 0) - tangents

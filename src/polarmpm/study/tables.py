@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 from ..errors import InputError
 from ..io.files import check_output, replace_file
+from ..tools import checks
 from .discretisations import PHASES, Row
 
 
@@ -23,6 +24,7 @@ def write_csv(rows: Sequence[Row], path: str | os.PathLike[str]) -> None:
 
     Columns: those of `Row`; result_0, ...; error_<name>; <phase>_s.
     """
+    rows = check_rows("rows", rows)
     lines = [_flat(row) for row in rows]
     text = StringIO()
     writer = csv.DictWriter(text, _columns(rows), restval="", lineterminator="\n")
@@ -66,8 +68,8 @@ def read_csv(path: str | os.PathLike[str]) -> list[Row]:
     try:
         with open(path, newline="", encoding="utf-8") as file:
             return [_row(line) for line in csv.DictReader(file)]
-    except (OSError, KeyError, ValueError) as e:
-        raise InputError(f"path = {os.fspath(path)!r} is no table of a study: {e}") from None
+    except (OSError, KeyError, TypeError, ValueError, csv.Error) as e:
+        raise InputError(f"path = {checks.shown(path)} is no table of a study: {e}") from None
 
 
 def _row(line: Mapping[str, str]) -> Row:
@@ -101,6 +103,7 @@ def _phases(rows: Sequence[Row]) -> list[str]:
 
 def markdown(rows: Sequence[Row], *, unit: str = "") -> str:
     """Results, errors and costs as a Markdown table. `unit` is the unit of result and errors."""
+    rows = check_rows("rows", rows)
     names, of = error_names(rows), f" ({unit})" if unit else ""
     has_result = any(row.result for row in rows)
     head = ["method", "cells", "h (m)", "points", "unknowns", "steps (cuts)", "iterations"]
@@ -123,7 +126,7 @@ def markdown(rows: Sequence[Row], *, unit: str = "") -> str:
 
 def markdown_phases(rows: Sequence[Row]) -> str:
     """CPU seconds by phase as a Markdown table."""
-    rows = [r for r in rows if r.phases]
+    rows = [r for r in check_rows("rows", rows) if r.phases]
     phases, kernels = _phases(rows), any(r.kernel_s is not None for r in rows)
     head = ["method", "cells", "CPU (s)", *phases] + ["of the assembly: kernel"] * kernels
     lines = []
@@ -192,8 +195,7 @@ def time_for_error(rows: Sequence[Row], name: str, level: float) -> dict[str, fl
         InputError: no row has an error of this name; `level` is not positive.
     """
     check_name(rows, name)
-    if not level > 0:
-        raise InputError(f"level = {level!r}: a positive error")
+    level = checks.number("level", level, above=0.0, allowed="a positive error")
     found: dict[str, float] = {}
     for method in methods(rows):
         mine = [r for r in rows if r.method == method and name in r.errors and r.cpu_s]
@@ -225,5 +227,17 @@ def markdown_times(rows: Sequence[Row], name: str, levels: Sequence[float], *, u
 
 def check_name(rows: Sequence[Row], name: str) -> None:
     """Raise InputError unless rows have an error of this name."""
-    if name not in error_names(rows):
-        raise InputError(f"name = {name!r}: errors are {', '.join(error_names(rows)) or 'not known'}")
+    known = error_names(check_rows("rows", rows))
+    if not isinstance(name, str) or name not in known:
+        raise checks.refuse("name", name, f"errors are {', '.join(known) or 'not known'}")
+
+
+def check_rows(name: str, rows: Any) -> list[Row]:
+    """Rows of a study.
+
+    Raises:
+        InputError: something else.
+    """
+    if not isinstance(rows, Sequence) or not all(isinstance(row, Row) for row in rows):
+        raise checks.refuse(name, rows, "a list of study.Row, as study.run returns it, is needed")
+    return list(rows)

@@ -26,6 +26,8 @@ from ..geometry.grid import Grid, box_indices
 from ..geometry.nodes import ActiveNodes
 from ..geometry.surfaces import Surface
 from ..kinematics.layout import Layout
+from ..tools.checks import refuse, shown, whole
+from ..tools.parallel import errors_on_all_ranks
 
 
 class NodeSets(Protocol):
@@ -42,10 +44,23 @@ class Boxes:
     Attributes:
         count: nodes in each direction.
         lowest: lattice number of each box's lowest node (m,).
+
+    Raises:
+        InputError: not one positive count for each direction, or numbers that aren't whole.
     """
 
     count: tuple[int, ...]
     lowest: np.ndarray
+
+    def __post_init__(self) -> None:
+        count = self.count if isinstance(self.count, Sequence) else ()
+        if len(count) not in (2, 3):
+            raise refuse("Boxes: count", self.count, "two or three numbers of nodes are needed")
+        object.__setattr__(self, "count", tuple(whole("Boxes: count", n, least=1) for n in count))
+        lowest = np.asarray(self.lowest)
+        if lowest.ndim != 1 or (lowest.size and lowest.dtype.kind not in "iu"):
+            raise refuse("Boxes: lowest", self.lowest, "lattice numbers (m,), whole numbers, are needed")
+        object.__setattr__(self, "lowest", lowest.astype(np.int64, copy=False))
 
     @cached_property
     def offsets(self) -> np.ndarray:
@@ -197,6 +212,9 @@ class Term(ABC):
         term.rows = {}
         return term
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r})"
+
     def attach(self, layout: Layout, comm: MPI.Comm) -> None:  # noqa: B027
         """The problem that takes it has these unknowns and ranks.
 
@@ -239,6 +257,64 @@ class Term(ABC):
         Raises:
             InputError: it is of another term.
         """
+
+
+def pieces_of(term: Term, setting: Setting) -> list[Piece]:
+    """A term's pieces from now on. Collective.
+
+    Raises:
+        InputError: it gives something else.
+    """
+    made = term.pieces(setting)
+    with errors_on_all_ranks(setting.comm):
+        if not isinstance(made, Sequence) or not all(isinstance(piece, Piece) for piece in made):
+            raise InputError(f"{term.name}: pieces returned {shown(made)}; a list of Piece is needed")
+        for piece in made:
+            _check_piece(term.name, piece, setting.layout.block)
+    for piece in made:
+        piece.of = term
+    return list(made)
+
+
+def _check_piece(name: str, piece: Piece, block: int) -> None:
+    for what in ("name", "boxes", "pairs"):
+        if not hasattr(piece, what):
+            raise InputError(f"{name}: its {type(piece).__name__} has no {what}")
+    pairs = np.asarray(piece.pairs)
+    good = pairs.ndim == 2 and pairs.shape[1] == 2 and pairs.dtype.kind in "iu"
+    if not good or np.any((pairs < 0) | (pairs >= block)):
+        allowed = f"components from 0 to {block - 1}, whole numbers (k, 2), are needed"
+        raise refuse(f"{name}: pairs", piece.pairs, allowed)
+    if not callable(getattr(piece.boxes, "rows", None)):
+        raise refuse(f"{name}: boxes", piece.boxes, "sets of nodes, such as Boxes, are needed")
+
+
+def forces_of(piece: Piece, x: np.ndarray) -> np.ndarray:
+    """Residual forces (m, n, b) of a piece at increments (m, n, b).
+
+    Raises:
+        InputError: they have another shape.
+    """
+    forces = piece.forces(x)
+    if np.shape(forces) != x.shape:
+        raise InputError(
+            f"{piece.name}: its forces have the shape {np.shape(forces)}; {x.shape}, that of the increments, "
+            "is needed"
+        )
+    return forces
+
+
+def matrices_of(piece: Piece, x: np.ndarray) -> np.ndarray:
+    """Derivatives (m or 1, n, n, k) of a piece's forces at increments (m, n, b).
+
+    Raises:
+        InputError: they have another shape.
+    """
+    matrices, (m, n, _) = piece.matrices(x), x.shape
+    shape, rest = np.shape(matrices), (n, n, len(piece.pairs))
+    if shape not in ((m, *rest), (1, *rest)):
+        raise InputError(f"{piece.name}: its matrices have the shape {shape}; {(m, *rest)} is needed")
+    return matrices
 
 
 def multiply(pairs: np.ndarray, matrices: np.ndarray, x: np.ndarray) -> np.ndarray:

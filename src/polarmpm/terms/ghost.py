@@ -32,7 +32,7 @@ from ..geometry.cells import unit_corners
 from ..geometry.grid import Grid
 from ..kinematics.layout import Layout
 from ..materials.base import Material
-from ..tools.checks import require_finite
+from ..tools import checks
 from ..tools.parallel import lowest_ranks, values_by_number
 from .base import Boxes, Piece, Setting, Term, multiply
 from .settings import GridSetting
@@ -60,12 +60,12 @@ class GhostPenalty:
 
     def __post_init__(self) -> None:
         for name in ("displacement", "rotation"):
-            value = getattr(self, name)
-            require_finite(f"GhostPenalty: {name}", value)
-            if value < 0:
-                raise InputError(f"GhostPenalty: {name} = {value:g} is negative; 0 or more is allowed")
-        if self.power not in (1, 3):
-            raise InputError(f"GhostPenalty: power = {self.power!r}: allowed are 1 and 3")
+            value = checks.number(f"GhostPenalty: {name}", getattr(self, name), least=0.0)
+            object.__setattr__(self, name, value)
+        power = checks.whole("GhostPenalty: power", self.power, allowed="allowed are 1 and 3")
+        if power not in (1, 3):
+            raise checks.refuse("GhostPenalty: power", self.power, "allowed are 1 and 3")
+        object.__setattr__(self, "power", power)
 
 
 def make_penalty(

@@ -9,6 +9,8 @@ from mpi4py import MPI
 import numpy as np
 
 from ..conditions.amplitudes import Amplitude, Fade
+from ..conditions.loads import no_microrotation
+from ..conditions.prescribed import TOO_FAR, turns_too_far
 from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.surfaces import DeadTraction, FollowerPressure, FollowerTraction, Penalty, SurfaceForm
@@ -16,6 +18,7 @@ from ..geometry.surfaces import Surface
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
 from ..kinematics.moments import moments
+from ..tools import checks
 from .surfaceterms import SurfaceCondition
 
 
@@ -38,9 +41,7 @@ class Traction(SurfaceCondition):
         share: float = 1.0,
     ):
         super().__init__(name, surface)
-        if not isinstance(follows, bool):
-            raise InputError(f"{name}: follows = {follows!r}: True or False")
-        self.follows = follows
+        self.follows = checks.flag(f"{name}: follows", follows)
         if force is None and couple is None:
             raise InputError(f"{name}: neither force nor couple is given")
         self._given, self._share = (force, couple), share
@@ -49,7 +50,7 @@ class Traction(SurfaceCondition):
     def attach(self, layout: Layout, comm: MPI.Comm) -> None:
         force, couple = self._given
         if couple is not None and not layout.rotations:
-            raise InputError(f"{self.name}: couple = {couple!r}, but the material has no microrotation")
+            raise no_microrotation(self.name, couple)
         self._values = [Amplitude(f"{self.name}, force", 0.0 if force is None else force, layout.dim)]
         if couple is not None:
             self._values.append(Amplitude(f"{self.name}, couple", couple, layout.rotations))
@@ -174,6 +175,8 @@ class SurfaceSupport(SurfaceCondition):
         moved = self._at["u"] - self._offset
         target: np.ndarray = total - np.hstack([moved, self._at["theta"]])
         if r == 3 and all(c in self._columns for c in range(d, d + 3)):
+            if np.any(turns_too_far(self._at["theta"], total[:, d:])):
+                raise InputError(f"{self.name}: {TOO_FAR}")
             there = rotations.from_vector(total[:, d:])
             way = rotations.multiply(there, rotations.conjugate(self._at["q"]))
             target[:, d:] = rotations.to_vector(np.where(way[:, :1] < 0, -way, way))
@@ -195,7 +198,8 @@ class SurfaceSupport(SurfaceCondition):
     def rebase_rotations(self) -> None:
         d, w = self.layout.dim, self.theta - self._at["theta"]
         if self.layout.rotations == 3:  # what does work on Dw now does it on the spin
-            self.multiplier[:, d:] = rotations.couples_on_spins(w, self.multiplier[:, d:])
+            turned = rotations.couples_on_spins(w, self.multiplier[:, d:])
+            self.multiplier = np.hstack([self.multiplier[:, :d], turned])
         super().rebase_rotations()
 
     def converged(self, y: np.ndarray) -> None:
@@ -230,9 +234,22 @@ class SurfaceSupport(SurfaceCondition):
             "multiplier": self.multiplier,
             "offset": self._offset,
             "last": self._last,
+            "gap": np.zeros(len(self.surface)) if self.reaction is None else self.gap,
+            "reaction": self._reaction_row(),
         }
+
+    def _reaction_row(self) -> np.ndarray:
+        """Force, couple and moment in a row; not a number before the first step."""
+        d, r = self.layout.dim, self.layout.rotations
+        if self.reaction is None or self.moment is None:
+            return np.full(d + r + (1 if d == 2 else 3), np.nan)
+        return np.concatenate([*self.reaction, self.moment])
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         super().restore(arrays)
         self.multiplier = np.array(arrays["multiplier"], dtype=float)
         self._offset, self._last = (np.array(arrays[name], dtype=float) for name in ("offset", "last"))
+        row, ends = arrays["reaction"], np.cumsum([self.layout.dim, self.layout.rotations])
+        if np.all(np.isfinite(row)):
+            force, couple, self.moment = np.split(np.array(row, dtype=float), ends)
+            self.reaction, self.gap = (force, couple), np.array(arrays["gap"], dtype=float)

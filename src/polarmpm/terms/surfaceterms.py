@@ -25,6 +25,7 @@ from ..geometry.surfaces import Surface
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
+from ..tools import checks
 from .base import Carried, Piece, Setting, Term
 
 _STATE = ("u", "F", "theta", "q")
@@ -91,13 +92,17 @@ class SurfaceCondition(Term):
     q: np.ndarray
 
     def __init__(self, name: str, surface: Surface):
-        if not isinstance(surface, Surface):
-            raise InputError(f"{name}: surface = {surface!r} is not a Surface")
-        self.name, self.surface = name, surface
+        self.name = checks.text("name", name)
+        self.surface = checks.instance(f"{name}: surface", surface, Surface, "a polarmpm.Surface is")
         self._carrying = False
         self._kernel: Kernel | None = None
         self._at: dict[str, np.ndarray] = {}  # u, F, theta and q at the last reset or rotation base
         self._data: list[np.ndarray] = []
+
+    def __repr__(self) -> str:
+        unit = "m^2" if self.surface.dim == 3 else "m"
+        on = f"{len(self.surface)} point(s), {self.surface.area.sum():.6g} {unit}"
+        return f"{type(self).__name__}({self.name!r}: {on})"
 
     def attach(self, layout: Layout, comm: MPI.Comm) -> None:
         surface = self.surface
@@ -239,22 +244,22 @@ class SurfaceTerm(SurfaceCondition):
 
     def __init__(self, name: str, surface: Surface, numbers: Mapping[str, Any] | None = None):
         super().__init__(name, surface)
+        if numbers is not None and not isinstance(numbers, Mapping):
+            raise checks.refuse(f"{name}: numbers", numbers, 'numbers by name are needed: {"k": 1e6}')
         self.numbers = dict(numbers or {})
         self._check_numbers()
 
     def _check_numbers(self) -> None:
+        what = f"a number, or one for each of the surface's {len(self.surface)} points"
         for key, value in self.numbers.items():
-            try:
-                array = np.asarray(value, dtype=float)
-            except (TypeError, ValueError):
-                raise InputError(f"{self.name}: {key} = {value!r} is not a number") from None
-            if array.shape not in ((), (len(self.surface),)):
-                raise InputError(
-                    f"{self.name}: {key} has the shape {array.shape}; a number, or one for each of the "
-                    f"{len(self.surface)} points, is needed"
+            if not isinstance(key, str) or not key.isidentifier():
+                raise checks.refuse(f"{self.name}: numbers", key, "names such as k, for p.k, are needed")
+            array = checks.numeric(f"{self.name}: {key}", value, what)
+            if array.shape not in ((), (len(self.surface),)) or not np.all(np.isfinite(array)):
+                allowed = f"{what} is needed, finite" + (
+                    f"; its shape is {array.shape}" if array.ndim else ""
                 )
-            if not np.all(np.isfinite(array)):
-                raise InputError(f"{self.name}: {key} = {value!r}: finite numbers are allowed")
+                raise checks.refuse(f"{self.name}: {key}", value, allowed)
 
     def energy(self, at: SurfacePoint, p: Any) -> Any:
         """Energy per undeformed area (J/m^2) in UFL, of the point `at` and the numbers p.name."""
@@ -270,7 +275,13 @@ class SurfaceTerm(SurfaceCondition):
         if conservative == (kind.virtual_work is not SurfaceTerm.virtual_work):
             raise InputError(f"{self.name}: {kind.__name__} needs one of energy and virtual_work")
         function = self.energy if conservative else self.virtual_work
-        return SurfaceEnergyForm(self.layout, function, list(self.numbers), conservative)
+        try:
+            return SurfaceEnergyForm(self.layout, function, list(self.numbers), conservative)
+        except InputError:
+            raise
+        except Exception as e:  # a user's function and UFL may raise anything
+            what = f"{kind.__name__}.{function.__name__}"
+            raise InputError(f"{self.name}: {what} can't be evaluated: {type(e).__name__}: {e}") from e
 
     def values(self, factor: float) -> list[np.ndarray]:
         n = len(self.surface)

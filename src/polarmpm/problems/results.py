@@ -1,0 +1,120 @@
+"""What a problem tells of its last converged state: fields, energies, reactions and the balance."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..conditions.supports import Support
+from ..errors import InputError
+from ..forms.stresses import MaterialField
+from ..terms.surfaces import SurfaceSupport
+from ..tools.checks import shown
+from ..tools.meetings import collective
+from .reactions import Balance, Reaction, point_about, surface_reaction
+from .release import Releasable
+from .state import Fields, StateFields, choose_fields
+
+
+class Results(Releasable):
+    """Results of a problem. All methods are collective."""
+
+    _fields: StateFields
+
+    @collective("fields")
+    def fields(self, *names: str | MaterialField) -> Fields:
+        """Energy, Cauchy stress and couple stress at the local points, or what is asked for.
+
+        Args:
+            *names: any of energy (Pa), stress (Pa), couple_stress (N/m) and mean_pressure (Pa), or a
+                `MaterialField`; default: the first three.
+
+        Returns:
+            The fields by name; `.energy`, `.stress` and `.couple_stress` for short.
+
+        Raises:
+            InputError: an unknown name.
+        """
+        return self._fields.evaluate(self.points, choose_fields(names, self.points.plastic))
+
+    @collective("energy")
+    def energy(self) -> float:
+        """Strain energy of the body (J)."""
+        energy: float = self.comm.allreduce(float(self.fields("energy").energy @ self.points.volume0))
+        return energy
+
+    @collective("energies")
+    def energies(self) -> dict[str, float]:
+        """Energy balance of the run so far, in J (J per unit thickness in plane strain).
+
+        - external: work of the loads, and of the supports' reactions on prescribed displacements;
+        - carried: work of the initial stresses and forces that balanced resets carry along;
+        - stored: strain energy, with what hardening stores;
+        - dissipated: by plastic flow;
+        - ghost: work against the ghost penalty's forces;
+        - terms: work against the forces of other terms that aren't loads or supports;
+        - residue: external + carried - stored - dissipated - ghost - terms: the error of the trapezoidal
+          rule, which falls with the square of the step, and what relaxes at resets that aren't balanced and
+          where couples in space meet a new base of the rotations.
+        """
+        p, dissipated = self.progress, 0.0
+        if self.points.plastic:
+            dissipated = self.comm.allreduce(float(self.points.dissipation @ self.points.volume0))
+        out = {
+            "external": p.external_work,
+            "carried": p.carried_work,
+            "stored": self.energy(),
+            "dissipated": dissipated,
+            "ghost": p.ghost_work,
+            "terms": p.term_work,
+        }
+        gained = p.external_work + p.carried_work
+        return out | {"residue": gained - out["stored"] - dissipated - p.ghost_work - p.term_work}
+
+    @collective("reaction", compare=True)
+    def reaction(self, support: Support | SurfaceSupport, about: Any = None) -> Reaction:
+        """Force (N), shape (d,), couple (N m), shape (r,), and moment with which a support holds the body in
+        the last converged step, by the components that it prescribes: `force, couple = problem.reaction(s)`,
+        or `.force`, `.couple` and `.moment`, see `Reaction`.
+
+        The couple sums the nodes' couples. The moment is that of forces and couples about the point `about`
+        (default: the origin), where nodes and body are now; couples count in it.
+
+        Where two supports hold the same unknown, its force belongs to the one that was given first; the
+        other's `shared` says what that is. So the reactions of all supports add up.
+
+        Raises:
+            InputError: nothing has been solved yet, the support has been released, or not what `fix` has
+                returned.
+        """
+        if not isinstance(support, Support | SurfaceSupport):
+            raise InputError(f"reaction: support = {shown(support)} is not what fix has returned")
+        point, given = point_about(about, self.layout.dim), self.given.of(support)
+        if given is None or not isinstance(given.condition, Support | SurfaceSupport):
+            raise InputError(f"reaction: {support.name} isn't a support of this problem")
+        if given.released is not None:
+            raise InputError(f"reaction: {support.name} was released at load factor {given.released:g}")
+        e = self._equilibrium
+        if isinstance(support, SurfaceSupport):
+            if e is not None and support.reaction is not None:
+                return surface_reaction(support, point)
+        elif e is not None and support in e.supports:
+            return e.reaction(support, point)
+        raise InputError(f"reaction: no load step has been solved yet with {support.name}")
+
+    @collective("balance", compare=True)
+    def balance(self, about: Any = None) -> Balance:
+        """Loads, reactions and what else acts on the body in the last converged step: forces, and moments
+        about the point `about` (default: the origin) in the current configuration. Print it.
+
+        Raises:
+            InputError: nothing has been solved yet.
+        """
+        point = point_about(about, self.layout.dim)
+        if self._equilibrium is None:
+            raise InputError("balance: no load step has been solved yet")
+        return self._equilibrium.balance(point)
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns of the last step, prescribed ones included."""
+        return 0 if self.system is None else self.system.nodes.total * self.layout.block
