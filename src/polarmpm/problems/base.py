@@ -127,7 +127,7 @@ class Problem(Results):
         easy: int = 6,
         progress: bool | None = None,
     ) -> Iterator[Step]:
-        """Raise the load factor in load steps; yields every converged step.
+        """Raise the load factor in load steps, while it is iterated over; yields every converged step.
 
         Args:
             steps: number of equal steps from the present factor to `to`; of adaptive ones the first, and
@@ -142,7 +142,7 @@ class Problem(Results):
 
         Raises:
             InputError: an argument is out of range.
-            NotConverged: with what was tried; the last converged state is intact.
+            NotConverged: with what was tried and found; the last converged state is intact.
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
         schedule = Schedule(steps, to, adaptive, smallest, largest, easy, progress)
@@ -249,7 +249,7 @@ class Problem(Results):
             InputError: none of `until`, `to` and `steps` is given; an argument is out of range; couples in
                 space, followers, or conditions on surfaces of material points; loads or supports that depend
                 on the load factor in another way than said.
-            NotConverged: with what was tried; the last converged state is intact.
+            NotConverged: with what was tried and found; the last converged state is intact.
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
         schedule = ArcSchedule(first, until, largest, smallest, to, steps, progress)
