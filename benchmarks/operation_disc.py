@@ -27,7 +27,9 @@ REASONS = ("No space left", "File too large", "No such file", "Read-only", "remo
 def disc(folder):
     """A disc of its own at a folder; yields whether there is one."""
     command = ["mount", "-t", "tmpfs", "-o", f"size={SIZE}", "tmpfs", str(folder)]
-    mounted = shutil.which("mount") is not None and subprocess.run(command, capture_output=True).returncode == 0
+    mounted = (
+        shutil.which("mount") is not None and subprocess.run(command, capture_output=True).returncode == 0
+    )
     try:
         yield mounted
     finally:
@@ -56,8 +58,10 @@ def left_over(folder):
 
 
 def judge(folder, problem, action, name, again, intact=lambda: "", fits=None):
-    """Do what can't succeed; then the run has to go on, and the next try with room to succeed. `fits`: what is
-    wrong with the file if there was room all the same."""
+    """Do what can't succeed; then the run has to go on, and the next try with room to succeed.
+
+    `fits`: what is wrong with the file if there was room all the same.
+    """
     before = state(problem)
     try:
         action()
@@ -204,7 +208,22 @@ KINDS = {
 def scenes(quick, size):
     """Name, function of (folder, problem, fill_up), bytes of room, and how the room is limited."""
     rooms = {
-        "restart": [0, 4, 20, 64, 100, 150, 200, 300, 400, 500, 600, 700, size // 1024 - 20, size // 1024 - 4],
+        "restart": [
+            0,
+            4,
+            20,
+            64,
+            100,
+            150,
+            200,
+            300,
+            400,
+            500,
+            600,
+            700,
+            size // 1024 - 20,
+            size // 1024 - 4,
+        ],
         "restart over an old one": [0, 64, 300, size // 1024 - 20],
         "ParaView": [0, 4, 8, 12],
         "table": [0],
@@ -213,7 +232,12 @@ def scenes(quick, size):
         for room in rooms[what][1:2] if quick and what != "table" else rooms[what]:
             yield f"{what}, {room} kB left", function, room << 10, "disc"
         if not quick or what == "table":
-            yield f"{what}, files limited", function, {"ParaView": 4096, "table": 9000}.get(what, 50000), "file"
+            yield (
+                f"{what}, files limited",
+                function,
+                {"ParaView": 4096, "table": 9000}.get(what, 50000),
+                "file",
+            )
     for what in ("restart",) if quick else ("restart", "ParaView", "table"):
         yield f"{what}, folder removed", lambda *a, what=what: vanishing(*a, what), 0, "none"
 

@@ -20,8 +20,9 @@ def strip(cell=0.5, per_cell=2, material=MATERIAL, load=2e3, **options):
 
 def mesh(material=MATERIAL, divisions=(8, 2)):
     """The same of finite elements."""
-    from dolfinx import mesh as dmesh
     from mpi4py import MPI
+
+    from dolfinx import mesh as dmesh
 
     cells = dmesh.create_rectangle(
         MPI.COMM_WORLD, [np.zeros(2), np.array([4.0, 1.0])], divisions, dmesh.CellType.quadrilateral

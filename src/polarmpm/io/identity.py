@@ -56,8 +56,9 @@ def made_of(problem: Problem, terms: Sequence[Term]) -> Facts:
     Args:
         terms: of the problem that count.
     """
-    facts: Facts = {"materials": _materials(problem), "terms": _terms(terms)}
-    facts["unknowns"] = {"dimensions": problem.layout.dim, "unknowns of a node": problem.layout.block}
+    layout = problem.layout
+    facts: Facts = {"unknowns": {"dimensions": layout.dim, "unknowns of a node": layout.block}}
+    facts |= {"materials": _materials(problem), "terms": _terms(terms)}
     if isinstance(problem, QuasiStaticFEM):
         facts["mesh"] = meshstate.header(problem)
     else:
@@ -199,8 +200,9 @@ def refuse_differences(path: Any, found: list[tuple[str, str]], allow: frozenset
         return
     first = "; ".join(text for _, text in left[:3])
     more = f"; and {len(left) - 3} more" if len(left) > 3 else ""
-    groups = list(dict.fromkeys(group for group, _ in left if group in ALLOWED))
-    hint = f" (allow={{{', '.join(map(repr, groups))}}} takes the state all the same)" if groups else ""
+    groups, hint = list(dict.fromkeys(group for group, _ in left)), ""
+    if all(group in ALLOWED for group in groups):
+        hint = f" (allow={{{', '.join(map(repr, groups))}}} takes the state all the same)"
     raise InputError(f"restart file {path}: {first}{more}{hint}")
 
 
