@@ -13,7 +13,7 @@ import pytest
 import polarmpm as pm
 from polarmpm.io import read_table
 from tests.conftest import COMM, MICROPOLAR
-from tests.helpers.ranks import PATH
+from tests.helpers.ranks import PATH, ROOT
 
 FIELDS = ("displacement", "stress")
 
@@ -319,3 +319,29 @@ def test_a_folder_that_goes(folder):
         recorder.record(step), table.record(step)
     assert times(inner / "a.pvd") == [0.5, 1.0]
     assert read_table(inner / "a.csv")["step"].tolist() == [1, 2]
+
+
+# kills --------------------------------------------------------------------------------------------
+KILLS = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import operation_kills
+for case in operation_kills.cases(quick=True, seed=int(sys.argv[2])):
+    assert case.verdict == "right", case
+print("good")
+"""
+
+
+@pytest.mark.skipif(COMM.size > 1, reason="starts a process of its own")
+@pytest.mark.timeout(200)
+def test_killed_runs_end_like_others():
+    """Digits and files; the first scenes of the operational tests."""
+    done = subprocess.run(
+        [sys.executable, "-c", KILLS, str(Path(ROOT, "benchmarks")), "5"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": PATH},
+        timeout=180,
+        check=False,
+    )
+    assert done.stdout == "good\n", done.stderr[-3000:]
