@@ -108,6 +108,33 @@ def test_elements_go_on_along_their_path(folder):
         assert second.factor == pytest.approx(first.factor, rel=1e-9)
 
 
+@pytest.mark.parametrize("arc_length", [False, True])
+def test_step_sizes_go_on(arc_length, folder):
+    """Of marches whose steps have grown, called with the same arguments."""
+
+    def go(problem: pm.QuasiStatic, stop: int = 100) -> list[float]:
+        adaptive = {"steps": 8, "adaptive": True, "largest": 0.4, "progress": False}
+        if arc_length:
+            steps = problem.march_arc_length(0.02, largest=0.1, to=1.0, progress=False)
+        else:
+            steps = problem.march(**adaptive)
+        for step in steps:
+            pm.save_restart(problem, folder / f"{stop}.h5")
+            if step.number == stop:
+                break
+        return [step.factor for step in problem.steps]
+
+    whole, first, again, other = (strip() for _ in range(4))
+    expected = go(whole)
+    assert not np.allclose(np.diff(expected), expected[0])
+    go(first, 2)
+    pm.load_restart(again, folder / "2.h5")
+    np.testing.assert_allclose(go(again), expected, rtol=1e-9)
+    pm.load_restart(other, folder / "2.h5")
+    step = next(other.march(5, adaptive=True, progress=False))  # called in another way
+    assert step.factor == pytest.approx(expected[1] + (1 - expected[1]) / 5)
+
+
 # files that don't fit -----------------------------------------------------------------------------
 def user(coefficient: float) -> pm.UserEnergy:
     return pm.UserEnergy(
@@ -149,7 +176,7 @@ OTHERS = [
     (
         strip,
         lambda: strip(lift=1e-3),
-        r"another seeding; point \d+ was seeded at \(.*\), this problem has",
+        r"another body: point \d+ was seeded at \(.*\), this problem has",
     ),
     (strip, lambda: strip(cell=0.25, per_cell=1), "cell is .*, this problem has"),
     (strip, lambda: strip(basis="bspline3"), "basis is bspline, this problem has bspline3"),

@@ -162,7 +162,8 @@ def differences(saved: Facts, here: Facts) -> Iterator[tuple[str, str]]:
         if group == "terms":  # new ones count from now on, if they have no past
             new = {name: facts for name, facts in new.items() if name in old or facts["state"]}
         for name, one, other in _differing(old, new):
-            yield group, f"{name} is {_shown(one)}, this problem has {_shown(other)}"
+            of = "its points are of another body: " if group == "points" else ""
+            yield group, f"{of}{name} is {_shown(one)}, this problem has {_shown(other)}"
 
 
 def _differing(saved: Any, here: Any, name: str = "") -> Iterator[tuple[str, Any, Any]]:
@@ -237,7 +238,9 @@ def check_points(problem: Any, rows: dict[str, np.ndarray], path: Any, allow: fr
     off = np.any(np.abs(here - there) > slack, axis=1)
     if np.any(off):
         at = int(np.argmax(off))
-        error = InputError(f"restart file {path}: another seeding; {_differs(ids[at], there[at], here[at])}")
+        error = InputError(
+            f"restart file {path}: its points are of another body: {_differs(ids[at], there[at], here[at])}"
+        )
     raise_on_all_ranks(comm, error)
 
 

@@ -24,7 +24,7 @@ from ..errors import InputError, LocalFailure, NotConverged
 from . import newton
 from .linear import SingularTangent
 from .newton import Controls, Outcome, expected_to_end
-from .stepping import Step, restored_of
+from .stepping import Step, note_sizes, restored_of, sizes_of
 
 _LENGTH_TOLERANCE = 1e-8  # of a step's length; the state is an equilibrium however long the step is
 # Least cosine between a step and its tangent; what is farther off may be another branch. If steps of a fifth
@@ -308,6 +308,7 @@ def march(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
 
 def _steps(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
     length, largest = schedule.first, schedule.largest or schedule.first
+    length = (sizes_of(problem, schedule) or [length])[0]
     while schedule.to is None or problem.progress.factor != schedule.to:
         tried: list[str] = []
         begin = problem.progress.factor
@@ -325,6 +326,7 @@ def _steps(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
                 raise NotConverged(aim, outcome.history, tried)
         if outcome.iterations <= _EASY:
             length = min(1.5 * length, largest)
+        note_sizes(problem, schedule, [length])
         yield Step(
             problem.progress.step,
             problem.progress.factor,
