@@ -115,7 +115,7 @@ def test_step_sizes_go_on(arc_length, folder):
     def go(problem: pm.QuasiStatic, stop: int = 100) -> list[float]:
         adaptive = {"steps": 8, "adaptive": True, "largest": 0.4, "progress": False}
         if arc_length:
-            steps = problem.march_arc_length(0.02, largest=0.1, to=1.0, progress=False)
+            steps = problem.march_arc_length(0.002, largest=0.01, to=1.0, progress=False)
         else:
             steps = problem.march(**adaptive)
         for step in steps:
