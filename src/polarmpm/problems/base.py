@@ -216,7 +216,8 @@ class Problem(Releasable):
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
         schedule = ArcSchedule(first, until, largest, smallest, to, steps, progress)
-        self.whole(self._check_path)
+        ready = self.system is not None and not (self._stale or self.progress.reset_due)
+        (self.whole if ready else self.tried)(self._check_path)
         return arclength.march(self, schedule)
 
     def _check_path(self) -> None:
