@@ -13,6 +13,7 @@ from ..bodies.points import Points
 from ..errors import InputError
 from ..forms.stresses import TABLE as OF_MATERIALS
 from ..forms.stresses import MaterialField, check_field
+from ..tools import checks
 from ..tools.parallel import errors_on_all_ranks
 from .paraview import padded
 

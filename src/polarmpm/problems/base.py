@@ -254,7 +254,8 @@ class Problem(Results):
         """
         schedule = ArcSchedule(first, until, largest, smallest, to, steps, progress)
         with self._solving("march_arc_length"):
-            self.whole(self._check_path)
+            ready = self.system is not None and not (self._stale or self.progress.reset_due)
+            (self.whole if ready else self.tried)(self._check_path)
         return March(self, arclength.march, schedule, "arc length")
 
     def _check_path(self) -> None:
