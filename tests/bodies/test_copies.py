@@ -96,8 +96,8 @@ def test_descriptions():
     assert repr(HENCKY) == "Hencky(lam = 3000 Pa, mu = 2000 Pa)"
     yielding = pm.VonMises(HENCKY, k=40.0)
     assert repr(yielding) == "VonMises(k = 40 Pa; Hencky(lam = 3000 Pa, mu = 2000 Pa))"
-    cone = pm.DruckerPrager(MICROPOLAR, phi=0.5, c=3.0, l_p=0.1)
-    assert repr(cone).startswith("DruckerPrager(phi = 0.5 rad, c = 3 Pa, l_p = 0.1 m; MicropolarElastic(lam")
+    cone = pm.DruckerPrager(MICROPOLAR, phi=0.5, k=3.0, l_p=0.1)
+    assert repr(cone).startswith("DruckerPrager(phi = 0.5 rad, k = 3 Pa, l_p = 0.1 m; MicropolarElastic(lam")
     energy = pm.UserEnergy(lambda F, p: p.a * ufl.tr(F), {"a": 2}, micropolar=False)
     assert repr(energy) == "UserEnergy(<lambda>, a = 2, classical)"
     assert repr(pm.Field("J", lambda p: p.volume, "m^3")) == "<Field 'J' in m^3>"

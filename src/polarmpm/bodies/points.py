@@ -7,7 +7,7 @@ the space dimension. Tensors have three rows and columns in plane strain too.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from mpi4py import MPI
@@ -20,11 +20,11 @@ from ..kinematics import rotations
 from ..kinematics.stretch import domain_half_length, right_stretch
 from ..materials.base import Material, check_material
 from ..tools import checks
-from ..tools.checks import refuse, whole
 from ..tools.meetings import collective
 from ..tools.parallel import Route, communicator_named, errors_on_all_ranks, name_of
 from .regions import Regions
-from .selection import Selection, check_selection, fingerprint
+from .selecting import Selecting
+from .selection import Selection, fingerprint
 
 # name -> (shape after the point axis; "d" is the space dimension, type)
 FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
@@ -53,7 +53,7 @@ PLASTIC_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
 _PRIVATE = ("_has_plastic_state", "_fingerprints")  # what copies take along besides public attributes
 
 
-class Points:
+class Points(Selecting):
     """Material points of one body.
 
     Attributes:
@@ -348,149 +348,3 @@ class Points:
         if not self._fingerprints:
             self._fingerprints = (fingerprint(self.comm, self.id, self.X),)
         return self._fingerprints
-
-    def check(self, selection: Selection) -> None:
-        """Raise InputError unless a selection is one of these points. Collective."""
-        check_selection(selection)
-        if selection.body is not None and selection.body not in self.fingerprints():
-            raise InputError(
-                "selection: of another body (other points, or seeded otherwise); make it of these points"
-            )
-        here = self.comm.allreduce(len(self.rows(selection)))
-        if here != len(selection):
-            raise InputError(
-                f"selection: {len(selection) - here} of its {len(selection)} ids aren't of this body"
-            )
-
-    def _select(self, mask: np.ndarray) -> Selection:
-        ids = np.concatenate(self.comm.allgather(self.id[mask]))
-        return Selection(np.sort(ids), self.fingerprints()[0])
-
-    @collective("where")
-    def where(self, predicate: Callable[[np.ndarray], np.ndarray]) -> Selection:
-        """Points whose current position fulfils a predicate of x (n, d) -> (n,) bool; there may be none, on
-        which nothing can act. Collective.
-
-        Raises:
-            InputError: not a predicate, or it returns something else. What it raises itself is raised on its
-                rank, and as `ErrorOnAnotherRank` on the others.
-        """
-        with errors_on_all_ranks(self.comm):
-            checks.function("predicate", predicate, "a predicate of positions is", takes=("x",))
-            mask = checks.mask("predicate", predicate(self.x.copy()), len(self))  # it may change what it gets
-        return self._select(mask)
-
-    def region(self, name: str | int) -> Selection:
-        """Points seeded in a region of a mesh, a physical group of its cells, by its name or tag, wherever
-        they are now. Collective.
-
-        Raises:
-            InputError: no such region, or points that don't come from a mesh with regions.
-        """
-        if not isinstance(name, str):
-            name = whole("region", name, allowed="the name or the number of a physical group is needed")
-        masks = [m for m in (r.mask(self.id, name) for r in self.regions) if m is not None]
-        if not masks:
-            raise refuse("region", name, _among([k for r in self.regions for k in r.known], "regions"))
-        return self._select(np.any(masks, axis=0))
-
-    def surface(self, name: str | int) -> Surface:
-        """The boundary of the undeformed body in a physical group of facets of the mesh that it was seeded
-        from, by its name or tag: for `fix`, `load`, `traction` and `pressure`, as `Elements.surface`.
-
-        Raises:
-            InputError: no such group on the boundary, or points that don't come from a mesh with groups.
-        """
-        if not isinstance(name, str):
-            name = whole("surface", name, allowed="the name or the number of a physical group is needed")
-        if name not in self.surfaces:
-            raise refuse("surface", name, _among(list(map(repr, self.surfaces)), "groups of boundary facets"))
-        return self.surfaces[name]
-
-    @collective("farthest", compare=True)
-    def farthest(self, direction: Sequence[float], tolerance: float | None = None) -> Selection:
-        """The layer of points farthest in a direction, within `tolerance` (m). Collective.
-
-        Default tolerance: what a whole box, with the largest half lengths that the points were seeded with,
-        reaches from its centre in this direction. That takes all points whose boxes an end face across the
-        direction touches or cuts, and no second layer of a body along the grid.
-
-        Raises:
-            InputError: a direction or a tolerance that isn't so.
-        """
-        with errors_on_all_ranks(self.comm):
-            n = checks.vector("direction", direction, self.dim)
-            if not np.any(n):
-                raise checks.refuse("direction", direction, f"{self.dim} numbers, not all zero")
-            if tolerance is not None:
-                tolerance = checks.number("tolerance", tolerance, least=0)
-        n = n / np.abs(n).max()
-        n = n / np.linalg.norm(n)
-        along = self.x @ n
-        most = self.comm.allreduce(along.max(initial=-np.inf), op=MPI.MAX)
-        if tolerance is None:
-            half: np.ndarray = np.max(self.half_length0, axis=0, initial=0.0)
-            self.comm.Allreduce(MPI.IN_PLACE, half, op=MPI.MAX)
-            # a layer next to one that is hardly there is a little more than that away
-            tolerance = (1.0 - 1e-6) * float(half @ np.abs(n))
-        return self._select(along >= most - tolerance)
-
-    @collective("nearest", compare=True)
-    def nearest(self, position: Sequence[float], count: int = 1) -> Selection:
-        """The `count` points nearest to a position (m); ties go to the lower ids. All points where there are
-        fewer. Collective.
-
-        Raises:
-            InputError: a position that isn't one, or a count below one.
-        """
-        with errors_on_all_ranks(self.comm):
-            x = checks.vector("position", position, self.dim)
-            count = checks.whole("count", count, least=1)
-        scale = 1.0 if np.abs(x).max() < 1e100 else 2.0**-500  # its square must be a number
-        distance = np.linalg.norm((self.x - x) * scale, axis=1)
-        order = np.lexsort((self.id, distance))[:count]
-        found = self.comm.allgather((distance[order], self.id[order]))
-        far, ids = (np.concatenate([f[k] for f in found]) for k in (0, 1))
-        return Selection(np.sort(ids[np.lexsort((ids, far))[:count]]), self.fingerprints()[0])
-
-    def rows(self, selection: Selection | None) -> np.ndarray:
-        """Local rows of a selection's points on this rank (all for None); none of ids that aren't here."""
-        if selection is None:
-            return np.arange(len(self))
-        check_selection(selection)
-        if len(selection) == 0:
-            return np.zeros(0, dtype=np.int64)
-        at = np.minimum(np.searchsorted(selection.ids, self.id), len(selection) - 1)
-        return np.flatnonzero(selection.ids[at] == self.id)
-
-    @collective("mean")
-    def mean(self, values: np.ndarray, selection: Selection | None = None) -> Any:
-        """Plain mean over a selection of values given for the local points (np, ...). Collective.
-
-        Raises:
-            InputError: values that aren't a row for each local point, or a selection without points.
-        """
-        with errors_on_all_ranks(self.comm):
-            # the mean of booleans is a share
-            found = checks.numeric("values", values, "one row for each local point", "biuf")
-            if found.ndim == 0 or len(found) != len(self):
-                what = f"a row for each of the {len(self)} local points is needed"
-                raise checks.refuse("values", values, f"{what}; the shape is {found.shape}")
-        if selection is not None:
-            self.check(selection)
-        rows = self.rows(selection)
-        number = self.comm.allreduce(len(rows))
-        if number == 0:
-            raise InputError("selection: contains no point")
-        return self.comm.allreduce(found[rows].sum(axis=0)) / number
-
-    def mean_displacement(self, selection: Selection | None = None) -> np.ndarray:
-        """Mean displacement (m) of a selection, shape (d,). Collective."""
-        mean: np.ndarray = self.mean(self.displacement, selection)
-        return mean
-
-
-def _among(known: list[str], what: str) -> str:
-    if not known:
-        return f"these points have no {what}; pm.seed_mesh keeps those of a mesh with physical groups"
-    return f"the {what} are {', '.join(dict.fromkeys(known))}"

@@ -103,7 +103,10 @@ class PlasticForm(PointForm):
         self, F: np.ndarray, q: np.ndarray, wryness: np.ndarray, plastic: Sequence[np.ndarray]
     ) -> np.ndarray:
         plastic_F, plastic_wryness, chi = plastic
-        P = np.linalg.inv(plastic_F)
+        try:
+            P = np.linalg.inv(plastic_F)
+        except np.linalg.LinAlgError:  # `check_state` says so at the next reset
+            P = np.full_like(plastic_F, np.nan)
         if self.material.isotropic and self.material.micropolar:
             turn = rotations.to_tensor(q)
             back = np.swapaxes(turn, 1, 2)
