@@ -209,6 +209,8 @@ def check_basis(basis: Basis) -> None:
         try:
             table = np.asarray(basis.derivatives(grid, x, cells, orders))
         except Exception as e:  # a user's class may raise anything
+            if not checks.ordinary(e):
+                raise
             raise InputError(f"{what}: its functions can't be evaluated: {type(e).__name__}: {e}") from e
         shape = (9, dim, orders, basis.functions)
         if table.shape != shape or table.dtype.kind != "f":

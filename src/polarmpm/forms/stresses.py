@@ -171,6 +171,8 @@ class FieldForm:
             except InputError:
                 raise
             except Exception as e:  # a user's function and UFL may raise anything
+                if not checks.ordinary(e):
+                    raise
                 raise InputError(f"field {field.name!r} can't be evaluated: {type(e).__name__}: {e}") from e
             if value.ufl_shape not in ((), (3,), (3, 3)) or value.ufl_free_indices:
                 raise InputError(

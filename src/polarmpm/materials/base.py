@@ -130,6 +130,8 @@ def evaluate_scalar(what: str, function: Callable[..., Any], *arguments: Any) ->
     except InputError:
         raise
     except Exception as e:  # a user's function and UFL may raise anything
+        if not checks.ordinary(e):
+            raise
         raise InputError(f"material: {what} can't be evaluated: {type(e).__name__}: {e}{_hint(e)}") from e
     if value.ufl_shape or value.ufl_free_indices:
         raise InputError(f"material: {what} has the shape {value.ufl_shape}; a scalar is needed")
@@ -156,6 +158,8 @@ def evaluate_measures(material: Material, F: Any) -> tuple[Any, ...]:
     except InputError:
         raise
     except Exception as e:  # a user's class and UFL may raise anything
+        if not checks.ordinary(e):
+            raise
         raise InputError(f"{what} can't be evaluated: {type(e).__name__}: {e}{_hint(e)}") from e
     if not isinstance(found, tuple | list) or not all(isinstance(m, ufl.classes.Expr) for m in found):
         raise InputError(f"{what} are {checks.shown(found)}; a tuple of UFL expressions is needed")

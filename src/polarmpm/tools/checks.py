@@ -38,6 +38,14 @@ def shown(value: Any) -> str:
     return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
 
 
+def ordinary(error: Exception) -> bool:
+    """Whether an error is what a mistake in a value or a function leads to, rather than one from outside that
+    came while it was looked at, such as an alarm's, or an exception of the script's own."""
+    return type(error).__module__.split(".")[0] in ("builtins", "numpy", "ufl") and not isinstance(
+        error, OSError
+    )
+
+
 def refuse(name: str, value: Any, allowed: str) -> InputError:
     """The error to raise: `raise refuse("steps", steps, "a positive whole number")`."""
     return InputError(f"{name} = {shown(value)}: {allowed}")
@@ -134,7 +142,9 @@ def numeric(name: str, value: Any, what: str = "", kinds: str = "iuf") -> np.nda
         raw = np.asarray(value)
         good = raw.dtype.kind in kinds
         found = raw.astype(float) if good else raw
-    except Exception:  # rows of several lengths, say, and a user's class may do anything
+    except Exception as e:  # rows of several lengths, say, and a user's class may do anything
+        if not ordinary(e):
+            raise
         good = False
     if not good:
         raise refuse(name, value, f"numbers are needed{_of(what)}")
@@ -214,7 +224,9 @@ def mask(name: str, value: Any, number: int) -> np.ndarray:
     """What a predicate of `number` positions has returned: a bool for each of them."""
     try:
         found = np.asarray(value)
-    except Exception:  # rows of several lengths, say
+    except Exception as e:  # rows of several lengths, say
+        if not ordinary(e):
+            raise
         found = np.array(None)
     if found.dtype != bool or found.shape != (number,):
         raise InputError(
