@@ -80,7 +80,9 @@ class Interpolation:
         setting = GridSetting(grid, basis, self.layout, points, w, reached)
         self.pieces: list[Piece] = []
         for term in terms:
-            for piece in term.pieces(setting):
+            with errors_on_all_ranks(grid.comm, term.name):
+                made = list(term.pieces(setting))
+            for piece in made:
                 piece.of, piece.fresh = term, not term.committed
                 self.pieces.append(piece)
         of_pieces = [_boxes_of(piece) for piece in self.pieces]

@@ -260,7 +260,9 @@ class QuasiStaticFEM(Problem):
             term.begin()
         found = []
         for term in self.terms:
-            for piece in term.pieces(setting):
+            with errors_on_all_ranks(self.comm, term.name):
+                made = list(term.pieces(setting))
+            for piece in made:
                 piece.of = term
                 found.append(piece)
         return found
