@@ -379,7 +379,7 @@ class Problem(Results):
                 self._close(system)
                 self._equilibrium = Equilibrium.of(system)
                 self._last_x, self.progress.factor_change = self.points.x, factor - self.progress.factor
-                ranks.tell(self.comm, self.observers, lambda one: one.after_convergence(self, factor))
+                ranks.tell(self, "after_convergence", factor)
                 self._commit_terms(system, start.x)
                 base = self.progress.rotation_factor
                 self._commit(system, at_points, factor)
@@ -387,8 +387,7 @@ class Problem(Results):
                 self._note(outcome)
                 system.prescribed.start_from(factor, system.x)
                 self._settle()
-                rebased = self.progress.rotation_factor != base
-                ranks.tell(self.comm, self.observers, lambda one: one.after_commit(self, rebased))
+                ranks.tell(self, "after_commit", self.progress.rotation_factor != base)
             else:
                 self.failed_at, system.x = system.x, start.x
 
@@ -402,7 +401,7 @@ class Problem(Results):
             term.committed = True
 
     def _tell_of_reset(self) -> None:
-        ranks.tell(self.comm, self.observers, lambda one: one.after_reset(self))
+        ranks.tell(self, "after_reset")
 
     def _prescribed(self, nodes: Nodes, supports: Sequence[Support] | None = None) -> Prescribed:
         """Prescribed unknowns of some supports; by default of those that act."""

@@ -285,7 +285,14 @@ class QuasiStaticFEM(Problem):
         setting = MeshSetting(self.elements)
         for term in self.terms:
             term.begin()
-        return [piece for term in self.terms for piece in pieces_of(term, setting)]
+        found = []
+        for term in self.terms:
+            with errors_on_all_ranks(self.comm, term.name):
+                made = list(pieces_of(term, setting))
+            for piece in made:
+                piece.of = term
+                found.append(piece)
+        return found
 
     def _load_forms(self) -> tuple[list[Any], list[_Varying]]:
         from dolfinx import fem
