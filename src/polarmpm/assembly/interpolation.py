@@ -83,10 +83,8 @@ class Interpolation:
         setting = GridSetting(grid, basis, self.layout, points, w, reached)
         self.pieces: list[Piece] = []
         for term in terms:
-            with errors_on_all_ranks(grid.comm, term.name):
-                made = list(pieces_of(term, setting))
-            for piece in made:
-                piece.of, piece.fresh = term, not term.committed
+            for piece in pieces_of(term, setting):
+                piece.fresh = not term.committed
                 self.pieces.append(piece)
         with errors_on_all_ranks(grid.comm):
             of_pieces = [_boxes_of(piece, grid) for piece in self.pieces]

@@ -141,7 +141,8 @@ class Problem(Results):
             progress: show a progress bar (default: on a terminal).
 
         Raises:
-            InputError: an argument is out of range.
+            InputError: an argument is out of range; later on: another march has taken steps since, or another
+                problem has taken the body on.
             NotConverged: with what was tried and found; the last converged state is intact.
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
