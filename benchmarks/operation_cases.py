@@ -101,3 +101,35 @@ def attempt(function: Callable[[], object], words: tuple[str, ...] = ()) -> tupl
     except Exception as e:
         return "raw", f"{type(e).__name__}: {e}".splitlines()[0]
     return "silent", repr(found)[:100]
+
+
+def forked(function: Callable[[], tuple[str, str]], timeout: float = 60.0) -> tuple[str, str]:
+    """Verdict and note that a function gives in a copy of this process, which may crash."""
+    from polarmpm import PolarMPMError
+
+    sys.stdout.flush()
+    reading, writing = os.pipe()
+    child = os.fork()
+    if not child:
+        os.close(reading)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        for number in (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE, signal.SIGALRM):
+            signal.signal(number, signal.SIG_DFL)  # PETSc's handlers would wait for other processes
+        signal.alarm(int(timeout))
+        try:
+            found = function()
+        except PolarMPMError as e:
+            found = "unclear", f"out of place: {e}"
+        except BaseException as e:
+            found = "raw", f"{type(e).__name__}: {e}"
+        os.write(writing, "\n".join(found).encode()[:4000])
+        os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading, "rb") as pipe:
+        text = pipe.read().decode()
+    _, status = os.waitpid(child, 0)
+    if text:
+        verdict, _, note = text.partition("\n")
+        return verdict, note.splitlines()[0][:200] if note else ""
+    number = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
+    return ("hang" if number == signal.SIGALRM else "crash"), f"signal {number}" if number else "no answer"

@@ -23,7 +23,7 @@ def material(dilatancy):
     """The sand with an angle of dilatancy in degrees."""
     elastic = pm.MicropolarElastic.bounded_stiffness(lam=MODULUS, mu=MODULUS, kappa=MODULUS / 10, l_b=LENGTH)
     phi, psi = math.radians(FRICTION), math.radians(dilatancy)
-    return pm.DruckerPrager(elastic, phi=phi, psi=psi, c=COHESION, l_p=LENGTH)
+    return pm.DruckerPrager(elastic, phi=phi, psi=psi, c=COHESION, cone="compression", l_p=LENGTH)
 
 
 def build(cell, dilatancy, args):

@@ -21,7 +21,9 @@ MU, LENGTH = 192.3077e3, 0.01  # Pa, m
 
 def material():
     elastic = pm.MicropolarElastic.bounded_stiffness(lam=288.4615e3, mu=MU, kappa=MU / 8, l_b=LENGTH)
-    return pm.DruckerPrager(elastic, phi=math.radians(25), psi=math.radians(5), c=1e3, l_p=LENGTH)
+    return pm.DruckerPrager(
+        elastic, phi=math.radians(25), psi=math.radians(5), c=1e3, cone="compression", l_p=LENGTH
+    )
 
 
 def build(cells, args):

@@ -26,7 +26,7 @@ GRIDS = {"micropolar": ("9x1", "19x2", "39x4"), "classical": ("9x5", "19x10", "3
 
 def material(model, length):
     """Drucker-Prager plasticity; `length` (m) is that of bending and the plastic one."""
-    cone = {"phi": FRICTION, "psi": DILATANCY, "k": STRENGTH}
+    cone = {"phi": FRICTION, "psi": DILATANCY, "k": STRENGTH, "cone": "compression"}
     if model == "classical":
         return pm.DruckerPrager(pm.Hencky(lam=LAM, mu=MU), **cone)
     elastic = pm.MicropolarElastic.bounded_stiffness(lam=LAM, mu=MU, kappa=MU / 10, l_b=length)

@@ -5,8 +5,8 @@
 export PATH="$PWD/.venv/bin:/usr/bin:$PATH"
 export PYTHONNOUSERSITE=1
 
-# OpenBLAS' threads make MUMPS several times slower, and dolfinx 0.5's JIT cache key depends on the hash seed:
-# with a random one, every process would compile all forms again.
+# OpenBLAS' threads make MUMPS several times slower. The hash seed only makes runs repeatable: keys in the cache
+# of compiled forms don't depend on it.
 export OMP_NUM_THREADS=1
 export PYTHONHASHSEED=0
 export MPLBACKEND="${MPLBACKEND:-agg}"

@@ -8,10 +8,12 @@ from .basis.registry import register as register_basis
 from .bodies.elements import Elements
 from .bodies.facets import Facets
 from .bodies.meshseeding import seed_mesh
-from .bodies.points import Points, Selection
+from .bodies.points import Points
 from .bodies.seeding import seed
+from .bodies.selection import Selection
 from .errors import (
     ErrorOnAnotherRank,
+    Finding,
     InputError,
     KernelError,
     NotConserved,
@@ -19,6 +21,7 @@ from .errors import (
     OutputError,
     PointsOutsideGrid,
     PolarMPMError,
+    RanksApart,
     SupportLost,
     TrustWarning,
 )
@@ -40,14 +43,19 @@ from .solvers.stepping import Step
 from .terms.base import Boxes, Piece, Term
 from .terms.ghost import GhostPenalty
 from .terms.surfaceterms import SurfaceTerm
+from .tools import ends
+
+ends.install()
 
 if TYPE_CHECKING:
     from .materials.cones import DruckerPrager, VonMises
     from .materials.plastic import Continuation, Plastic, UserPlasticity
+    from .materials.pyramids import MohrCoulomb, Tresca
     from .materials.regions import ConeApex, Edge, Region, SmoothPart, YieldSurface
 
 _PLASTIC = {
     **dict.fromkeys(("DruckerPrager", "VonMises"), "cones"),
+    **dict.fromkeys(("MohrCoulomb", "Tresca"), "pyramids"),
     **dict.fromkeys(("Continuation", "Plastic", "UserPlasticity"), "plastic"),
     **dict.fromkeys(("ConeApex", "Edge", "Region", "SmoothPart", "YieldSurface"), "regions"),
 }
@@ -76,6 +84,7 @@ __all__ = [
     "EverySteps",
     "Facets",
     "Field",
+    "Finding",
     "GhostPenalty",
     "Grid",
     "Hencky",
@@ -84,6 +93,7 @@ __all__ = [
     "Material",
     "MaterialField",
     "MicropolarElastic",
+    "MohrCoulomb",
     "NeoHookean",
     "Never",
     "NotConserved",
@@ -97,6 +107,7 @@ __all__ = [
     "PolarMPMError",
     "QuasiStatic",
     "QuasiStaticFEM",
+    "RanksApart",
     "Recorder",
     "Region",
     "Selection",
@@ -107,6 +118,7 @@ __all__ = [
     "SurfaceTerm",
     "Table",
     "Term",
+    "Tresca",
     "TrustWarning",
     "UserEnergy",
     "UserPlasticity",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 
@@ -31,16 +32,33 @@ class OutputError(PolarMPMError, OSError):
 
 
 class ErrorOnAnotherRank(PolarMPMError, RuntimeError):
-    """A function of the script has failed on another rank, which raises its own error; see
+    """The script, or a function of it, has failed on another rank, which raises its own error; see
     `tools.parallel.errors_on_all_ranks`.
 
     Attributes:
         rank: the lowest rank on which it failed.
+        error: kind and text of the error there.
     """
 
     def __init__(self, rank: int, error: str):
-        self.rank = rank
+        self.rank, self.error = rank, error
         super().__init__(f"rank {rank}: {error}")
+
+
+class RanksApart(PolarMPMError, RuntimeError):
+    """The ranks aren't in the same collective call, and would wait for each other for ever; raised on all of
+    them alike, naming what each is in. None of these calls has done anything.
+
+    Attributes:
+        calls: what each rank is in, by rank.
+    """
+
+    def __init__(self, calls: Mapping[int, str], text: str):
+        self.calls = dict(calls)
+        super().__init__(
+            f"the ranks aren't in the same call: {text}; the script has to make all collective calls on all "
+            "ranks, in the same order"
+        )
 
 
 class PointsOutsideGrid(PolarMPMError, ValueError):
@@ -61,6 +79,30 @@ class SupportLost(PolarMPMError, RuntimeError):
     all ranks alike, naming the support, the step and what to do. The last converged state is intact."""
 
 
+@dataclass(frozen=True)
+class Finding:
+    """One thing that the diagnosis of a failed load step has found; the same on all ranks.
+
+    Attributes:
+        kind: "free rigid motion", "linear system", "too few points", "limit load", "not finite",
+            "too large", "inside out", "out of balance", "iterations", "load steps", or "no diagnosis";
+            docs/failures.md says more of each.
+        text: what it is and what to do, in a line.
+        places: where (m), a tuple of coordinates each: of nodes, of points, or the middle of a part of the
+            body.
+        ids: permanent ids of points, or numbers of a mesh's elements, at most five.
+        unknowns: names of the nodes' unknowns at `places`, where it is about these.
+        direction: of a free motion: its translation (d,), or of a turn the axis (3,); else ().
+    """
+
+    kind: str
+    text: str
+    places: tuple[tuple[float, ...], ...] = ()
+    ids: tuple[int, ...] = ()
+    unknowns: tuple[str, ...] = ()
+    direction: tuple[float, ...] = ()
+
+
 class NotConverged(PolarMPMError, RuntimeError):
     """A load step did not converge; the last converged state is intact.
 
@@ -68,14 +110,27 @@ class NotConverged(PolarMPMError, RuntimeError):
         factor: load factor that was aimed at.
         history: (force, energy) measures of every iteration of the last attempt, T (2.53)-(2.54).
         tried: one line for each attempt.
+        findings: why, as far as the diagnosis could tell, the most telling first; see `Finding`.
     """
 
     def __init__(self, factor: float, history: Sequence[tuple[float, float]], tried: Sequence[str]):
         self.factor, self.history, self.tried = factor, list(history), list(tried)
-        super().__init__(
-            f"no equilibrium at load factor {factor:.6g}; the last converged state is intact. Tried:\n  "
-            + "\n  ".join(self.tried)
-        )
+        self.findings: list[Finding] = []
+        super().__init__(self._message())
+
+    def _message(self) -> str:
+        lines = [
+            f"no equilibrium at load factor {self.factor:.6g}; the last converged state is intact. Tried:"
+        ]
+        lines += [f"  {line}" for line in self.tried]
+        if self.findings:
+            lines += ["Found:", *(f"  {finding.kind}: {finding.text}" for finding in self.findings)]
+        return "\n".join(lines)
+
+    def explain(self, findings: Sequence[Finding]) -> None:
+        """Add what a diagnosis has found to the message."""
+        self.findings = [*self.findings, *findings]
+        self.args = (self._message(),)
 
 
 class LocalFailure(PolarMPMError, RuntimeError):

@@ -55,7 +55,7 @@ def test_names_stand_for_one_class(known):
     pm.register_basis(basis_of("mpm"))  # once more
     with pytest.raises(pm.InputError, match="'mpm': a Tents has this name already"):
         pm.register_basis(type("Other", (Hats,), {"name": "mpm"})())
-    with pytest.raises(pm.InputError, match="basis = 'mpm' is not a Basis"):
+    with pytest.raises(pm.InputError, match="basis = 'mpm': a Basis is needed"):
         pm.register_basis("mpm")
 
 

@@ -382,7 +382,7 @@ def test_a_first_region_that_is_not_there():
 @pytest.mark.parametrize(
     ("function", "flow", "message"),
     [
-        ({"one": 3}, None, r"function\['one'\]: 3 is not callable"),
+        ({"one": 3}, None, r"function\['one'\] = 3: a function in UFL is needed"),
         ({}, None, "function: no function is given"),
         ({"one": f}, f, "several functions need flow by the surfaces' names"),
         ({"one": f}, {"two": f}, "flow: 'two' is none of the surfaces one"),

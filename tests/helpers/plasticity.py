@@ -35,7 +35,7 @@ HENCKY = pm.Hencky(lam=LAM, mu=MU)
 
 def cone(elastic: pm.Material = ELASTIC, phi: float = 30.0, psi: float = 10.0, **options: Any) -> Any:
     """Drucker-Prager with angles in degrees."""
-    options = {"k": K, **({"l_p": L_P} if elastic.micropolar else {}), **options}
+    options = {"k": K, "cone": "compression", **({"l_p": L_P} if elastic.micropolar else {}), **options}
     return pm.DruckerPrager(elastic, phi=math.radians(phi), psi=math.radians(psi), **options)
 
 

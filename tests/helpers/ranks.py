@@ -18,13 +18,16 @@ import numpy as np
 import polarmpm as pm
 
 ROOT = str(Path(__file__).parents[2])  # of the repository, for `import tests` in other processes
+PATH = os.pathsep.join(
+    [str(Path(pm.__file__).parents[1]), ROOT]
+)  # for PYTHONPATH: this package and the tests
 
 
-def on_ranks(ranks: int, case: str, script: str, timeout: float = 120.0) -> list[dict]:
-    """What each rank of a fresh mpirun of a script found."""
+def environment() -> dict[str, str]:
+    """Of a fresh mpirun, which finds the package and the tests."""
     keep = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_", "OMPI_", "PRTE_"))}
     package = str(Path(pm.__file__).parents[1])
-    env = {
+    return {
         **keep,
         "OMP_NUM_THREADS": "1",
         "OMPI_ALLOW_RUN_AS_ROOT": "1",
@@ -34,6 +37,31 @@ def on_ranks(ranks: int, case: str, script: str, timeout: float = 120.0) -> list
         "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
         "PYTHONPATH": os.pathsep.join([package, ROOT, *filter(None, [os.environ.get("PYTHONPATH")])]),
     }
+
+
+def ending(ranks: int, script: str, *arguments: str, timeout: float = 60.0) -> tuple[int, str]:
+    """Status of a fresh mpirun of a script's text, and all that the ranks wrote."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "script.py")
+        file.write_text(script)
+        command = ["mpirun", "-n", str(ranks), sys.executable, str(file), *arguments]
+        run = subprocess.run(
+            command,
+            env=environment(),
+            cwd=folder,
+            timeout=timeout,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            check=False,
+        )
+        return run.returncode, run.stdout
+
+
+def on_ranks(ranks: int, case: str, script: str, timeout: float = 120.0) -> list[dict]:
+    """What each rank of a fresh mpirun of a script found."""
+    env = environment()
     with tempfile.TemporaryDirectory() as folder:
         command = ["mpirun", "-n", str(ranks), sys.executable, script, case, folder]
         run = subprocess.run(

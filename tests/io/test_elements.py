@@ -17,7 +17,7 @@ import polarmpm as pm
 from polarmpm.geometry.meshes import BodyMesh
 from polarmpm.kinematics import rotations
 from tests.conftest import assert_repeated
-from tests.helpers.ranks import ROOT
+from tests.helpers.ranks import PATH
 from tests.io.test_recorder import read_collection
 
 COMM = MPI.COMM_WORLD
@@ -227,14 +227,13 @@ def test_an_older_state_is_put_back(folder):
     problem = cantilever("triangle")
     list(problem.march(2, to=0.5))
     pm.save_restart(problem, folder / "half.h5")
-    half = nodal(problem)
+    half, reaction = nodal(problem), problem.reaction(problem.supports[0])
     list(problem.march(1))
     pm.load_restart(problem, folder / "half.h5")
     assert (problem.progress.step, problem.progress.factor) == (2, 0.5)
     for name, value in nodal(problem).items():
         np.testing.assert_array_equal(value, half[name])
-    with pytest.raises(pm.InputError, match="no load step has been solved"):
-        problem.reaction(problem.supports[0])
+    assert_repeated(problem.reaction(problem.supports[0]).force, reaction.force)
     list(problem.march(1))
     assert problem.progress.factor == 1.0
 
@@ -327,7 +326,7 @@ def test_two_ranks_continue_what_one_began(cell, degree, tmp_path):
     command = ["mpirun", "-n", "2", sys.executable, __file__, cell, str(degree), str(tmp_path)]
     # os.environ is as Python found it, without what this process' own MPI has put there since
     done = subprocess.run(
-        command, timeout=200, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": ROOT}
+        command, timeout=200, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": PATH}
     )
     assert done.returncode == 0, done.stderr[-2000:]
     parallel = json.loads((tmp_path / "found.json").read_text())

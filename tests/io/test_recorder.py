@@ -16,7 +16,7 @@ import polarmpm as pm
 from polarmpm.io import Recorder, Table, read_table
 from polarmpm.io.files import replace_file
 from polarmpm.kinematics import rotations
-from tests.helpers.ranks import ROOT
+from tests.helpers.ranks import PATH
 
 meshio = pytest.importorskip("meshio")
 
@@ -263,7 +263,7 @@ def test_two_ranks_write_what_one_writes(tmp_path):
     command = ["mpirun", "-n", "2", sys.executable, "-c", code, str(paths[1])]
     # os.environ is as Python found it, without what this process' own MPI has put there since
     done = subprocess.run(
-        command, timeout=120, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": ROOT}
+        command, timeout=120, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": PATH}
     )
     assert done.returncode == 0, done.stderr[-2000:]
     one, two = (read_collection(path) for path in paths)

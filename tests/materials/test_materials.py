@@ -114,7 +114,7 @@ def test_engineering_constants_out_of_range(name, value):
 @pytest.mark.parametrize("name", list(MODULI))
 def test_moduli_that_are_no_numbers(name, bad):
     """Not finite, or no number at all."""
-    with pytest.raises(pm.InputError, match=f"^{name} = .* is not a finite number"):
+    with pytest.raises(pm.InputError, match=f"^{name} = .*: a finite number"):
         pm.MicropolarElastic(**{**MODULI, name: bad})
 
 
@@ -122,7 +122,7 @@ def test_moduli_that_are_no_numbers(name, bad):
 @pytest.mark.parametrize("name", list(ENGINEERING))
 def test_engineering_constants_that_are_no_numbers(name, bad):
     """The same for engineering constants."""
-    with pytest.raises(pm.InputError, match=f"^{name} = .* is not a finite number"):
+    with pytest.raises(pm.InputError, match=f"^{name} = .*: a finite number"):
         pm.MicropolarElastic.from_engineering(**{**ENGINEERING, name: bad})
 
 
@@ -315,7 +315,7 @@ def test_material_without_energy():
     for bad in (None, "steel", pm.MicropolarElastic, 1e6):
         with pytest.raises(pm.InputError, match="is not a material"):
             check_material(bad)
-    with pytest.raises(pm.InputError, match="not callable"):
+    with pytest.raises(pm.InputError, match=r"function = 3\.0: an energy in UFL is needed"):
         pm.UserEnergy(3.0)
     with pytest.raises(pm.InputError, match=r"^stiffness = nan"):
         pm.UserEnergy(lambda E, G, p: 0, {"stiffness": np.nan})

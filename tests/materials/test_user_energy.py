@@ -19,7 +19,7 @@ def attempt(function, **options):
         (lambda E, G, p: p.b * ufl.inner(E, E), "no attribute 'b'"),
         (lambda E, G, p: p.a * E, "scalar is needed"),
         (lambda E, G, p: p.a * ufl.inner(E, ufl.as_vector((1, 2))), "can't be evaluated"),
-        (lambda E, p: p.a * ufl.inner(E, E), "can't be evaluated"),
+        (lambda E, p: p.a * ufl.inner(E, E), "it is called with 3 argument"),
         (lambda E, G, p: None, "can't be evaluated"),
     ],
 )

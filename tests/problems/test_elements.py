@@ -159,7 +159,7 @@ def test_a_second_run_compiles_nothing(tmp_path):
     )
     found = []
     for _ in range(2):
-        env = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+        env = {**os.environ, "POLARMPM_CACHE": str(tmp_path)}
         subprocess.run([sys.executable, "-c", script], check=True, timeout=120, env=env)
         found.append(sorted(path.name for path in tmp_path.rglob("*.so")))
     assert found[0] == found[1] != []

@@ -26,6 +26,9 @@ class Stub:
         self.progress, self.steps = SimpleNamespace(factor=0.0, step=0), []
         self.attempts: list[float] = []
 
+    def whole(self, work):
+        return work()
+
     def attempt(self, factor: float) -> Outcome:
         self.attempts.append(factor)
         history = [(1.0, 1.0)] * (self.iterations + 1)

@@ -14,6 +14,7 @@ from ..geometry.spacenodes import SpaceNodes
 from ..kinematics import rotations
 from ..terms.base import Piece
 from ..tools import compat
+from ..tools.disposal import dispose_with, weakly
 from ..tools.timing import Timer
 from .formmatrix import FormMatrix
 from .nodalterms import NodalTerms
@@ -49,17 +50,21 @@ class ElementSystem(NodalSystem):
             self._residual = forms.residual
             tangents = [forms.tangent, *(v.tangent for v in varying)]
         with timer("pattern"):
-            symmetric = forms.symmetric and not varying and self.terms.symmetric
             self.matrix = FormMatrix(
                 tangents,
                 prescribed.fixed,
-                symmetric,
+                self.symmetric,
                 e.nodes.owned,
                 not forms.symmetric,
                 solver,
                 self.is_large(),
-                self.near_null_space,
+                weakly(self.near_null_space),
             )
+            self._dispose = dispose_with(self, self.comm, self.matrix.destroy)
+
+    @property
+    def symmetric(self) -> bool:
+        return self.forms.symmetric and not self._varying and self.terms.symmetric
 
     @property
     def varying(self) -> bool:
@@ -155,6 +160,10 @@ class ElementSystem(NodalSystem):
         x: np.ndarray = super().positions() + self.forms.elements.displacement
         return x
 
+    @property
+    def tangent(self) -> Any:
+        return self.matrix.matrix
+
     def diagonal(self) -> np.ndarray:
         return self.matrix.diagonal
 
@@ -166,4 +175,4 @@ class ElementSystem(NodalSystem):
             return self.matrix.solver.solve(right.ravel(), accuracy).reshape(right.shape)
 
     def destroy(self) -> None:
-        self.matrix.destroy()
+        self._dispose()

@@ -51,5 +51,5 @@ class InitialStress:
 
     def replace(self, stress: np.ndarray) -> None:
         """Put in stresses (np, b, d)."""
-        self.interpolation.reference.initial_stress[:] = stress
+        self.interpolation.reference.initial_stress = stress
         self.pack()

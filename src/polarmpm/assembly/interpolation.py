@@ -29,6 +29,7 @@ from ..kinematics.motion import Motion
 from ..materials.base import parameter_values
 from ..terms.base import Boxes, Piece, Term, pieces_of
 from ..terms.settings import GridSetting
+from ..tools import checks
 from ..tools.checks import shown
 from ..tools.parallel import errors_on_all_ranks
 from .nodesets import Groups, group_points, node_sets_of, ownership_priorities, reached_cells
@@ -76,6 +77,7 @@ class Interpolation:
         filled = boxes and has_boxes(points)
         with errors_on_all_ranks(grid.comm):
             w = basis.weights(grid, r.x, half, cells, 3 if filled else 2)
+            checks.instance(f"basis {basis.name!r}: weights", w, Weights, "Weights are")
         order, groups = group_points(points.material, w)
         reached = partial(reached_cells, grid, groups, basis)
         setting = GridSetting(grid, basis, self.layout, points, w, reached)
@@ -150,6 +152,7 @@ class Interpolation:
     def rebase_rotations(self, x: np.ndarray) -> None:
         """Count rotation increments from the points' current rotations on, at nodal increments x (nodes,
         block); weights and F stay."""
+        self.reference.side_gradients = self.reference.side_gradients.copy()
         for boxes in self.boxes or ():
             boxes.rebase_rotations(self.reference, x)
         self.reference.rebase_rotations(self.points)

@@ -149,9 +149,11 @@ class NodalTerms:
                 full[:, :, i, :, j] += matrices[..., k]
             yield from zip(rows, full.reshape(m, n * b, n * b), strict=True)
 
-    def products(self, x: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Tangents at x times a direction, summed at the nodes of this rank, (nodes, b)."""
+    def products(
+        self, x: np.ndarray, direction: np.ndarray, which: Callable[[Piece], bool] = lambda piece: True
+    ) -> np.ndarray:
+        """Tangents of some pieces at x times a direction, summed at the nodes of this rank, (nodes, b)."""
         out = np.zeros_like(x)
-        for piece, rows in self._parts():
+        for piece, rows in filter(lambda part: which(part[0]), self._parts()):
             out += self._scatter(rows, multiply(piece.pairs, matrices_of(piece, x[rows]), direction[rows]))
         return out

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import ctypes
 from abc import abstractmethod
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
@@ -19,6 +19,7 @@ from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from ..solvers.choice import make_solver, solver_of
 from ..solvers.linear import Tangent
+from ..tools.disposal import dispose_with, weakly
 from ..tools.timing import Timer
 from . import sparsity
 from .initialstress import InitialStress
@@ -75,6 +76,17 @@ class LoadedPoints(NodalSystem):
         for mapping in plastic:
             mapping.start_elastic = on
         return bool(plastic)
+
+    def changing(self) -> Iterator[tuple[Any, tuple[str, ...] | None]]:
+        yield from super().changing()
+        yield self, ("initial", "_boxes", "_at_points", "_couples")
+        yield self.interpolation, ("reference", "pieces")
+        yield self.interpolation.reference, None
+
+    def put_back(self) -> None:
+        self.interpolation.pack()
+        if self.initial is not None:
+            self.initial.pack()
 
     def leave_out_boxes(self, on: bool) -> bool:
         self._boxes = None if on else self.interpolation.boxes
@@ -218,8 +230,9 @@ class PointSystem(LoadedPoints):
             shared = (self.pattern.values, self.pattern.diagonal) if self.pattern.shared else None
             matrix = self.pattern.petsc_matrix()
             self.solver = make_solver(
-                solver, Tangent(matrix, symmetric, self.near_null_space, plastic, large, shared)
+                solver, Tangent(matrix, symmetric, weakly(self.near_null_space), plastic, large, shared)
             )
+            self._dispose = dispose_with(self, self.comm, self.solver.destroy)
         self._few = interpolation.points.total < self.nodes.total
 
     # assembly ---------------------------------------------------------------------------------------
@@ -309,6 +322,14 @@ class PointSystem(LoadedPoints):
             self.comm.Allreduce(MPI.IN_PLACE, most, op=MPI.MAX)
             pattern.values[pattern.diagonal] += shift * np.tile(most, self.nodes.owned)
 
+    @property
+    def diagonal_shift(self) -> float:
+        return _UNFELT if self._few else 0.0
+
+    @property
+    def tangent(self) -> Any:
+        return self.solver.matrix
+
     def diagonal(self) -> np.ndarray:
         diagonal: np.ndarray = self.pattern.values[self.pattern.diagonal].reshape(-1, self.layout.block)
         return diagonal
@@ -327,4 +348,6 @@ class PointSystem(LoadedPoints):
             return self.solver.solve(right.ravel(), accuracy).reshape(right.shape)
 
     def destroy(self) -> None:
-        self.solver.destroy()
+        self._dispose()
+        self.pattern.release()
+        self.step.boxes = None

@@ -29,6 +29,7 @@ from ..kernels.kernel import Kernel
 from ..solvers.linear import NearNullSpace
 from ..terms.base import Boxes
 from ..tools import compat
+from ..tools.disposal import dispose_with, weakly
 from ..tools.parallel import Route, values_by_number
 from ..tools.timing import Timer
 from .formmatrix import FormMatrix
@@ -167,8 +168,9 @@ class ProjectedSystem(LoadedPoints):
                 plastic,
                 solver,
                 self.is_large(),
-                self._near_null_space_on_mesh,
+                weakly(self._near_null_space_on_mesh),
             )
+            self._dispose = dispose_with(self, self.comm, self.matrix.destroy)
 
     def _numbers_on_mesh(self) -> np.ndarray:
         """Global numbers of the nodes (n,) in the mesh's matrix; only terms ask for them. Collective.
@@ -249,6 +251,10 @@ class ProjectedSystem(LoadedPoints):
         if tangent:
             self.cells.project(moduli, self.forms.tangent_values)
 
+    @property
+    def tangent(self) -> None:
+        return None  # in the order of the cells' mesh
+
     def diagonal(self) -> np.ndarray:
         return self.exchange.to_points(self.matrix.diagonal)
 
@@ -263,4 +269,4 @@ class ProjectedSystem(LoadedPoints):
             return self.exchange.to_points(solution)
 
     def destroy(self) -> None:
-        self.matrix.destroy()
+        self._dispose()

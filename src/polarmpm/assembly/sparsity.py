@@ -83,6 +83,11 @@ class Pattern:
         matrix.assemble()
         matrix.stateIncrease()
 
+    def release(self) -> None:
+        """Give the memory of the entries back; there is no matrix any more."""
+        self.values, self.indices = np.zeros(0), np.zeros(0, dtype=np.int32)
+        self.matrix.kept.clear()
+
     def mirror(self) -> None:
         """Complete whole rows by the half of the symmetric sums that hasn't been made."""
         if self.halves is not None:

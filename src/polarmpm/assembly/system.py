@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 
@@ -126,6 +127,23 @@ class NodalSystem(ABC):
             lift: prescribed increments (nodes, block) that are still to be put in.
         """
 
+    @property
+    @abstractmethod
+    def symmetric(self) -> bool:
+        """Whether the tangent is symmetric."""
+
+    @property
+    @abstractmethod
+    def tangent(self) -> Any:
+        """PETSc's matrix of the last solution, of unknowns in the order of global numbers; rows and columns
+        of prescribed unknowns are left out, but for the diagonal. Of a symmetric one maybe the upper triangle
+        only. None where it has another order."""
+
+    @property
+    def diagonal_shift(self) -> float:
+        """What `solve` adds to the tangent's diagonal, relative to it."""
+        return 0.0
+
     @abstractmethod
     def diagonal(self) -> np.ndarray:
         """Diagonal of the tangent (owned nodes, block)."""
@@ -155,6 +173,16 @@ class NodalSystem(ABC):
     @abstractmethod
     def destroy(self) -> None:
         """Release PETSc's objects."""
+
+    def changing(self) -> Iterator[tuple[Any, tuple[str, ...] | None]]:
+        """What a load step changes: objects, and which of their attributes; None: all."""
+        yield self, ("x", "before", "residual", "loads", "external", "carried", "terms")
+        yield self.prescribed, None
+        for piece in self.terms.pieces:
+            yield piece, None
+
+    def put_back(self) -> None:  # noqa: B027
+        """What a load step had changed has been put back: whatever follows from it, too. Local."""
 
     def put_external(self, forces: np.ndarray) -> None:
         """Take dead forces on the nodes (nodes, block), complete on owned rows, for all loads."""
@@ -250,7 +278,7 @@ class NodalSystem(ABC):
     def forget_rotations(self) -> None:
         """Rotation increments count from the present rotations on: set them to zero. The equilibrium stays,
         as terms' forces that depended on the increments are carried along. Collective."""
-        before = self.x.copy()
+        before, self.x = self.x, self.x.copy()
         self.x[:, self.layout.dim :] = 0.0
         if len(self.terms):
 
@@ -259,7 +287,7 @@ class NodalSystem(ABC):
 
             lost = self.terms.forces(before, own) - self.terms.forces(self.x, own)
             self.nodes.add_to_owners(lost)
-            self.carried -= np.where(self.prescribed.fixed, 0.0, lost)
+            self.carried = self.carried - np.where(self.prescribed.fixed, 0.0, lost)
 
     # solvers.newton.System --------------------------------------------------------------------------
     def set_prescribed(self, increments: np.ndarray) -> None:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
+from mpi4py import MPI
+
 import numpy as np
 
 from ..errors import InputError
 from ..geometry.grid import MARGIN, Grid, box_indices
 from ..geometry.planes import PlaneSpec
 from ..kinematics.stretch import domain_half_length
+from ..tools import checks
 from .aggregation import supporting_cells
 
 
@@ -23,11 +26,37 @@ class Weights:
         count: number of nodes in each direction (n, d).
         table: values and gradients (1/m), and where asked for second derivatives (1/m^2), in each direction
            , (n, d, 2 or 3, slots); unused slots are zero.
+
+    Raises:
+        InputError: arrays that aren't so.
     """
 
     lowest: np.ndarray
     count: np.ndarray
     table: np.ndarray
+
+    def __post_init__(self) -> None:
+        try:
+            lowest, count, table = (np.asarray(a) for a in (self.lowest, self.count, self.table))
+        except Exception as e:  # rows of several lengths, say
+            raise InputError(f"Weights: arrays are needed: {e}") from e
+        self.lowest, self.count, self.table = lowest, count, table
+        fits = lowest.ndim == 2 and lowest.shape == count.shape == table.shape[:2] and table.ndim == 4
+        fits = (
+            fits
+            and table.shape[2] in (2, 3)
+            and table.dtype.kind == "f"
+            and lowest.dtype.kind == count.dtype.kind == "i"
+        )
+        if not (fits and count.min(initial=1) >= 1 and count.max(initial=1) <= table.shape[3]):
+            raise InputError(
+                f"Weights: lowest {lowest.dtype} {lowest.shape}, count {count.dtype} {count.shape}, table "
+                f"{table.dtype} {table.shape}: whole numbers (n, d), numbers of nodes (n, d) from 1 to "
+                "slots, and (n, d, 2 or 3, slots) are needed"
+            )
+        if not np.isfinite(table.sum()):
+            row = int(np.flatnonzero(~np.isfinite(table).all(axis=(1, 2, 3)))[0])
+            raise InputError(f"Weights: table has a value in row {row} that isn't finite")
 
     def products(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
         """Lattice numbers of each point's nodes and their weights, (n, slots^d); unused slots weigh zero."""
@@ -155,6 +184,41 @@ class Basis(ABC):
             raise InputError(
                 f"plane {plane.name} is not a boundary plane of the grid; with basis = {self.name!r} allowed "
                 f"are {grid.lower[plane.axis]:g} and {grid.upper[plane.axis]:g}"
+            )
+
+
+def check_basis(basis: Basis) -> None:
+    """Try a basis on a few points of a small lattice.
+
+    Raises:
+        InputError: an attribute isn't what `Basis` says, or the functions aren't: other shapes, values that
+            aren't finite or don't sum up to one, gradients that don't sum up to zero.
+    """
+    what = f"basis {type(basis).__name__}"
+    checks.text(f"{what}: name", getattr(basis, "name", None))
+    what = f"basis {basis.name!r}"
+    checks.whole(f"{what}: degree", getattr(basis, "degree", None), least=1, most=5)
+    checks.number(f"{what}: sliver", basis.sliver, least=0, below=1)
+    for name in ("walls_only", "gradients_jump", "locks", "uses_domains", "thin_reach", "fills_boxes"):
+        checks.flag(f"{what}: {name}", getattr(basis, name))
+    orders = 3 if basis.fills_boxes else 2
+    for dim in (2, 3):
+        grid = Grid.box((0.0,) * dim, (12.0,) * dim, 2.0, MPI.COMM_SELF)
+        x = np.linspace(0.0, 12.0, 9 * dim).reshape(9, dim)
+        cells = grid.cells_of(x)
+        try:
+            table = np.asarray(basis.derivatives(grid, x, cells, orders))
+        except Exception as e:  # a user's class may raise anything
+            raise InputError(f"{what}: its functions can't be evaluated: {type(e).__name__}: {e}") from e
+        shape = (9, dim, orders, basis.functions)
+        if table.shape != shape or table.dtype.kind != "f":
+            raise InputError(
+                f"{what}: functions of shape {table.shape} and type {table.dtype}; {shape} needed"
+            )
+        sums = table.sum(axis=3)
+        if not (np.allclose(sums[:, :, 0], 1, atol=1e-9) and np.allclose(sums[:, :, 1:], 0, atol=1e-9)):
+            raise InputError(
+                f"{what}: the functions of a cell don't sum up to one, or their gradients to zero"
             )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -10,17 +11,20 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
-from ..errors import InputError
+from ..errors import InputError, TrustWarning
 from ..geometry.meshes import BodyMesh
 from ..geometry.planes import PlaneSpec
 from ..geometry.spacenodes import SpaceNodes
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
-from ..materials.base import Material, check_material
+from ..materials.base import Material
 from ..tools import checks, compat
+from ..tools.checks import number, numeric, refuse, vector, whole
+from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks
 from .facets import Facets, FacetSurface
 from .points import Points
+from .regions import Regions, materials_of
 
 # exact for the stiffness of undistorted elements: 2 and 3 Gauss points a direction on boxes
 _QUADRATURE = {("tensor", 1): 3, ("tensor", 2): 5, ("simplex", 1): 2, ("simplex", 2): 4}
@@ -37,6 +41,7 @@ class Elements:
         quadrature_degree: of the integration rule; default: 3 and 5 on boxes (2 and 3 Gauss points a
             direction), 2 and 4 on simplices.
         cells, facets: tags (dolfinx MeshTags) of a dolfinx mesh.
+        comm: of the ranks that share the body; default: the mesh's, of files and models all ranks.
 
     Attributes:
         points: state of the quadrature points; ids count them along the cells in the order of the mesh's
@@ -48,6 +53,7 @@ class Elements:
         InputError: a mesh, degree, region or material that is not allowed; see `geometry.meshes.BodyMesh`.
     """
 
+    @collective("Elements", comm=lambda self, mesh, *, comm=MPI.COMM_WORLD, **options: comm)
     def __init__(
         self,
         mesh: Any,
@@ -57,18 +63,17 @@ class Elements:
         quadrature_degree: int | None = None,
         cells: Any = None,
         facets: Any = None,
-        comm: MPI.Comm = MPI.COMM_WORLD,
+        comm: MPI.Comm | None = None,
     ):
         self.body = BodyMesh.of(mesh, comm, cells=cells, facets=facets)
         self.mesh, self.comm, self.dim = self.body.mesh, self.body.mesh.comm, self.body.dim
-        if degree not in (1, 2):
-            raise InputError(f"degree = {degree!r}: allowed are 1 and 2")
+        _warn_of_cracks(self.body)
+        degree = whole("degree", degree, least=1, most=2, allowed="allowed are 1 and 2")
         shape = "simplex" if self.body.cell in ("triangle", "tetrahedron") else "tensor"
         rule = _QUADRATURE[shape, degree] if quadrature_degree is None else quadrature_degree
-        if isinstance(rule, bool) or not isinstance(rule, int) or not 1 <= rule <= 20:
-            raise InputError(f"quadrature_degree = {rule!r}: a whole number from 1 to 20")
+        rule = whole("quadrature_degree", rule, least=1, most=20, allowed="a whole number from 1 to 20")
         self.degree, self.quadrature_degree = degree, rule
-        materials, of_cell = self._regions(material)
+        materials, of_cell = materials_of(self.body, material)
         self.layout = Layout.of(materials[0], self.dim)
         self.space = compat.function_space(self.mesh, self.layout.block, degree)
         self.nodes = SpaceNodes(self.space, self.dim)
@@ -76,30 +81,6 @@ class Elements:
         self.points = self._quadrature_points(materials, of_cell)
         self.displacement: np.ndarray = np.zeros((len(self.nodes), self.dim))
         self.q: np.ndarray = rotations.identity(len(self.nodes))
-
-    # regions --------------------------------------------------------------------------------------
-    def _regions(self, material: Any) -> tuple[tuple[Material, ...], np.ndarray]:
-        """Materials, and the row of its material for each own cell."""
-        own = len(self.body.owned_cells)
-        if not isinstance(material, Mapping):
-            return (check_material(material),), np.zeros(own, dtype=np.int32)
-        if not material:
-            raise InputError("material: no region is given")
-        of_cell = np.full(own, -1, dtype=np.int32)
-        for row, (region, one) in enumerate(material.items()):
-            check_material(one)
-            tag = self.body.group(region, self.dim)
-            at = np.asarray(self.body.cells.indices)[np.asarray(self.body.cells.values) == tag]
-            of_cell[at[at < own]] = row
-        missing, error = np.flatnonzero(of_cell < 0), None
-        if len(missing):
-            numbers = ", ".join(map(str, np.sort(self.body.original_cells[missing])[:10]))
-            error = InputError(f"material: no region has the cells {numbers}; every cell needs a material")
-        raise_on_all_ranks(self.comm, error)
-        materials = tuple(material.values())
-        if len({Layout.of(m, self.dim) for m in materials}) > 1:
-            raise InputError("material: micropolar and classical materials can't be mixed in one body")
-        return materials, of_cell
 
     # quadrature points ----------------------------------------------------------------------------
     @property
@@ -126,6 +107,7 @@ class Elements:
         points.put_materials(materials, np.repeat(of_cell, len(xi)))
         points._mesh = self.mesh
         points.id = (self.body.original_cells[:, None] * len(xi) + np.arange(len(xi))).ravel()
+        points.regions = tuple(r for r in (Regions.of(self.body, len(xi)),) if r is not None)
         return points
 
     @property
@@ -135,6 +117,7 @@ class Elements:
         return float((sums[0] / sums[1]) ** (1 / self.dim))
 
     # groups of facets -----------------------------------------------------------------------------
+    @collective("facets", compare=True)
     def facets(self, where: Any) -> Facets:
         """Boundary facets of a physical group (name or tag), on a plane, or all of whose corners fulfil a
         predicate of positions (n, d) -> (n,) bool. Collective.
@@ -177,13 +160,16 @@ class Elements:
         near = 1e-6 * self.cell_size
         return lambda x: np.abs(x[:, spec.axis] - spec.value) < near
 
+    @collective("farthest", compare=True)
     def farthest(self, direction: Sequence[float], tolerance: float | None = None) -> Facets:
         """Boundary facets farthest in a direction, within `tolerance` (m; default 1e-6 of a cell).
         Collective."""
-        n = np.asarray(direction, float)
-        if n.shape != (self.dim,) or not np.linalg.norm(n) > 0:
+        n = vector("direction", direction, self.dim, f"{self.dim} numbers, not all zero")
+        if not np.linalg.norm(n) > 0:
             raise InputError(f"direction = {direction!r}: {self.dim} numbers, not all zero")
         n = n / np.linalg.norm(n)
+        if tolerance is not None:
+            tolerance = number("tolerance", tolerance, least=0.0)
         most = self.comm.allreduce((self.nodes.position @ n).max(initial=-np.inf), op=MPI.MAX)
         limit = most - (1e-6 * self.cell_size if tolerance is None else tolerance)
 
@@ -192,6 +178,7 @@ class Elements:
 
         return self.facets(farthest)
 
+    @collective("surface", compare=True)
     def surface(self, where: Any) -> FacetSurface:
         """The quadrature points of boundary facets as a surface, for terms that act on one; `where` as of
         `facets`. Collective."""
@@ -250,10 +237,15 @@ class Elements:
         """Microrotation vectors of the nodes (rad), (n, 3); for output only."""
         return rotations.to_vector(self.q)
 
+    @collective("mean")
     def mean(self, values: np.ndarray, facets: Facets | None = None) -> np.ndarray:
         """Mean of nodal values (n, ...) over facets, weighted by their area; without facets the plain mean
         over the nodes. Collective."""
-        own = self.nodes.owned
+        own, values = self.nodes.owned, numeric("values", values)
+        error = None
+        if values.ndim == 0 or len(values) != len(self.nodes):
+            error = refuse("values", values, f"one row for each of the {len(self.nodes)} nodes is needed")
+        raise_on_all_ranks(self.comm, error)
         weights = np.ones(len(self.nodes)) if facets is None else self.facets(facets).weights
         total = self.comm.allreduce(weights[:own].sum())
         return np.asarray(self.comm.allreduce(np.tensordot(weights[:own], values[:own], 1)) / total)
@@ -271,6 +263,28 @@ class Elements:
         means: np.ndarray = np.einsum("cq,cq...->c...", weights, values.reshape(*shape, *values.shape[1:]))
         return means
 
+    @collective("mean_displacement")
     def mean_displacement(self, facets: Facets | None = None) -> np.ndarray:
         """Mean displacement (m) over facets, shape (d,). Collective."""
         return self.mean(self.displacement, facets)
+
+
+def _warn_of_cracks(body: BodyMesh) -> None:
+    """Two nodes at the same place, as of parts that are drawn side by side, aren't joined."""
+    number, place = body.cracks()
+    if number and body.mesh.comm.rank == 0:
+        where = tuple(float(round(c, 9)) for c in place)
+        warnings.warn(
+            f"mesh: at {number} places of the boundary, such as {where}, there are several nodes: the body "
+            "comes apart there. If that isn't meant, join the parts in gmsh: occ.fragment, or "
+            "mesh.removeDuplicateNodes",
+            TrustWarning,
+            stacklevel=3,
+        )
+
+
+def _mask(values: Any, n: int) -> np.ndarray:
+    mask: np.ndarray = np.asarray(values)
+    if mask.shape != (n,) or mask.dtype != bool:
+        raise InputError(f"predicate: returned {mask.dtype} {mask.shape}; a bool for each position is needed")
+    return mask

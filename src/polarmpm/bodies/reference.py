@@ -44,9 +44,11 @@ class Reference:
         """Count rotations from the points' current ones on; an initial stress turns with its base."""
         d = self.x.shape[1]
         turn = rotations.to_tensor(points.q) @ np.swapaxes(rotations.to_tensor(self.q), 1, 2)
-        for first in range(0, d * (self.initial_stress.shape[1] // d), d):  # no rows of a turn about an axis
+        stress = self.initial_stress.copy()
+        for first in range(0, d * (stress.shape[1] // d), d):  # no rows of a turn about an axis
             rows = slice(first, first + d)
-            self.initial_stress[:, rows] = turn[:, :d, :d] @ self.initial_stress[:, rows]
+            stress[:, rows] = turn[:, :d, :d] @ stress[:, rows]
+        self.initial_stress = stress
         self.q, self.wryness = points.q.copy(), points.wryness.copy()
 
     def moved(self, route: Route) -> Reference:

@@ -11,19 +11,26 @@ import numpy as np
 
 from ..errors import InputError, PointsOutsideGrid
 from ..geometry.grid import Grid
-from ..materials.base import Material
-from ..tools.parallel import raise_on_all_ranks
+from ..materials.base import Material, check_material
+from ..tools import checks
+from ..tools.machine import check_memory
+from ..tools.meetings import collective
+from ..tools.parallel import errors_on_all_ranks
 from .cutboxes import half_axes, inside_parts
 from .partition import distribute
 from .points import Points
 
 _CHUNK = 1_000_000  # positions tested at once
+_MOST = 2**32  # candidates of a rank: minutes to hours of search
+_BYTES = 300  # of a point until a problem is made of it
+_GAUSS = 100  # points a direction of Gauss' rule
 _SEEN = {2: 11, 3: 9}  # parts of a cell a direction, by the dimension
 _ROUNDING = 1e-9  # of a box's half lengths: bounds that near to its faces are on them
 
 Inside = Callable[[np.ndarray], np.ndarray]
 
 
+@collective("seed", comm=lambda grid, *args, **options: grid.comm, compare=True)
 def seed(
     grid: Grid,
     inside: Inside | None = None,
@@ -55,24 +62,31 @@ def seed(
             only met on average.
 
     Raises:
-        InputError: an argument is out of range, or no point lies inside the body.
+        InputError: an argument is out of range, no point lies inside the body, or more points or candidates
+            than this machine can have. What `inside` itself raises is raised on its rank, and as
+            `ErrorOnAnotherRank` on the others.
     """
+    checks.instance("grid", grid, Grid, "a background grid, such as Grid.box makes it, is")
+    check_material(material)
     per_cell = _points_per_cell(points_per_cell, grid.dim)
     xi, share = _cell_layout(layout, per_cell)
-    if inside is not None and not callable(inside):
-        raise InputError(f"inside = {inside!r} is not a predicate of positions")
-    if not isinstance(cut, bool):
-        raise InputError(f"cut = {cut!r}: True or False")
-    lower, upper = _bounds(grid, bounds if bounds is not None else getattr(inside, "bounds", None))
+    if inside is not None:
+        checks.function("inside", inside, "a predicate of positions is", takes=("x",))
+    cut = checks.flag("cut", cut)
+    corners = _corners(grid, bounds)
+    around = corners if bounds is not None else _corners(grid, getattr(inside, "bounds", None))
+    lower, upper = _cells_within(grid, around)
     searched = grid.part(lower, np.maximum(upper, lower))
-    body = _Body(inside, bounds, cut and layout == "uniform", _parts(per_cell))
+    _check_number(searched, len(xi), points_per_cell, everything=inside is None)
+    body = _Body(inside, corners, cut and layout == "uniform", _parts(per_cell))
     made = _found(searched, body, per_cell, xi, share)
+    if not grid.comm.allreduce(len(made.x)):
+        of = "bounds" if inside is None else "inside"
+        raise InputError(
+            f"{of}: none of the candidate points between {grid.lower} and {grid.upper} is in the body"
+        )
     axes0 = made.axes if layout == "uniform" else np.zeros_like(made.axes)
     points = Points(made.x, made.volume, made.half, material, grid.comm, half_axes=axes0)
-    if points.total == 0:
-        raise InputError(
-            f"inside: none of the candidate points between {grid.lower} and {grid.upper} is in the body"
-        )
     distribute(grid, points)
     return points
 
@@ -152,8 +166,8 @@ def _found(searched: Grid, body: _Body, per_cell: np.ndarray, xi: np.ndarray, sh
     cells = int(np.prod(span))
     start, stop = (cells * r // comm.size for r in (comm.rank, comm.rank + 1))
     step = max(1, body.chunk(dim) // len(xi))
-    found, error = [_Boxes.none(dim)], None
-    try:
+    found, number_found = [_Boxes.none(dim)], 0
+    with errors_on_all_ranks(comm):
         for begin in range(start, stop, step):
             number = np.arange(begin, min(begin + step, stop))
             index = np.stack(np.unravel_index(number, span[axes]), axis=1)[:, np.argsort(axes)]
@@ -161,28 +175,48 @@ def _found(searched: Grid, body: _Body, per_cell: np.ndarray, xi: np.ndarray, sh
             sizes = np.repeat(searched.sizes(index), len(xi), axis=0)
             volume = np.tile(share, len(index)) * np.prod(sizes, axis=1)
             found.append(body.boxes(x, 0.5 * sizes / per_cell, volume))
-    except InputError as e:
-        error = e
-    raise_on_all_ranks(comm, error)
+            number_found += len(found[-1].x)
+            check_memory("points_per_cell", per_cell.tolist(), number_found * _BYTES)
     return _Boxes(*(np.concatenate(column) for column in zip(*map(astuple, found), strict=True)))
 
 
-def _points_per_cell(value: int | Sequence[int], dim: int) -> np.ndarray:
-    number = np.asarray(value)
-    if number.shape not in ((), (dim,)) or number.dtype.kind not in "iu" or np.any(number < 1):
-        raise InputError(f"points_per_cell = {value!r}: a positive whole number, or {dim} of them")
-    return np.broadcast_to(number, (dim,)).astype(np.int64)
+def _points_per_cell(value: Any, dim: int) -> np.ndarray:
+    allowed = f"a positive whole number, or {dim} of them; at most {_CHUNK:.0e} points a cell"
+    several = checks.several(value)
+    if several and len(value) != dim:
+        raise checks.refuse("points_per_cell", value, allowed)
+    number = [
+        checks.whole("points_per_cell", n, least=1, most=_CHUNK, allowed=allowed)
+        for n in (value if several else [value] * dim)
+    ]
+    if math.prod(number) > _CHUNK:
+        raise checks.refuse("points_per_cell", value, allowed)
+    return np.array(number, dtype=np.int64)
+
+
+def _check_number(searched: Grid, per_cell: int, given: Any, *, everything: bool) -> None:
+    """Raise InputError for more candidates than can be asked about, or than fit into memory as points."""
+    number = math.prod(searched.shape) * per_cell
+    name = "points_per_cell"
+    if number > _MOST * searched.comm.size:
+        raise checks.refuse(
+            name, given, f"{number:.4g} candidates in {math.prod(searched.shape):.4g} cells; at most "
+            f"{_MOST:.4g} a rank are allowed: `bounds` around the body, or a smaller grid, save the search"
+        )  # fmt: skip
+    if everything:
+        check_memory(name, given, number // searched.comm.size * _BYTES)
 
 
 def _cell_layout(layout: str, per_cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions in the unit cell (n, d) and shares of its volume (n,)."""
+    checks.choice("layout", layout, ("uniform", "gauss"))
     if layout == "uniform":
         rules = [((np.arange(n) + 0.5) / n, np.full(n, 1.0 / n)) for n in per_cell]
-    elif layout == "gauss":
+    else:
+        if per_cell.max() > _GAUSS:
+            raise checks.refuse("points_per_cell", per_cell.tolist(), f"at most {_GAUSS} with layout='gauss'")
         raw = [np.polynomial.legendre.leggauss(int(n)) for n in per_cell]
         rules = [((1.0 + a) / 2.0, w / 2.0) for a, w in raw]
-    else:
-        raise InputError(f"layout = {layout!r}: allowed are uniform, gauss")
     xi = np.stack(np.meshgrid(*(r[0] for r in rules), indexing="ij"), axis=-1).reshape(-1, len(rules))
     share: np.ndarray = np.ones(())
     for _, w in rules:
@@ -190,20 +224,29 @@ def _cell_layout(layout: str, per_cell: np.ndarray) -> tuple[np.ndarray, np.ndar
     return xi, share.ravel()
 
 
-def _bounds(grid: Grid, bounds: Any) -> tuple[np.ndarray, np.ndarray]:
-    """First and last cell (exclusive) of a box, cut to the grid."""
+def _corners(grid: Grid, bounds: Any) -> tuple[np.ndarray, np.ndarray] | None:
+    """Two corners (d,) (m) of a box in the grid; None: there is no box."""
+    if bounds is None:
+        return None
+    given = checks.sequence("bounds", bounds, 2, f"corners of {grid.dim} coordinates")
+    lower, upper = (checks.numeric("bounds", b, "two corners") for b in given)
+    if lower.shape != (grid.dim,) or upper.shape != (grid.dim,) or not np.all(upper > lower):
+        what = f"two corners of {grid.dim} coordinates, the second above the first"
+        raise checks.refuse("bounds", bounds, what)
+    if not np.all(grid.inside(np.stack([lower, upper]))):
+        raise InputError(
+            f"bounds = {checks.shown(bounds)} reach outside the grid from {grid.lower} to {grid.upper}"
+        )
+    return lower, upper
+
+
+def _cells_within(grid: Grid, bounds: tuple[np.ndarray, np.ndarray] | None) -> tuple[np.ndarray, np.ndarray]:
+    """First and last cell (exclusive) of a box."""
     shape = np.array(grid.shape)
     if bounds is None:
         return np.zeros(grid.dim, dtype=np.int64), shape
-    lower, upper = (np.asarray(b, float) for b in bounds)
-    if lower.shape != (grid.dim,) or upper.shape != (grid.dim,) or np.any(upper <= lower):
-        raise InputError(
-            f"bounds = {bounds!r}: two corners of {grid.dim} coordinates, the second above the first"
-        )
-    if not np.all(grid.inside(np.stack([lower, upper]))):
-        raise InputError(f"bounds = {bounds!r} reach outside the grid from {grid.lower} to {grid.upper}")
-    low = np.floor(grid.local(lower[None])[0] + 1e-9).astype(np.int64)
-    high = np.ceil(grid.local(upper[None])[0] - 1e-9).astype(np.int64)
+    low = np.floor(grid.local(bounds[0][None])[0] + 1e-9).astype(np.int64)
+    high = np.ceil(grid.local(bounds[1][None])[0] - 1e-9).astype(np.int64)
     return np.clip(low, 0, shape), np.clip(high, 0, shape)
 
 
@@ -213,10 +256,7 @@ def _keep(x: np.ndarray, inside: Inside | None, bounds: Any) -> np.ndarray:
             return np.ones(len(x), dtype=bool)
         within: np.ndarray = np.all((x >= np.asarray(bounds[0])) & (x <= np.asarray(bounds[1])), axis=1)
         return within
-    mask = np.asarray(inside(x))
-    if mask.shape != (len(x),) or mask.dtype != bool:
-        raise InputError(f"inside: returned {mask.dtype} {mask.shape}; a bool for each point is needed")
-    return mask
+    return checks.mask("inside", inside(x.copy()), len(x))  # it may change what it is given
 
 
 def check_inside(grid: Grid, points: Points) -> None:

@@ -76,7 +76,8 @@ class Amplitude:
             self.constant = np.broadcast_to(constant, (size,)).astype(float)
             self._check(self.constant, 1.0)
             if constant.shape == () and size > 1 and constant != 0.0:
-                raise InputError(f"{name} = {value!r}: one number for {size} components; {self._hint(value)}")
+                what = f"one number for {size} components; {self._hint(value)}"
+                raise checks.refuse(name, value, what)
 
     def _hint(self, value: Any) -> str:
         zeros = ", 0" * (self.size - 1)

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..bodies.points import Points, Selection
+from ..bodies.points import Points
+from ..bodies.selection import Selection
 from ..errors import InputError
 from ..kinematics.layout import Layout
 from ..tools.checks import shown
@@ -25,6 +26,12 @@ class Load:
     selection: Selection | None
     density: bool = False
     share: float = 1.0
+
+    def __repr__(self) -> str:
+        unit = ("N m", "N/m^2") if self.couple else ("N", "N/m^3")
+        of = "all points" if self.selection is None else f"{len(self.selection)} point(s)"
+        value = "a function" if self.amplitude.function is not None else f"{self.amplitude.constant.tolist()}"
+        return f"Load({self.name!r}: {value} {unit[self.density]} on {of})"
 
     def add_to(self, out: np.ndarray, points: Points, factor: float) -> None:
         """Add this load's values (np, size) at the local points."""
@@ -46,6 +53,10 @@ class HandedOver:
     fade: Fade
     values: np.ndarray
 
+    def __repr__(self) -> str:
+        what, fade = "couples (N m)" if self.couple else "forces (N)", self.fade
+        return f"HandedOver({self.name!r}: {what}, fading from load factor {fade.begin:g} to {fade.end:g})"
+
     def add_to(self, out: np.ndarray, points: Points, factor: float) -> None:
         """Add this load's values (np, size) at the local points."""
         out += self.values * self.fade.share(factor)
@@ -64,6 +75,9 @@ class Applied:
 
     name: str
     parts: tuple[Any, ...]
+
+    def __repr__(self) -> str:
+        return f"Applied({self.name!r}: {', '.join(map(repr, self.parts))})"
 
 
 def no_microrotation(name: str, couple: Any) -> InputError:

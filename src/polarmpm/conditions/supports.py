@@ -43,6 +43,10 @@ class Support:
     committed: bool = False
     met: tuple[float, float] | None = None
 
+    def __repr__(self) -> str:
+        prescribed = dict.fromkeys(a.name.split(", ")[-1] for a, _ in self.columns.values())
+        return f"Support({self.name!r}: {', '.join(prescribed)})"
+
     def mask(self, nodes: Positioned) -> np.ndarray:
         """Which nodes are meant, (n,) bool."""
         return checks.mask(f"{self.name}: the predicate", self.where(nodes.position.copy()), len(nodes))

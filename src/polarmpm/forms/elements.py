@@ -75,6 +75,10 @@ class ElementForms:
         """See `assembly.system.NodalSystem`."""
         return False
 
+    def changing(self) -> list[Any]:
+        """What a load step changes besides this."""
+        return []
+
     def flow(self, base: np.ndarray) -> None:
         """Put plastic flow into the points' plastic state; there is none here."""
 

@@ -49,11 +49,13 @@ class PlasticElementForms(ElementForms):
     @cached_property
     def _quadrature_forms(self) -> QuadratureForms:
         e = self.elements
+        kernels, mappings = [], []
         for form, rows in zip(self._point_forms, self._rows_of, strict=True):
-            self._kernels.append(form.compile(self._comm))
+            kernels.append(form.compile(self._comm))
             plastic = form.material.plastic
             ids = e.points.id[rows]
-            self._mappings.append(ReturnMapping(form, self._comm, ids) if plastic else None)
+            mappings.append(ReturnMapping(form, self._comm, ids) if plastic else None)
+        self._kernels, self._mappings = kernels, mappings
         return QuadratureForms(e.space, self.layout, e.quadrature_degree, symmetric=False)
 
     @property
@@ -81,6 +83,9 @@ class PlasticElementForms(ElementForms):
             if mapping is not None:
                 mapping.start_elastic = on
         return True
+
+    def changing(self) -> list[Any]:
+        return [mapping for mapping in self._mappings if mapping is not None]
 
     def flow(self, base: np.ndarray) -> None:
         """Put the plastic flow of a converged step into the points' plastic state; their deformation has been

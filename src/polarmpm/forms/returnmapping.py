@@ -35,6 +35,13 @@ _OUTSIDE = 1e-9  # yield function over elastic modulus that a solution on anothe
 _MOST = 60  # local iterations, halved steps included
 
 
+def replaced(array: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """A copy with other values in some rows: what was there can be put back."""
+    out = array.copy()
+    out[rows] = values
+    return out
+
+
 @dataclass
 class Yielding:
     """Points that yield in the present state.
@@ -235,10 +242,12 @@ class ReturnMapping:
                 back = np.swapaxes(turn, 1, 2)
                 stretch, wryness = back @ stretch @ turn, back @ wryness @ turn
             stretch = rotations.to_tensor(points.q[rows]) @ stretch
-            points.plastic_wryness[rows] = points.wryness[rows] - wryness
-        points.plastic_F[rows] = np.linalg.solve(stretch, points.F[rows])
-        points.hardening[rows] = y.X[:, form.hardening_column]
-        points.dissipation[rows] += self.dissipation()
+            points.plastic_wryness = replaced(points.plastic_wryness, rows, points.wryness[rows] - wryness)
+        flowed = np.linalg.solve(stretch, points.F[rows])
+        points.plastic_F = replaced(points.plastic_F, rows, flowed)
+        points.hardening = replaced(points.hardening, rows, y.X[:, form.hardening_column])
+        dissipation = points.dissipation[rows] + self.dissipation()
+        points.dissipation = replaced(points.dissipation, rows, dissipation)
 
     def dissipation(self) -> np.ndarray:
         """Plastic dissipation (Pa) of the points that yield, since the last converged step, T (4.23)."""

@@ -10,7 +10,7 @@ import ufl
 from ..kinematics import tensors as kin
 from ..kinematics.layout import Layout
 from ..kinematics.motion import Increment, Moved, move
-from ..materials.base import Material, evaluate_energy, named_parameters
+from ..materials.base import Material, evaluate_energy, evaluate_measures, named_parameters
 
 
 def motion(layout: Layout, z: Any, state: Any, *, rotated: bool) -> Moved:
@@ -30,7 +30,7 @@ def motion(layout: Layout, z: Any, state: Any, *, rotated: bool) -> Moved:
 
 def strain_measures(material: Material, stretch: Any, wryness: Any) -> tuple[Any, ...]:
     """(E, Gamma) of U = Q^T F and Gamma; of a classical material, without a wryness, its measures of F."""
-    return material.measures(stretch) if wryness is None else (stretch - ufl.Identity(3), wryness)
+    return evaluate_measures(material, stretch) if wryness is None else (stretch - ufl.Identity(3), wryness)
 
 
 def strains(material: Material, layout: Layout, z: Any, state: Any, *, rotated: bool) -> tuple[Any, ...]:
@@ -58,7 +58,7 @@ def elastic_stress(material: Material, deformation: Any, wryness: Any, numbers: 
         w = evaluate_energy(material, (e, g), numbers)
         return ufl.diff(w, e), ufl.diff(w, g)
     fe = ufl.variable(deformation)
-    measures = material.measures(fe)
+    measures = evaluate_measures(material, fe)
     v = [ufl.variable(m) for m in measures]
     w = evaluate_energy(material, v, numbers)  # derived with respect to the few measures first
     parts = [_chain(ufl.diff(w, vi), ufl.diff(m, fe)) for vi, m in zip(v, measures, strict=True)]

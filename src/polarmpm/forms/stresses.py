@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..kernels.kernel import Kernel, PointSpace, compile_expressions, matrix
 from ..kinematics import tensors as kin
 from ..materials.base import Material, evaluate_energy, named_parameters, parameter_values
-from ..tools import compat
+from ..tools import checks, compat, quiet
 from .strains import elastic_stress, pushed, strain_measures
 
 if TYPE_CHECKING:
@@ -98,6 +98,9 @@ class MaterialField:
         unit: of its values.
         plastic: computed of materials that can yield only, and zero of others.
 
+    Raises:
+        InputError: no name, or not a function of one argument.
+
     Example:
         >>> MaterialField("deviator", lambda s: ufl.sqrt(ufl.inner(ufl.dev(s.stress), s.stress)), "Pa")
     """
@@ -106,6 +109,24 @@ class MaterialField:
     function: Callable[[PointState], Any]
     unit: str = ""
     plastic: bool = False
+
+    def __post_init__(self) -> None:
+        check_field(self, "a function of a PointState in UFL is", "state")
+
+    def __repr__(self) -> str:
+        return f"<MaterialField {self.name!r}{f' in {self.unit}' if self.unit else ''}>"
+
+
+def check_field(field: Any, what: str, takes: str) -> None:
+    """Checks of what fields of materials and of points share."""
+    name, kind = field.name, type(field).__name__
+    checks.text(f"{kind}: name", name)
+    if not name.isprintable() or name != name.strip():
+        raise checks.refuse(f"{kind}: name", name, "a name on one line is needed")
+    checks.function(f"{kind} {name!r}: function", field.function, what, takes=(takes,))
+    if not isinstance(field.unit, str):
+        raise checks.refuse(f"{kind} {name!r}: unit", field.unit, 'a text is needed, such as "Pa"')
+    checks.flag(f"{kind} {name!r}: plastic", field.plastic)
 
 
 TABLE: dict[str, MaterialField] = {
@@ -145,11 +166,12 @@ class FieldForm:
         state, out = PointState(self.material, self._inputs), []
         for field in self.fields:
             try:
-                value = ufl.as_ufl(field.function(state))
+                with quiet.ufl():
+                    value = ufl.as_ufl(field.function(state))
             except InputError:
                 raise
             except Exception as e:  # a user's function and UFL may raise anything
-                raise InputError(f"field {field.name!r} can't be evaluated: {e}") from e
+                raise InputError(f"field {field.name!r} can't be evaluated: {type(e).__name__}: {e}") from e
             if value.ufl_shape not in ((), (3,), (3, 3)) or value.ufl_free_indices:
                 raise InputError(
                     f"field {field.name!r} has the shape {value.ufl_shape}; a scalar, a vector of three or a "

@@ -9,17 +9,22 @@ other module knows that they are equidistant.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
 from ..errors import InputError
+from ..tools import checks
+from ..tools.parallel import communicator_named, name_of
 
 # Lattice nodes outside the box that points' domains may reach: they belong to walls ("at and beyond").
 MARGIN = 4
+_FAR = 1e12  # cells from the origin of coordinates, where rounding is a ten-thousandth of a cell
 
 
 @dataclass(frozen=True)
@@ -31,12 +36,44 @@ class Grid:
         cell: cell sizes (m), shape (d,); other modules ask for `sizes`, `smallest` or `largest`.
         shape: number of cells in each direction.
         comm: MPI communicator of all that lives on the grid.
+
+    A grid never changes, so that copies of it are the grid itself. It can be pickled on COMM_WORLD and
+    COMM_SELF.
+
+    Raises:
+        InputError: an attribute that isn't so.
     """
 
     origin: tuple[float, ...]
     cell: tuple[float, ...]
     shape: tuple[int, ...]
     comm: MPI.Comm = field(default_factory=lambda: MPI.COMM_WORLD)
+
+    def __post_init__(self) -> None:
+        if type(self) is Grid:  # lattices with lines of their own may have no cell size
+            self._check()
+
+    def _check(self) -> None:
+        origin = checks.numeric("origin", self.origin, "the lower corner")
+        if origin.shape not in ((2,), (3,)):
+            raise checks.refuse("origin", self.origin, "two or three coordinates (m) are needed")
+        dim = origin.size
+        origin = checks.vector("origin", origin, dim)
+        cell = checks.vector("cell", self.cell, dim, f"a size for each of {dim} axes")
+        if np.any(cell <= 0):
+            raise checks.refuse("cell", self.cell, "sizes (m) must be positive")
+        shape = checks.sequence("shape", self.shape, dim, "numbers of cells")
+        shape = tuple(checks.whole("shape", n, least=1) for n in shape)
+        if math.prod(n + 2 * MARGIN + 1 for n in shape) > 2**62:
+            raise checks.refuse("cell", self.cell, "the lattice has more than 2^62 nodes")
+        away = np.maximum(np.abs(origin), np.abs(origin + cell * shape)) / cell
+        if not np.all(away < _FAR):
+            raise checks.refuse(
+                "cell", self.cell, f"at {away.max():.3g} cells from the origin rounding moves points in them"
+            )
+        checks.communicator("comm", self.comm)
+        for name, value in (("origin", origin.tolist()), ("cell", cell.tolist()), ("shape", shape)):
+            object.__setattr__(self, name, tuple(value))
 
     @classmethod
     def box(
@@ -49,33 +86,61 @@ class Grid:
         """Lattice of the box from `lower` to `upper` (m) with cells of size `cell` (m; one or for each axis).
 
         Raises:
-            InputError: not two or three coordinates, an empty box, or a cell that does not divide it.
+            InputError: not two or three coordinates, an empty box, a cell that does not divide it, cells too
+                small for their distance from the origin, or no communicator.
         """
-        lo, up = np.asarray(lower, float), np.asarray(upper, float)
+        lo, up = checks.numeric("lower", lower), checks.numeric("upper", upper)
         if lo.shape not in ((2,), (3,)) or up.shape != lo.shape:
-            raise InputError(f"lower = {lower!r}, upper = {upper!r}: two or three coordinates each")
-        h = np.asarray(cell, float)
+            raise InputError(
+                f"lower = {checks.shown(lower)}, upper = {checks.shown(upper)}: two or three coordinates each"
+            )
+        h = checks.numeric("cell", cell)
         if h.shape not in ((), lo.shape) or not np.all(np.isfinite(h)) or np.any(h <= 0):
-            raise InputError(f"cell = {cell!r}: one positive size, or one for each of {lo.size} axes")
+            raise checks.refuse("cell", cell, f"one positive size, or one for each of {lo.size} axes")
         h = np.broadcast_to(h, lo.shape)
         if not np.all(np.isfinite(lo) & np.isfinite(up)) or np.any(up <= lo):
-            raise InputError(f"upper = {upper!r} must exceed lower = {lower!r} in every direction")
-        number = (up - lo) / h
+            raise checks.refuse(
+                "upper", upper, f"must exceed lower = {checks.shown(lower)} in every direction, and be finite"
+            )
+        with np.errstate(over="ignore"):
+            length = up - lo
+            number = length / h
         whole = np.rint(number)
         for axis in range(lo.size):
-            if whole[axis] < 1 or abs(number[axis] - whole[axis]) > 1e-8 * max(1.0, whole[axis]):
+            if number[axis] < 2.0**62 and not 0 < whole[axis] >= abs(number[axis] - whole[axis]) * 1e8:
                 raise InputError(
                     f"cell = {h[axis]:g} does not divide the box along {'xyz'[axis]}: "
-                    f"{up[axis] - lo[axis]:g} / {h[axis]:g} = {number[axis]:g}; whole numbers are allowed"
+                    f"{length[axis]:g} / {h[axis]:g} = {number[axis]:g}; whole numbers are allowed"
                 )
-        if np.prod(whole + 2.0 * MARGIN + 1.0) > 2.0**62:
-            raise InputError(f"cell = {cell!r}: the lattice has more than 2^62 nodes")
+        if math.fsum(np.log2(whole + 2.0 * MARGIN + 1.0)) > 62:
+            raise checks.refuse("cell", cell, "the lattice has more than 2^62 nodes")
         return cls(
             tuple(map(float, lo)),
-            tuple(float(x) for x in (up - lo) / whole),
+            tuple(float(x) for x in length / whole),
             tuple(int(n) for n in whole),
             comm,
         )
+
+    def __repr__(self) -> str:
+        cells, sizes, lower, upper = (
+            separator.join(f"{v:.6g}" for v in values)
+            for separator, values in (
+                (" x ", self.shape), (" x ", self.cell), (", ", self.lower), (", ", self.upper),
+            )
+        )  # fmt: skip
+        return f"<Grid: {cells} cells of {sizes} m, from ({lower}) to ({upper}) m>"
+
+    def __copy__(self) -> Grid:
+        return self  # nothing of it ever changes
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Grid:
+        return self
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "comm": name_of(self.comm)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update({**state, "comm": communicator_named(state["comm"])})
 
     @property
     def dim(self) -> int:
@@ -99,7 +164,11 @@ class Grid:
         """The lattice of the cells from index `lower` (d,) up to `upper` (d,), which isn't in it."""
         lower, upper = np.asarray(lower, dtype=np.int64), np.asarray(upper, dtype=np.int64)
         origin, shape = self.corners(lower), upper - lower
-        return replace(self, origin=tuple(map(float, origin)), shape=tuple(map(int, shape)))
+        made = object.__new__(type(self))  # unchecked, as it may be empty
+        made.__dict__.update(
+            {**self.__dict__, "origin": tuple(map(float, origin)), "shape": tuple(map(int, shape))}
+        )
+        return made
 
     def stretched(self, axis: int, index: int, anchor: int, at: float) -> Grid:
         """This lattice stretched evenly along an axis, its plane `anchor` staying and its plane `index` at

@@ -10,6 +10,7 @@ from mpi4py import MPI
 import numpy as np
 
 from ..errors import InputError
+from ..tools import checks
 from .grid import Grid
 
 
@@ -38,6 +39,10 @@ class Plane:
     size: float
     index: int
 
+    def __repr__(self) -> str:
+        beyond = {-1: " and the nodes below", 0: "", 1: " and the nodes above"}[self.side]
+        return f"<plane {'xyz'[self.axis]} = {self.value:g} m of a grid, number {self.index}{beyond}>"
+
     def follow(self, grid: Grid) -> None:
         """Take the place of the plane of this index in a grid that has been stretched."""
         self.size = grid.smallest[self.axis]
@@ -58,6 +63,18 @@ class PlaneSpec:
     beyond: str
     moving: bool | None = None
 
+    def __post_init__(self) -> None:
+        checks.choice("axis", self.axis, (0, 1, 2))
+        object.__setattr__(self, "value", checks.number("xyz"[self.axis], self.value))
+        checks.choice("beyond", self.beyond, ("auto", "below", "above", "none"))
+        if self.moving is not None:
+            object.__setattr__(self, "moving", checks.flag("moving", self.moving, or_none=True))
+
+    def __repr__(self) -> str:
+        beyond = "" if self.beyond == "auto" else f", nodes beyond it: {self.beyond}"
+        moving = {None: "", True: ", moving", False: ", not moving"}[self.moving]
+        return f"<plane {self.name} m{beyond}{moving}>"
+
     @property
     def name(self) -> str:
         """For messages, such as x = 0."""
@@ -73,7 +90,8 @@ class PlaneSpec:
         has been stretched since. Collective."""
         if self.axis >= grid.dim:
             raise InputError(f"plane {'xyz'[self.axis]}: the grid has {grid.dim} dimensions")
-        at = float(grid.local(np.full(grid.dim, self.value))[self.axis])
+        with np.errstate(over="ignore"):
+            at = float(np.clip(grid.local(np.full(grid.dim, self.value))[self.axis], -1e18, 1e18))
         if abs(at - round(at)) > 1e-6 or not -0.5 < at < grid.shape[self.axis] + 0.5:
             raise InputError(
                 f"plane {'xyz'[self.axis]} = {self.value:g} is not a plane of the grid, whose planes are "
@@ -103,12 +121,13 @@ def plane(*, beyond: str = "auto", moving: bool | None = None, **coordinate: flo
             against the platen. A mesh of finite elements moves anyway. None (default): where that is
             possible, with a displacement along the axis that is even and was prescribed before the first load
             step. False: never; a body that has left the plane at a reset is an error (`SupportLost`).
+        **coordinate: one of x, y, z with the coordinate (m) of the plane.
+
+    Raises:
+        InputError: not exactly one coordinate, one that isn't a finite number, or another argument that isn't
+            as above.
     """
     if len(coordinate) != 1 or next(iter(coordinate)) not in ("x", "y", "z"):
-        raise InputError(f"plane({coordinate!r}): exactly one of x, y, z")
-    if beyond not in ("auto", "below", "above", "none"):
-        raise InputError(f"beyond = {beyond!r}: allowed are auto, below, above, none")
-    if moving is not None and not isinstance(moving, bool):
-        raise InputError(f"moving = {moving!r}: True, False or None")
+        raise InputError(f"plane({checks.shown(coordinate)}): exactly one of x, y, z")
     name, value = next(iter(coordinate.items()))
-    return PlaneSpec("xyz".index(name), float(value), beyond, moving)
+    return PlaneSpec("xyz".index(name), value, beyond, moving)

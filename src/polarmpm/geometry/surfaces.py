@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ..errors import InputError
+from ..tools import checks
+from ..tools.machine import check_memory
+
+_BYTES = 200  # that a point needs until it carries something
 
 
 class Surface:
@@ -25,23 +29,28 @@ class Surface:
             length, a number that isn't finite.
     """
 
+    alike: ClassVar = ("x", "area", "normal")  # on all ranks
+
     def __init__(self, x: Any, area: Any, normal: Any):
-        self.x, self.area = _numbers("x", x), _numbers("area", area)
-        self.normal = _numbers("normal", normal)
-        n = len(self.x) if self.x.ndim else 0
-        if self.x.ndim != 2 or self.x.shape[1] not in (2, 3) or not n:
-            raise InputError(f"Surface: x has the shape {self.x.shape}; (n, 2) or (n, 3) is needed")
-        for name, shape in (("area", (n,)), ("normal", self.x.shape)):
-            if getattr(self, name).shape != shape:
-                raise InputError(
-                    f"Surface: {name} has the shape {getattr(self, name).shape}; {shape} is needed"
-                )
+        found = checks.numeric("Surface: x", x, "positions")
+        if found.ndim != 2 or found.shape[1] not in (2, 3) or not len(found):
+            raise InputError(f"Surface: x has the shape {found.shape}; (n, 2) or (n, 3) is needed")
+        n, dim = found.shape
+        self.x = checks.array("Surface: x", found, (n, dim), "positions")
+        self.area = checks.array("Surface: area", area, (n,), "one for each point")
+        self.normal = checks.array("Surface: normal", normal, (n, dim), "one for each point")
         if np.any(self.area <= 0):
             raise InputError(f"Surface: area = {self.area.min():g} is not positive")
-        length = np.linalg.norm(self.normal, axis=1)
+        length = np.linalg.norm(np.clip(self.normal, -1e3, 1e3), axis=1)
         worst = int(np.argmax(np.abs(length - 1)))
         if abs(length[worst] - 1) > 1e-6:
-            raise InputError(f"Surface: normal {worst} has the length {length[worst]:g}; 1 is needed")
+            raise InputError(
+                f"Surface: normal {worst} = {checks.shown(self.normal[worst].tolist())}: its length must be 1"
+            )
+
+    def __repr__(self) -> str:
+        unit = "m" if self.dim == 2 else "m^2"
+        return f"<Surface: {len(self)} point(s), {self.area.sum():.6g} {unit}>"
 
     @property
     def dim(self) -> int:
@@ -50,19 +59,23 @@ class Surface:
     def __len__(self) -> int:
         return len(self.x)
 
+    def joined(self, other: Surface) -> Surface:
+        """Both surfaces as one."""
+        parts = ((getattr(s, name) for s in (self, other)) for name in ("x", "area", "normal"))
+        return Surface(*(np.concatenate(list(pair)) for pair in parts))
+
     @classmethod
     def line(cls, a: Sequence[float], b: Sequence[float], points: int) -> Surface:
         """The line from a to b (m) in the plane, cut in equal parts with a point in the middle of each.
 
         The normal points to the right of the way from a to b: outward when the body is on the left.
         """
-        start, end = _numbers("a", a), _numbers("b", b)
-        if start.shape != (2,) or end.shape != (2,):
-            raise InputError(f"Surface.line: a = {a!r}, b = {b!r}: two coordinates each")
-        length = float(np.linalg.norm(end - start))
+        start, end = (checks.vector(f"Surface.line: {k}", v, 2) for k, v in (("a", a), ("b", b)))
+        length = _length("Surface.line: b", b, end - start)
         if length == 0.0:
-            raise InputError(f"Surface.line: b = {b!r} is the same point as a")
-        n = _count("Surface.line: points", points)
+            raise checks.refuse("Surface.line: b", b, "the same point as a")
+        n = checks.whole("Surface.line: points", points, least=1)
+        check_memory("Surface.line: points", points, n * _BYTES)
         along = (end - start) / length
         x = start + (np.arange(n)[:, None] + 0.5) / n * (end - start)
         return cls(x, np.full(n, length / n), np.tile([along[1], -along[0]], (n, 1)))
@@ -79,40 +92,33 @@ class Surface:
         the middle of each: `points` along each edge, or a pair of numbers. The normal is along edge1 x edge2.
         """
         origin, first, second = (
-            _numbers(name, v)
-            for name, v in zip(("corner", "edge1", "edge2"), (corner, edge1, edge2), strict=True)
+            checks.vector(f"Surface.rectangle: {name}", v, 3)
+            for name, v in (("corner", corner), ("edge1", edge1), ("edge2", edge2))
         )
-        if any(v.shape != (3,) for v in (origin, first, second)):
-            raise InputError(
-                f"Surface.rectangle: corner = {corner!r}, edge1 = {edge1!r}, edge2 = {edge2!r}: "
-                "three coordinates each"
-            )
+        lengths = [
+            _length(f"Surface.rectangle: {name}", v, e)
+            for name, v, e in (("edge1", edge1, first), ("edge2", edge2, second))
+        ]
+        if 0.0 in lengths:
+            raise checks.refuse(f"Surface.rectangle: edge{1 + lengths.index(0.0)}", 0, "an edge has a length")
         across = np.cross(first, second)
         area = float(np.linalg.norm(across))
-        if area <= 1e-12 * np.linalg.norm(first) * np.linalg.norm(second):
-            raise InputError(f"Surface.rectangle: edge2 = {edge2!r} is parallel to edge1 = {edge1!r}")
-        pair = points if isinstance(points, tuple) else (points, points)
-        if len(pair) != 2:
-            raise InputError(f"Surface.rectangle: points = {points!r}: a number or a pair of them")
-        n1, n2 = (_count("Surface.rectangle: points", n) for n in pair)
+        if not area > 1e-12 * lengths[0] * lengths[1]:
+            raise checks.refuse(
+                "Surface.rectangle: edge2", edge2, f"parallel to edge1 = {checks.shown(edge1)}"
+            )
+        several = checks.several(points)
+        pair = checks.sequence("Surface.rectangle: points", points, 2) if several else (points, points)
+        n1, n2 = (checks.whole("Surface.rectangle: points", n, least=1) for n in pair)
+        check_memory("Surface.rectangle: points", points, n1 * n2 * _BYTES)
         s, t = np.meshgrid((np.arange(n1) + 0.5) / n1, (np.arange(n2) + 0.5) / n2, indexing="ij")
         x = origin + s.reshape(-1, 1) * first + t.reshape(-1, 1) * second
         return cls(x, np.full(len(x), area / len(x)), np.tile(across / area, (len(x), 1)))
 
 
-def _numbers(name: str, value: Any) -> np.ndarray:
-    try:
-        out = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"Surface: {name} = {value!r} is not an array of numbers") from None
-    if not np.all(np.isfinite(out)):
-        raise InputError(
-            f"Surface: {name} has the value {out[~np.isfinite(out)][0]}; finite numbers are allowed"
-        )
-    return out
-
-
-def _count(name: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise InputError(f"{name} = {value!r}: a whole number from 1 on")
-    return int(value)
+def _length(name: str, value: Any, edge: np.ndarray) -> float:
+    """Length (m) of an edge, whose square must be a number, too."""
+    most = float(np.abs(edge).max())
+    if most > 1e100 or 0 < most < 1e-100:
+        raise checks.refuse(name, value, "lengths from 1e-100 to 1e100 m are allowed")
+    return float(np.linalg.norm(edge))

@@ -11,7 +11,7 @@ import numpy as np
 from ..bodies.points import Points
 from ..errors import InputError
 from ..forms.stresses import TABLE as OF_MATERIALS
-from ..forms.stresses import MaterialField
+from ..forms.stresses import MaterialField, check_field
 from ..tools.parallel import errors_on_all_ranks
 from .paraview import padded
 
@@ -26,6 +26,9 @@ class Field:
         unit: of its values.
         plastic: only there when one of the materials can yield.
 
+    Raises:
+        InputError: no name, or not a function of one argument.
+
     Example:
         >>> pm.Recorder("a.pvd", problem, fields=("stress", pm.Field("J", lambda p: np.linalg.det(p.F))))
     """
@@ -34,6 +37,12 @@ class Field:
     function: Callable[[Points], np.ndarray]
     unit: str = ""
     plastic: bool = False
+
+    def __post_init__(self) -> None:
+        check_field(self, "a function of the points is", "points")
+
+    def __repr__(self) -> str:
+        return f"<Field {self.name!r}{f' in {self.unit}' if self.unit else ''}>"
 
 
 OF_POINTS: dict[str, Field] = {
@@ -113,10 +122,14 @@ def _values(field: Field, points: Points) -> np.ndarray:
     try:
         values = np.asarray(field.function(points))
     except Exception as e:  # a user's function may raise anything, and on one rank alone
-        raise InputError(f"field {field.name!r} can't be evaluated: {e}") from e
+        raise InputError(f"field {field.name!r} can't be evaluated: {type(e).__name__}: {e}") from e
+    if values.dtype.kind not in "biuf":
+        raise InputError(f"field {field.name!r}: values of type {values.dtype} are given; numbers are needed")
     if values.shape[:1] != (len(points),):
         raise InputError(
             f"field {field.name!r}: the shape {values.shape} is given; a row for each of the {len(points)} "
             "points is needed"
         )
+    if values.dtype.kind not in "biuf":
+        raise InputError(f"field {field.name!r}: values of the type {values.dtype}; numbers are needed")
     return padded(values) if values.ndim == 2 and values.shape[1] == points.dim else values

@@ -6,6 +6,7 @@ in the mesh's input. Nodes have no such number, so a cell's row has the values o
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -45,14 +46,26 @@ def arrays(problem: QuasiStaticFEM) -> dict[str, np.ndarray]:
     return out | {f"cells/{name}": nodal[name][nodes] for name in _OF_CELLS}
 
 
-def put(problem: QuasiStaticFEM, rows: dict[str, np.ndarray], path: Any) -> None:
-    """Put a state, of which each rank has some rows, into the elements. Collective.
+@dataclass
+class Found:
+    """A state's rows in the order of this rank's quadrature points and cells (with their nodes)."""
+
+    of_points: dict[str, np.ndarray]
+    of_cells: dict[str, np.ndarray]
+    kept: dict[str, np.ndarray]
+
+
+def find(problem: QuasiStaticFEM, rows: dict[str, np.ndarray], path: Any) -> Found:
+    """Bring the rows of a state, of which each rank has some, to where they are needed. Collective.
 
     Raises:
-        InputError: the rows belong to another mesh, or to other regions; the state stays as it was.
+        InputError: the rows belong to another mesh, or to other regions.
     """
     e, p = problem.elements, problem.points
-    of_points, has_points = _find(problem, rows, "points", _names(p), p.id)
+    given = {name.partition("/")[2] for name in rows if name.startswith("points/")}
+    of_points, has_points = _find(
+        problem, rows, "points", tuple(name for name in _names(p) if name in given), p.id
+    )
     names = tuple(name[5:] for name in rows if name.startswith("kept/") and name != "kept/id")
     kept, has_kept = _find(problem, rows, "kept", names, p.id) if names else ({}, True)
     numbers = np.asarray(e.mesh.topology.original_cell_index, dtype=np.int64)  # ghosts too
@@ -69,9 +82,15 @@ def put(problem: QuasiStaticFEM, rows: dict[str, np.ndarray], path: Any) -> None
     elif np.any(of_points["material"] != p.material):
         error = InputError(f"restart file {path}: other regions; its cells have other materials")
     raise_on_all_ranks(problem.comm, error)
-    for name in set(of_points) - {"X", "material"}:
-        setattr(p, name, of_points[name])
-    problem.keep(kept)
+    return Found(of_points, of_cells, kept)
+
+
+def put(problem: QuasiStaticFEM, found: Found) -> None:
+    """Put a state into the elements."""
+    e, p, of_cells = problem.elements, problem.points, found.of_cells
+    for name in set(found.of_points) - {"X", "material"}:
+        setattr(p, name, found.of_points[name])
+    problem.keep(found.kept)
     e.displacement, e.q = np.zeros_like(e.displacement), np.zeros_like(e.q)
     # backwards, so that a node gets what this rank's own cells say, which come first
     back = e.cell_nodes[::-1]

@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
+import glob
+import re
 import xml.etree.ElementTree as ET
+import zlib
+from dataclasses import dataclass
 from pathlib import Path
 
 from mpi4py import MPI
 
 import numpy as np
 
+from ..errors import OutputError
 from ..geometry.cells import unit_corners
+from ..solvers.stepping import Restored, Step
 from ..tools.parallel import raise_on_all_ranks
-from .files import check_output, replace_file
+from .files import (
+    Replacement,
+    begin_writing,
+    check_output,
+    check_writer,
+    not_written,
+    remove_files,
+    replace_file,
+)
 
 # dolfinx' nodes in VTK's order, by meshio's name of the cell: corners (in dolfinx with the first axis
 # running fastest), then edges, faces and the middle
@@ -53,7 +67,7 @@ def write_vtu(
     cell_data: dict[str, np.ndarray] | None = None,
     kind: str | None = None,
 ) -> None:
-    """Write one piece, compressed.
+    """Write one piece, compressed, in the place of an old one.
 
     Args:
         x: vertices (n, d) (m).
@@ -70,25 +84,49 @@ def write_vtu(
         point_data={name: _rows(a) for name, a in (point_data or {}).items()},
         cell_data={name: [_rows(a)] for name, a in (cell_data or {}).items()},
     )
-    meshio.write(path, mesh, file_format="vtu", binary=True, compression="zlib")
+    with Replacement(path) as new:
+        meshio.write(new.part, mesh, file_format="vtu", binary=True, compression="zlib")
+        new.finish()
 
 
 def _rows(values: np.ndarray) -> np.ndarray:
     return values if values.ndim == 1 else values.reshape(len(values), int(np.prod(values.shape[1:])))
 
 
+@dataclass(frozen=True)
+class _Entry:
+    """A step in a collection: its time, the ranks that have pieces of it, and a mark of the step; "" if it
+    isn't known."""
+
+    time: float
+    ranks: tuple[int, ...]
+    mark: str = ""
+
+
+def mark_of(step: Step | None) -> str:
+    """A few letters that tell a step from the same step of another run."""
+    return "" if step is None else f"{zlib.crc32(repr((step.factor, step.history)).encode()):08x}"
+
+
 class Collection:
     """A .pvd file and the pieces, one for each step and rank, in the folder of the same name. Collective.
 
+    A run that goes on from a restart file goes on with the collection: it keeps the steps up to the saved
+    state and takes away those that came after it.
+
     Raises:
         InputError: the files can't be written; on every rank alike.
+        OutputError: the disc is full.
     """
 
     def __init__(self, path: Path, folder: Path, comm: MPI.Comm):
-        self.path, self.folder, self.comm = path, folder, comm
-        check_output(comm, path, ".pvd")
-        check_output(comm, folder / path.name)
-        self._entries: dict[int, tuple[float, list[int]]] = {}
+        self.comm = comm
+        self.path = check_output(comm, path, ".pvd")
+        self.folder = check_output(comm, folder / path.name).parent
+        begin_writing(self.path, self)
+        self._entries: dict[int, _Entry] = {}
+        self._found: dict[int, _Entry] | None = None  # what another run, or this one before, has left
+        self._run: Restored | None = None
 
     def add(
         self,
@@ -99,34 +137,104 @@ class Collection:
         point_data: dict[str, np.ndarray] | None = None,
         cell_data: dict[str, np.ndarray] | None = None,
         kind: str | None = None,
+        *,
+        mark: str = "",
+        run: Restored | None = None,
     ) -> None:
-        """Write a step's pieces, then the collection; a step of the same number is replaced."""
-        error = None
-        if len(cells):
-            try:
-                write_vtu(self._piece(number, self.comm.rank), x, cells, point_data, cell_data, kind)
-            except OSError as e:
-                error = e
-        raise_on_all_ranks(self.comm, error)
+        """Write a step's pieces, then the collection; a step of the same number is replaced.
+
+        Args:
+            mark: of the step, from `mark_of`.
+            run: of a run that goes on from a restart file.
+
+        Raises:
+            OutputError: something can't be written; the collection is as it was before the step.
+        """
+        check_writer(self.path, self)
+        self._go_on(run)
+        piece, error = self._piece(number, self.comm.rank), None
+        new = number not in self._entries
         has = self.comm.allgather(bool(len(cells)))
-        self._entries[number] = time, [rank for rank, there in enumerate(has) if there]
-        if self.comm.rank == 0:
+        ranks = tuple(rank for rank, there in enumerate(has) if there)
+        entries = {**self._entries, number: _Entry(time, ranks, mark)}
+        try:
             try:
-                replace_file(self.path, self._xml())
+                if len(cells):
+                    write_vtu(piece, x, cells, point_data, cell_data, kind)
             except OSError as e:
-                error = e
-        raise_on_all_ranks(self.comm, error)
+                error = not_written("ParaView file", piece, e)
+            raise_on_all_ranks(self.comm, error)
+            try:
+                if self.comm.rank == 0:
+                    replace_file(self.path, self._xml(entries))
+            except OSError as e:
+                error = not_written("ParaView file", self.path, e)
+            raise_on_all_ranks(self.comm, error)
+        except OutputError:
+            remove_files([piece] if new else [])
+            raise
+        self._entries = entries
+
+    def has(self, number: int, run: Restored | None) -> bool:
+        """Whether it goes on with a collection that has the step."""
+        self._go_on(run)
+        return number in self._entries
 
     def _piece(self, number: int, rank: int) -> Path:
         return self.folder / f"{self.path.stem}_{number:04d}_p{rank}.vtu"
 
-    def _xml(self) -> bytes:
+    def _xml(self, entries: dict[int, _Entry]) -> bytes:
         root = ET.Element("VTKFile", type="Collection", version="0.1")
         sets = ET.SubElement(root, "Collection")
-        for number, (time, ranks) in self._entries.items():
-            for rank in ranks:
+        for number, entry in entries.items():
+            for rank in entry.ranks:
                 file = self._piece(number, rank).relative_to(self.path.parent).as_posix()
-                ET.SubElement(sets, "DataSet", timestep=repr(time), part=str(rank), file=file)
+                ET.SubElement(sets, "DataSet", timestep=repr(entry.time), part=str(rank), file=file)
+        marks = " ".join(f"{number}={entry.mark}" for number, entry in entries.items() if entry.mark)
+        sets.append(ET.Comment(f" steps {marks} "))
         ET.indent(root)
         text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
         return text + b"\n"
+
+    # going on ---------------------------------------------------------------------------------------
+    def _go_on(self, run: Restored | None) -> None:
+        if self._found is None:
+            self._found = self.comm.bcast(self._listed() if self.comm.rank == 0 else None)
+        if run is None or run is self._run:
+            return
+        first, self._run = self.path not in run.continued, run
+        run.continued.add(self.path)
+        if not first and not self._entries:  # a new collection of this run under the same name
+            return
+        old = {n: e for n, e in {**self._found, **self._entries}.items() if n <= run.number}
+        alien = any(e.mark and n in run.steps and e.mark != mark_of(run.steps[n]) for n, e in old.items())
+        self._entries = {} if alien else dict(sorted(old.items()))
+        if self.comm.rank == 0 and not alien:
+            remove_files(self._later(run.number))
+        self.comm.Barrier()
+
+    def _listed(self) -> dict[int, _Entry]:
+        """The steps of the file as it is, as far as all of their pieces are there; on rank 0."""
+        try:
+            text = self.path.read_text(encoding="utf-8")
+            sets = list(ET.fromstring(text).iter("DataSet"))
+            marks = dict(re.findall(r"(\d+)=(\w+)", "".join(re.findall(r"<!-- steps (.*?) -->", text))))
+            found: dict[int, tuple[float, list[int]]] = {}
+            for one in sets:
+                name = re.fullmatch(r".*_(\d+)_p(\d+)\.vtu", one.get("file", ""))
+                if name and (self.path.parent / one.get("file", "")).is_file():
+                    at = found.setdefault(int(name[1]), (float(one.get("timestep", "nan")), []))
+                    at[1].append(int(name[2]))
+        except (OSError, ValueError, ET.ParseError):
+            return {}
+        listed = {n: _Entry(time, tuple(ranks), marks.get(str(n), "")) for n, (time, ranks) in found.items()}
+        return {n: e for n, e in listed.items() if np.isfinite(e.time)}
+
+    def _later(self, number: int) -> list[Path]:
+        """Pieces of later steps, and parts of files that were being written."""
+        out = [self.path.with_name(self.path.name + ".part")]
+        for file in self.folder.glob(f"{glob.escape(self.path.stem)}_*_p*.vtu*"):
+            name = re.fullmatch(r"(.*)_(\d+)_p\d+\.vtu(\.part)?", file.name)
+            if name and name[1] == self.path.stem and (int(name[2]) > number or name[3]):
+                out.append(file)
+        return out

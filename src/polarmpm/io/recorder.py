@@ -4,26 +4,30 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..errors import InputError
 from ..geometry.cells import corner_numbers, occupied_cells
+from ..problems.base import Problem
 from ..problems.elements import QuasiStaticFEM
 from ..solvers.stepping import Step
+from ..tools import checks
+from ..tools.meetings import collective
 from ..tools.parallel import values_by_number
 from .fields import AnyField, choose, field_arrays
 from .mesh import NODAL, mesh_piece
-from .paraview import Collection, box_corners, padded
+from .paraview import Collection, box_corners, mark_of, padded
 
 
 class Recorder:
     """Writes states of a problem for ParaView; all methods are collective.
 
     `arch.pvd` is the file to open; the folder `arch` next to it has one .vtu file for each step and rank.
-    The collection is rewritten after every step, so that a run that was killed leaves a readable one.
+    The collection is rewritten after every step, so that a run that was killed leaves a readable one. A run
+    that goes on from a restart file, with a recorder of the same path that was made before or after it was
+    loaded, goes on with the collection: steps up to the saved state stay, later ones are written again.
 
         with pm.Recorder("arch.pvd", problem, fields=("displacement", "stress")) as recorder:
             for step in problem.march(10):
@@ -49,13 +53,18 @@ class Recorder:
         domains: show a point as the box of its current GIMPM domain, with the fields on cells; False as
             a vertex, with the fields on points. Of finite elements, False shows the quadrature points at
             their current positions.
-        initial: write the present state on entering the `with` statement.
+        initial: write the present state on entering the `with` statement, unless a collection is gone on with
+            that has it.
 
     Raises:
-        InputError: unknown field, a grid of finite elements, or files that can't be written; on every rank
-            alike. When states are written: a user's field without a row for each point.
+        InputError: an argument is not what it should be, an unknown field, a grid of finite elements, or
+            files that can't be written; on every rank alike. When states are written: a user's field without
+            a row for each point.
+        OutputError: a file can't be written, such as on a full disc; what was written before stays, and the
+            run can go on.
     """
 
+    @collective("Recorder", comm=lambda self, path, problem, *args, **options: problem.comm, compare=True)
     def __init__(
         self,
         path: str | os.PathLike[str],
@@ -66,12 +75,14 @@ class Recorder:
         domains: bool = True,
         initial: bool = True,
     ):
-        self.problem, self.domains, self.initial = problem, domains, initial
+        checks.instance("problem", problem, Problem, "a QuasiStatic or QuasiStaticFEM is")
+        self.problem, self.domains = problem, checks.flag("domains", domains)
+        self.initial, grid = checks.flag("initial", initial), checks.flag("grid", grid)
         self.fields = choose(fields, problem.points)
         self._meshed = isinstance(problem, QuasiStaticFEM)
         if grid and self._meshed:
             raise InputError("grid = True: finite elements have no background grid")
-        file = Path(path)
+        file = checks.path("path", path, "the name of a .pvd file")
         folder = file.with_suffix("")
         self._points = Collection(file, folder, problem.comm)
         self._grid: Collection | None = None
@@ -79,13 +90,14 @@ class Recorder:
             self._grid = Collection(file.with_name(f"{file.stem}_grid.pvd"), folder, problem.comm)
 
     def __enter__(self) -> Recorder:
-        if self.initial:
+        if self.initial and not self._points.has(self.problem.progress.step, self.problem.restored):
             self.record()
         return self
 
     def __exit__(self, *error: object) -> None:
         """Nothing is left to do: every record is complete."""
 
+    @collective("record of a Recorder", comm=lambda self, *args, **options: self.problem.comm)
     def record(self, step: Step | None = None, *, time: float | None = None) -> None:
         """Write the current state.
 
@@ -94,12 +106,16 @@ class Recorder:
             time: shown in ParaView instead of the load factor (for unloading, as its times have to grow).
 
         Raises:
-            InputError: the step is not the last one, whose state has been overwritten.
+            InputError: the step is not the last one, whose state has been overwritten; a time that isn't
+                finite.
+            OutputError: a file can't be written; the step isn't in the collection.
         """
         progress = self.problem.progress
+        if step is not None:
+            checks.instance("step", step, Step, "a step of march is")
         if step is not None and step.number != progress.step:
             raise InputError(f"step {step.number} can't be recorded: the points are at step {progress.step}")
-        time = float(progress.factor if time is None else time)
+        time = float(progress.factor) if time is None else checks.number("time", time)
         with self.problem.timer("output"):
             self._record_points(progress.step, time)
             if self._grid is not None:
@@ -107,20 +123,27 @@ class Recorder:
 
     __call__ = record
 
+    def _of_step(self, number: int) -> dict[str, Any]:
+        """What tells the step from that of another run."""
+        steps = self.problem.steps
+        known = steps[-1] if steps and steps[-1].number == number else None
+        return {"mark": mark_of(known), "run": self.problem.restored}
+
     def _record_points(self, number: int, time: float) -> None:
         if self._meshed and self.domains:
             at_points = field_arrays(self.problem, [f for f in self.fields if f.name not in NODAL])
             piece = mesh_piece(self.problem.elements, [f.name for f in self.fields], at_points)
-            self._points.add(number, time, **piece)
+            self._points.add(number, time, **piece, **self._of_step(number))
             return
         points, data = self.problem.points, field_arrays(self.problem, self.fields)
         if self.domains:
             corners = box_corners(points.x, points.half_length)
             cells = np.arange(corners.shape[0] * corners.shape[1]).reshape(corners.shape[:2])
-            self._points.add(number, time, corners.reshape(-1, points.dim), cells, cell_data=data)
+            x = corners.reshape(-1, points.dim)
+            self._points.add(number, time, x, cells, cell_data=data, **self._of_step(number))
         else:
             vertices = np.arange(len(points))[:, None]
-            self._points.add(number, time, points.x, vertices, point_data=data)
+            self._points.add(number, time, points.x, vertices, point_data=data, **self._of_step(number))
 
     def _record_grid(self, collection: Collection, number: int, time: float) -> None:
         problem, grid = self.problem, self.problem.grid
@@ -147,4 +170,5 @@ class Recorder:
         if problem.layout.rotations:
             rotation = increments[:, dim:]
             data["rotation_increment"] = rotation if dim == 3 else np.pad(rotation, ((0, 0), (2, 0)))
-        collection.add(number, time, grid.node_position(numbers), table.reshape(cells.shape), data)
+        x, shaped = grid.node_position(numbers), table.reshape(cells.shape)
+        collection.add(number, time, x, shaped, data, **self._of_step(number))

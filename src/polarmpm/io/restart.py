@@ -1,17 +1,19 @@
-"""Restart files: all that a run needs to continue to the same digits.
+"""Restart files: all that a run needs to continue to the same digits, as if it had never been interrupted.
 
 Material points are put back as they are; another number of ranks than wrote the file reads equal shares of it
 and distributes them afresh. Elements are made by the script, and their state is put in by the original
 numbers of cells and quadrature points.
 
-A file is HDF5; ranks write their rows one after the other. It is written under a temporary name and put in
-place at the end, so the file on disc is always complete.
+A file is HDF5 with a checksum, see `container`. It also says what the state was made of, see `identity`. All
+is checked before anything of the problem is changed.
 """
 
 from __future__ import annotations
 
+import json
 import os
-from dataclasses import asdict, fields
+from collections.abc import Collection, Iterator
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -26,34 +28,68 @@ from ..problems.base import Problem
 from ..problems.elements import QuasiStaticFEM
 from ..problems.points import QuasiStatic
 from ..problems.state import Progress
+from ..solvers.stepping import Restored, Step
+from ..tools import checks
+from ..tools.meetings import collective
 from ..tools.parallel import raise_on_all_ranks
-from . import meshstate
+from . import container, meshstate
+from .files import reason
+from .identity import Facts, check_allowed, check_points, differences, made_of, refuse_differences
 
-_FORMAT = 6
+_FORMAT = 7
+_KIND = f"format {_FORMAT}"
+_WHOLE = ("terms", "steps")  # groups of arrays that every rank has whole
+_FINITE = ("points", "reference", "nodes", "cells", "equilibrium")  # that have nothing of a script's
 
 
+# saving -----------------------------------------------------------------------------------------------
+@collective("save_restart", comm=lambda problem, *args, **options: problem.comm)
 def save(problem: Problem, path: str | os.PathLike[str]) -> None:
     """Write the last converged state of a `QuasiStatic` or `QuasiStaticFEM`. Collective.
 
+    The file is complete, flushed, and then put in place of an old one of this name.
+
     Raises:
-        InputError: the file can't be written.
+        InputError: not a problem, a closed one, no name of a file, or a state that isn't finite.
+        OutputError: the file can't be written, such as on a full disc. The old file stays, and the run can go
+            on.
     """
-    path, comm = Path(path), problem.comm
-    temporary = path.with_name(path.name + ".part")
+    _check_problem(problem)
+    problem.check_open()
+    file, comm = checks.path("path", path, "the name of a restart file"), problem.comm
+    if file.is_dir():
+        raise InputError(f"path = {str(file)!r}: is a folder; the name of a restart file is needed")
     arrays = meshstate.arrays(problem) if isinstance(problem, QuasiStaticFEM) else _arrays(problem)
-    for name, a in problem.term_state().items():  # the same on every rank
-        arrays[f"terms/{name.replace('/', '.')}"] = a if comm.rank == 0 else a[:0]
-    for rank in range(comm.size):
-        error: Exception | None = None
-        if rank == comm.rank:
-            try:
-                _write_rows(temporary, problem, arrays, first=rank == 0)
-            except OSError as e:
-                error = InputError(f"restart file {path} can't be written: {e}")
-        raise_on_all_ranks(comm, error)
-    if comm.rank == 0:
-        os.replace(temporary, path)
-    comm.Barrier()
+    about: dict[str, Any] = {
+        "made of": made_of(problem, problem.terms),
+        "conditions": problem.condition_state(),
+    }
+    found = problem.equilibrium_state()
+    if found is not None:
+        about["equilibrium"], rows = found
+        arrays |= {f"equilibrium/{name}": a for name, a in rows.items()}
+    if isinstance(problem, QuasiStatic):
+        about["trust"] = problem.box_record.state()
+    whole = {f"terms/{name.replace('/', '.')}": a for name, a in problem.term_state().items()}
+    whole |= {f"steps/{name}": a for name, a in _steps(problem.steps).items()}
+    whole["about"] = np.frombuffer(json.dumps(about).encode(), dtype=np.uint8)
+    for name, a in whole.items():  # the same on every rank
+        arrays[name] = np.asarray(a) if comm.rank == 0 else np.asarray(a)[:0]
+    error = next((_not_finite(name) for name, a in arrays.items() if not _is_finite(name, a)), None)
+    raise_on_all_ranks(comm, error)
+    attributes: dict[str, Any] = {"format": _FORMAT, "body": _body(problem)}
+    attributes |= {f"progress/{name}": value for name, value in asdict(problem.progress).items()}
+    if isinstance(problem, QuasiStatic):
+        attributes["shares"] = problem.load_shares.state()
+    container.write(comm, file, _KIND, container.agree(comm, arrays), attributes)
+
+
+def _check_problem(problem: Any) -> None:
+    checks.instance("problem", problem, (QuasiStatic, QuasiStaticFEM), "a QuasiStatic or QuasiStaticFEM is")
+
+
+def _body(problem: Problem) -> str:
+    return "finite elements" if isinstance(problem, QuasiStaticFEM) else "material points"
 
 
 def _arrays(problem: Any) -> dict[str, np.ndarray]:
@@ -68,72 +104,93 @@ def _arrays(problem: Any) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _write_rows(path: Path, problem: Problem, arrays: dict[str, np.ndarray], first: bool) -> None:
-    with h5py.File(path, "w" if first else "r+") as file:
-        if first:
-            file.attrs.update({"body": _kind(problem), **_header(problem)})
-            for name, value in asdict(problem.progress).items():
-                file.attrs[f"progress/{name}"] = value
-            for name, text in problem.condition_state().items():
-                file.create_dataset(f"conditions/{name}", data=np.frombuffer(text.encode(), dtype=np.uint8))
-            if isinstance(problem, QuasiStatic):
-                file.attrs["shares"] = problem.load_shares.state()
-        for name, rows in arrays.items():
-            if first:
-                file.create_dataset(name, data=rows, maxshape=(None, *rows.shape[1:]), chunks=True)
-                file.create_dataset(f"counts/{name}", data=[len(rows)], maxshape=(None,), chunks=True)
-            else:
-                for key, new in ((name, rows), (f"counts/{name}", np.array([len(rows)]))):
-                    data = file[key]
-                    data.resize(len(data) + len(new), axis=0)
-                    data[len(data) - len(new) :] = new
+def _is_finite(name: str, values: np.ndarray) -> bool:
+    return name.split("/")[0] not in _FINITE or bool(np.all(np.isfinite(values)))
 
 
-def _header(problem: Any) -> dict[str, Any]:
-    ends = {"block": problem.layout.block, "materials": len(problem.points.materials)}
-    if isinstance(problem, QuasiStaticFEM):
-        return {"format": _FORMAT, **meshstate.header(problem), **ends}
-    known = {**problem.initial_grid.description(), "basis": problem.basis.name}
-    return {"format": _FORMAT, **known, **ends}
+def _not_finite(name: str) -> InputError:
+    return InputError(f"restart file: {name} isn't finite; such a state can't be continued")
 
 
-def _kind(problem: Problem) -> str:
-    return "finite elements" if isinstance(problem, QuasiStaticFEM) else "material points"
+def _steps(steps: list[Step]) -> dict[str, np.ndarray]:
+    """Converged steps as arrays; what isn't known of a step is not a number."""
+    rows = [[s.number, s.factor, s.cuts, np.nan if s.unresolved is None else s.unresolved] for s in steps]
+    history = [measures for s in steps for measures in s.history]
+    return {
+        "rows": np.array(rows, dtype=float).reshape(-1, 4),
+        "lengths": np.array([len(s.history) for s in steps], dtype=np.int64),
+        "history": np.array(history, dtype=float).reshape(-1, 2),
+    }
 
 
-def load(problem: Problem, path: str | os.PathLike[str]) -> None:
-    """Put a saved state into a problem with the same grid, basis and materials, or the same mesh, degree,
-    quadrature and materials; `march` goes on from it. Collective.
+# loading ----------------------------------------------------------------------------------------------
+@collective("load_restart", comm=lambda problem, *args, **options: problem.comm)
+def load(problem: Problem, path: str | os.PathLike[str], *, allow: Collection[str] = ()) -> None:
+    """Put a saved state into a problem with the same grid, basis, points and materials, or the same mesh,
+    degree, quadrature and materials; `march` goes on from it. Collective.
 
     Supports and loads aren't in the file: the script that made the problem gives all of them again before it
     calls this, in the same order, those too that were added in mid-run or released. The file knows since when
     they count and which have been released. Those that it doesn't know count from the saved state on.
 
+    Reactions, balance, fields and `problem.steps` are those of the saved state at once, and a `Recorder` or
+    `Table` that is used as in the run before goes on with its files.
+
+    Args:
+        allow: differences that are meant, a set of: "materials" (other numbers or classes; plastic strain
+            that the file doesn't have is zero), "points" (the file's points are taken), "grid" and "basis"
+            (the grid is reset), "terms" (they begin anew), "conditions" (some aren't given any more).
+
     Raises:
-        InputError: no such file, or it belongs to another problem; the message says what differs. A condition
-            of the saved run is missing.
+        InputError: no such file, a damaged one, or one that belongs to another problem; the message says what
+            differs. A condition of the saved run is missing. The problem stays as it was.
     """
-    error: Exception | None = None
+    _check_problem(problem)
+    file = checks.path("path", path, "the name of a restart file")
+    allowed = check_allowed(problem, allow)
+    container.check(problem.comm, file, _KIND)
+    saved, error = None, None
     try:
-        with h5py.File(path, "r") as file:
-            _check(problem, file, path)
-            rows = _read_all(file, problem.comm)
-            saved = {f.name: file.attrs[f"progress/{f.name}"].item() for f in fields(Progress)}
-            shares = _shares(file, problem.comm)
-            conditions = {k: v[:].tobytes().decode() for k, v in file.get("conditions", {}).items()}
+        saved = _read(file, problem.comm)
     except OSError as e:
-        error = InputError(f"restart file {path} can't be read: {e}")
-    except InputError as e:
-        error = e
+        error = InputError(f"restart file {file} can't be read: {reason(e)}")
+    except (KeyError, ValueError) as e:
+        error = InputError(f"restart file {file} isn't complete: {e}")
     raise_on_all_ranks(problem.comm, error)
-    problem.restore_conditions(conditions, saved["factor"])
-    terms = {name[6:].replace(".", "/"): a for name, a in rows.items() if name.startswith("terms/")}
-    problem.restore_terms(terms)
-    if isinstance(problem, QuasiStaticFEM):
-        meshstate.put(problem, rows, path)
-        problem.restore(Progress(**saved))
-    elif isinstance(problem, QuasiStatic):
-        _put(problem, rows, Progress(**saved), shares)
+    assert saved is not None
+    differing = _check(problem, saved, file, allowed)
+    _put(problem, saved, file, differing)
+
+
+@dataclass
+class _Saved:
+    """What a file holds; of arrays this rank's rows."""
+
+    body: str
+    about: dict[str, Any]
+    progress: Progress
+    rows: dict[str, np.ndarray]
+    shares: np.ndarray | None
+
+    @property
+    def made_of(self) -> Facts:
+        found: Facts = self.about["made of"]
+        return found
+
+    def group(self, name: str) -> dict[str, np.ndarray]:
+        start = f"{name}/"
+        return {key[len(start) :]: a for key, a in self.rows.items() if key.startswith(start)}
+
+
+def _read(path: Path, comm: MPI.Comm) -> _Saved:
+    with h5py.File(path, "r") as file:
+        names = [
+            f"{group}/{name}" for group in file if group not in ("counts", "about") for name in file[group]
+        ]
+        rows = {n: file[n][:] if n.split("/")[0] in _WHOLE else _rows(file, n, comm) for n in names}
+        progress = {f.name: file.attrs[f"progress/{f.name}"].item() for f in fields(Progress)}
+        about = json.loads(file["about"][:].tobytes())
+        return _Saved(file.attrs["body"], about, Progress(**progress), rows, _shares(file, comm))
 
 
 def _shares(file: h5py.File, comm: MPI.Comm) -> np.ndarray | None:
@@ -142,36 +199,7 @@ def _shares(file: h5py.File, comm: MPI.Comm) -> np.ndarray | None:
     return file.attrs["shares"] if same and "shares" in file.attrs else None
 
 
-def _put(
-    problem: QuasiStatic, rows: dict[str, np.ndarray], progress: Progress, shares: np.ndarray | None
-) -> None:
-    between: tuple[Reference, np.ndarray, np.ndarray] | None = None
-    if "nodes/lattice" in rows:
-        reference = Reference(*(rows[f"reference/{f.name}"] for f in fields(Reference)))
-        between = reference, rows["nodes/lattice"], rows["nodes/increments"]
-    problem.points.replace({name: rows[f"points/{name}"] for name in problem.points.fields})
-    kept = {name[5:]: a for name, a in rows.items() if name.startswith("kept/")}
-    problem.restore(progress, between, kept, shares)
-
-
-def _check(problem: Problem, file: h5py.File, path: Any) -> None:
-    saved, here = file.attrs.get("body", "material points"), _kind(problem)
-    if "format" in file.attrs and saved != here:
-        raise InputError(f"restart file {path}: its state is of {saved}, this problem's of {here}")
-    for name, value in _header(problem).items():
-        found = file.attrs.get(name)
-        if found is None or np.any(np.asarray(found) != np.asarray(value)):
-            raise InputError(f"restart file {path}: {name} is {found}, this problem has {value}")
-
-
-def _read_all(file: h5py.File, comm: MPI.Comm) -> dict[str, np.ndarray]:
-    groups = [group for group in file if group not in ("counts", "conditions")]
-    names = [f"{group}/{name}" for group in groups for name in file[group]]
-    whole = [name for name in names if name.startswith("terms/")]
-    return {name: file[name][:] if name in whole else _read(file, name, comm) for name in names}
-
-
-def _read(file: h5py.File, name: str, comm: MPI.Comm) -> np.ndarray:
+def _rows(file: h5py.File, name: str, comm: MPI.Comm) -> np.ndarray:
     """This rank's rows: the rank's own when as many ranks read as wrote, else an equal share."""
     data, counts = file[name], file[f"counts/{name}"][:]
     if len(counts) == comm.size:
@@ -181,3 +209,71 @@ def _read(file: h5py.File, name: str, comm: MPI.Comm) -> np.ndarray:
         start, end = len(data) * comm.rank // comm.size, len(data) * (comm.rank + 1) // comm.size
     rows: np.ndarray = data[start:end]
     return rows
+
+
+def _check(problem: Problem, saved: _Saved, path: Path, allowed: frozenset[str]) -> frozenset[str]:
+    """Refuse what doesn't fit, before anything is changed; the groups that may differ, and do. Collective."""
+    here = _body(problem)
+    if saved.body != here:
+        raise InputError(f"restart file {path}: its state is of {saved.body}, this problem's of {here}")
+    conditions = saved.about["conditions"]
+    try:
+        fewer = problem.check_conditions(conditions, "conditions" in allowed)
+    except InputError as e:
+        raise InputError(f"restart file {path}: {e}") from None
+    found = list(differences(saved.made_of, made_of(problem, problem.terms_after(conditions))))
+    refuse_differences(path, found, allowed)
+    error = next((_not_finite(name) for name, a in saved.rows.items() if not _is_finite(name, a)), None)
+    raise_on_all_ranks(problem.comm, error)
+    if not isinstance(problem, QuasiStaticFEM):
+        check_points(problem, saved.rows, path, allowed)
+    return frozenset([group for group, _ in found] + ["conditions"] * fewer)
+
+
+def _put(problem: Problem, saved: _Saved, path: Path, differing: frozenset[str]) -> None:
+    """Put a state that fits into the problem. Collective."""
+    progress = saved.progress
+    found = meshstate.find(problem, saved.rows, path) if isinstance(problem, QuasiStaticFEM) else None
+    problem.restore_conditions(saved.about["conditions"], progress.factor)
+    if "terms" not in differing:
+        terms = {name.replace(".", "/"): a for name, a in saved.group("terms").items()}
+        problem.restore_terms(terms, len(saved.made_of["terms"]))
+    if found is not None and isinstance(problem, QuasiStaticFEM):
+        meshstate.put(problem, found)
+        problem.restore(progress)
+    elif isinstance(problem, QuasiStatic):
+        _put_points(problem, saved, differing)
+        problem.box_record.restore(saved.about["trust"])
+    problem.steps = list(_steps_of(saved.group("steps")))
+    problem.restored = Restored(progress.step, {step.number: step for step in problem.steps})
+    if "equilibrium" in saved.about:
+        problem.restore_equilibrium(saved.about["equilibrium"], saved.group("equilibrium"))
+
+
+def _put_points(problem: QuasiStatic, saved: _Saved, differing: frozenset[str]) -> None:
+    """On another grid or in another basis only the points' state holds."""
+    between: tuple[Reference, np.ndarray, np.ndarray] | None = None
+    rows, kept, points = saved.rows, saved.group("kept"), problem.points
+    if "nodes/lattice" in rows and not differing & {"grid", "basis"}:
+        reference = Reference(*(rows[f"reference/{f.name}"] for f in fields(Reference)))
+        between = reference, rows["nodes/lattice"], rows["nodes/increments"]
+    if "terms" in differing:
+        kept = {name: a for name, a in kept.items() if not name.startswith("term ")}
+    points.replace({**_unyielded(rows), **saved.group("points")}, same=True)
+    problem.restore(saved.progress, between, kept, saved.shares)
+
+
+def _unyielded(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Plastic state of points that were elastic in the run before."""
+    n = len(rows["points/id"])
+    none = {"plastic_wryness": np.zeros((n, 3, 3)), "hardening": np.zeros(n), "dissipation": np.zeros(n)}
+    return {"plastic_F": np.tile(np.eye(3), (n, 1, 1)), **none}
+
+
+def _steps_of(arrays: dict[str, np.ndarray]) -> Iterator[Step]:
+    ends = np.cumsum(arrays["lengths"])
+    for (number, factor, cuts, unresolved), end, n in zip(
+        arrays["rows"].tolist(), ends, arrays["lengths"], strict=True
+    ):
+        history = tuple((force, energy) for force, energy in arrays["history"][end - n : end].tolist())
+        yield Step(int(number), factor, history, int(cuts), None if np.isnan(unresolved) else unresolved)

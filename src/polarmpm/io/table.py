@@ -3,18 +3,31 @@
 from __future__ import annotations
 
 import csv
+import errno
+import io
 import os
-from collections.abc import Callable, Mapping
-from typing import Any, TextIO
+import stat
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
 from ..errors import InputError
-from ..solvers.stepping import Step
-from ..tools.parallel import raise_on_all_ranks
-from .files import check_output
+from ..solvers.stepping import Restored, Step
+from ..tools import checks
+from ..tools.meetings import collective
+from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks
+from .files import (
+    begin_writing,
+    bring_to_disc,
+    check_output,
+    check_writer,
+    not_written,
+    reason,
+    replace_file,
+)
 
 _STEP_COLUMNS = ("step", "factor", "iterations", "force", "energy")
 
@@ -33,8 +46,12 @@ class Table:
     (force, couple and moment), `balance=problem.balance` what loads and reactions add up to,
     `p=lambda: points.mean(field_values(problem, "mean_pressure"), tip)` the mean of a field of `Recorder`'s.
 
+    A run that goes on from a restart file, with a table of the same path and columns, goes on with the file:
+    rows up to the saved state stay, later ones are written again. (Record a step before you save it.) A file
+    of another run is overwritten; what tells them apart is the first five columns.
+
     Args:
-        path: of the file; missing folders are made, an old file is overwritten on entering.
+        path: of the file; missing folders are made, an old file is overwritten by the first row.
         comm: of the ranks that record; rank 0 writes.
         **columns: functions without arguments, called on all ranks, that return a number, a vector or a
             dictionary of them; a vector `tip` becomes the columns tip_x, tip_y and tip_z (tip_0, tip_1, ...
@@ -44,6 +61,7 @@ class Table:
         InputError: a column's name is taken, or the file can't be written; on every rank alike.
     """
 
+    @collective("Table", comm=lambda self, path, *, comm=MPI.COMM_WORLD, **columns: comm, compare=True)
     def __init__(
         self, path: str | os.PathLike[str], *, comm: MPI.Comm = MPI.COMM_WORLD, **columns: Callable[[], Any]
     ):
@@ -52,61 +70,137 @@ class Table:
                 raise InputError(f"column {name!r} is taken; there is one already in every table")
             if not callable(function):
                 raise InputError(f"column {name!r} = {function!r}: a function without arguments is needed")
-        self.comm, self.columns = comm, columns
+        self.comm, self.columns = checks.communicator("comm", comm), columns
         self.path = check_output(comm, path)
-        self._file: TextIO | None = None
         self._header: list[str] = []
         self._open = False
+        self._size: int | None = None  # bytes of the file; None: this table has no row yet
+        self._run: Restored | None = None
 
     def __enter__(self) -> Table:
-        error = None
-        if self.comm.rank == 0:
-            try:
-                self._file = self.path.open("w", newline="", encoding="utf-8")
-            except OSError as e:
-                error = InputError(f"path = {str(self.path)!r} can't be written: {e.strerror}")
-        raise_on_all_ranks(self.comm, error)
-        self._open, self._header = True, []
+        if self._open:
+            raise InputError(f"table {self.path}: its with statement has been entered already")
+        begin_writing(self.path, self)
+        self._open, self._header, self._size, self._run = True, [], None, None
         return self
 
     def __exit__(self, *error: object) -> None:
         self._open = False
-        if self._file is not None:
-            self._file.close()
-            self._file = None
 
     def record(self, step: Step) -> None:
         """Add the row of a converged step.
 
         Raises:
             InputError: outside of the `with` statement; a column that is neither number nor vector, or
-                whose length has changed.
+                whose length has changed; columns of the same name, or others than before a restart.
+            OutputError: the file can't be written, such as on a full disc; it has the rows of before, and
+                this one can be recorded again.
         """
         if not self._open:
             raise InputError("a table records inside of its with statement only")
-        force, energy = step.history[-1]
-        row: dict[str, Any] = dict(
-            zip(_STEP_COLUMNS, (step.number, step.factor, step.iterations, force, energy), strict=True)
-        )
-        for name, function in self.columns.items():
-            row.update(_expand(name, function()))
-        first = not self._header
-        self._header = self._header or list(row)
-        if list(row) != self._header:
-            raise InputError(f"columns: were {', '.join(self._header)} and are now {', '.join(row)}")
-        error = None
-        if self._file is not None:
+        checks.instance("step", step, Step, "a step of march is")
+        check_writer(self.path, self)
+        row: dict[str, Any] = dict(zip(_STEP_COLUMNS, _of_step(step), strict=True))
+        with errors_on_all_ranks(self.comm, f"the columns of the table {self.path}"):
+            for name, function in self.columns.items():
+                for key, number in _expand(name, function()).items():
+                    if key in row:
+                        what = f"there are two of this name, one of them from {name!r}"
+                        raise InputError(f"column {key!r}: {what}")
+                    row[key] = number
+            header = self._header or list(row)
+            if list(row) != header:
+                raise InputError(f"columns: were {', '.join(header)} and are now {', '.join(row)}")
+        error: Exception | None = None
+        if self.comm.rank == 0:
             try:
-                writer = csv.writer(self._file)
-                if first:
-                    writer.writerow(self._header)
-                writer.writerow(row.values())
-                self._file.flush()
+                self._write(step.restored, header, list(row.values()))
             except OSError as e:
+                error = not_written("table", self.path, e)
+            except InputError as e:
                 error = e
         raise_on_all_ranks(self.comm, error)
+        self._header = header
 
     __call__ = record
+
+    # the file, on rank 0 ----------------------------------------------------------------------------
+    def _write(self, run: Restored | None, header: list[str], values: list[Any]) -> None:
+        if self._size is not None and run is self._run:
+            self._append(_line(values))
+            return
+        kept = b""
+        if run is not None and (self._size is not None or self.path not in run.continued):
+            kept = self._kept(run, header)
+        content = (kept or _line(header)) + _line(values)
+        if self.path.exists() and not self.path.is_file():  # a pipe or a terminal
+            with self.path.open("wb") as file:
+                file.write(content)
+        else:
+            replace_file(self.path, content)
+        self._size, self._run = len(content), run
+        if run is not None:
+            run.continued.add(self.path)
+
+    def _append(self, line: bytes) -> None:
+        handle, done = os.open(self.path, os.O_WRONLY | os.O_APPEND), 0
+        try:
+            ordinary = stat.S_ISREG(os.fstat(handle).st_mode)
+            if ordinary and os.fstat(handle).st_size != self._size:
+                raise OSError(errno.EBUSY, "it has been changed since the last row")
+            try:
+                while done < len(line):
+                    done += os.write(handle, line[done:])
+                bring_to_disc(handle)
+            except OSError:
+                if ordinary:  # no half rows
+                    os.ftruncate(handle, self._size or 0)
+                raise
+        finally:
+            os.close(handle)
+        self._size = (self._size or 0) + len(line)
+
+    def _kept(self, run: Restored, header: list[str]) -> bytes:
+        """The beginning of the file that the run has left, as far as the saved state; nothing of another
+        run's."""
+        try:
+            lines = self.path.read_bytes().splitlines(keepends=True)
+        except OSError:
+            return b""
+        first, *rows = [next(csv.reader([line.decode("utf-8", "replace")]), []) for line in lines] or [[]]
+        size, known = len(lines[0]) if lines else 0, 0
+        for line, row in zip(lines[1:], rows, strict=True):
+            number = int(row[0]) if row and row[0].isdigit() else None
+            whole = len(row) == len(first) and line.endswith(b"\n")
+            if number is None or number > run.number or not whole:
+                break
+            if number in run.steps:
+                if row[: len(_STEP_COLUMNS)] != _texts(_of_step(run.steps[number])):
+                    return b""
+                known += 1
+            size += len(line)
+        if not known:
+            return b""
+        if first != header:
+            raise InputError(
+                f"columns: the table {self.path} has {', '.join(first)} from before the restart, now there "
+                f"are {', '.join(header)}; give the same ones, or another path"
+            )
+        return b"".join(lines)[:size]
+
+
+def _of_step(step: Step) -> tuple[Any, ...]:
+    return step.number, step.factor, step.iterations, *step.history[-1]
+
+
+def _line(values: list[Any]) -> bytes:
+    text = io.StringIO()
+    csv.writer(text).writerow(values)
+    return text.getvalue().encode()
+
+
+def _texts(values: Iterable[Any]) -> list[str]:
+    return next(csv.reader([_line(list(values)).decode()]))
 
 
 def _expand(name: str, value: Any) -> dict[str, float]:
@@ -116,9 +210,12 @@ def _expand(name: str, value: Any) -> dict[str, float]:
         parts = [_expand(f"{name}_{key}", part) for key, part in value.items()]
         return {key: number for part in parts for key, number in part.items()}
     try:
-        numbers = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"column {name!r}: {value!r} is neither a number nor a vector") from None
+        numbers = np.asarray(value)
+        good = numbers.dtype.kind in "biuf" and numbers.size > 0
+    except ValueError:
+        good = False
+    if not good:
+        raise InputError(f"column {name!r}: {value!r} is neither a number nor a vector")
     if numbers.ndim > 1:
         raise InputError(f"column {name!r}: the shape {numbers.shape} is neither a number nor a vector")
     if numbers.ndim == 0:
@@ -130,7 +227,23 @@ def _expand(name: str, value: Any) -> dict[str, float]:
 
 
 def read_table(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    """Columns (rows,) of a table by name."""
-    with open(path, newline="", encoding="utf-8") as file:
-        header, *rows = csv.reader(file)
-    return {name: np.array([float(row[k]) for row in rows]) for k, name in enumerate(header)}
+    """Columns (rows,) of a table by name.
+
+    Raises:
+        InputError: the file can't be read, or isn't a table; the message names it.
+    """
+    found = checks.path("path", path, "the name of a table")
+    try:
+        with found.open(newline="", encoding="utf-8") as file:
+            header, *rows = list(csv.reader(file)) or [[]]
+    except (OSError, UnicodeDecodeError, csv.Error) as e:
+        raise InputError(f"table {found} can't be read: {reason(e) if isinstance(e, OSError) else e}") from e
+    if not header:
+        raise InputError(f"table {found} is empty; it has no header")
+    for k, row in enumerate(rows, 1):
+        if len(row) != len(header):
+            raise InputError(f"table {found}: row {k} has {len(row)} of {len(header)} columns")
+    try:
+        return {name: np.array([float(row[k]) for row in rows]) for k, name in enumerate(header)}
+    except ValueError as e:
+        raise InputError(f"table {found} has something else than numbers: {e}") from e

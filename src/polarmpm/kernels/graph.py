@@ -3,6 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+# numpy's functions by C's names, and other operations
+_NUMPY: dict[str, Any] = {
+    "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "neg": np.negative,
+    "<": np.less, ">": np.greater, "<=": np.less_equal, ">=": np.greater_equal, "==": np.equal,
+    "!=": np.not_equal, "&": np.logical_and, "|": np.logical_or, "!": np.logical_not,
+    "pow": np.power, "fabs": np.abs, "fmin": np.fmin, "fmax": np.fmax, "atan2": np.arctan2,
+    "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "erf": np.vectorize(math.erf),
+}  # fmt: skip
 
 
 class Graph:
@@ -97,7 +110,10 @@ class Graph:
         if name == "pow":
             return self._power(args[0], args[1])
         if all(v is not None for v in values) and hasattr(math, name):
-            return self.constant(getattr(math, name)(*values))
+            try:
+                return self.constant(getattr(math, name)(*values))
+            except (ValueError, OverflowError):  # compiled code says nan or inf
+                pass
         return self._add(("call", name, *args))
 
     def _power(self, base: int, exponent: int) -> int:
@@ -112,3 +128,34 @@ class Graph:
                 result = self.mul(result, factor)
             factor, k = (self.mul(factor, factor) if k > 1 else factor), k >> 1
         return result if n >= 0 else self.div(self.one, result)
+
+    def values(self, outputs: Sequence[int], inputs: np.ndarray) -> np.ndarray:
+        """Values (len(outputs), m) of nodes at m columns of inputs (slots, m), without a compiler; for a few
+        columns. A function that it doesn't know gives not-a-number."""
+        found: list[Any] = [None] * (max(outputs, default=-1) + 1)
+        with np.errstate(all="ignore"):
+            for i in range(len(found)):
+                op, *args = self.nodes[i]
+                if op in ("const", "in"):
+                    found[i] = args[0] if op == "const" else inputs[args[0]]
+                elif op == "select":
+                    found[i] = np.where(*(found[a] for a in args))
+                else:
+                    name, *args = args if op == "call" else (op, *args)
+                    function = _NUMPY.get(name) or getattr(np, name, None)
+                    found[i] = np.nan if function is None else function(*(found[a] for a in args))
+        columns = inputs.shape[1]
+        return np.array([np.broadcast_to(found[i], columns) for i in outputs], dtype=float)
+
+    def depends(self, output: int, slots: range) -> bool:
+        """Whether a node depends on one of the inputs."""
+        waiting, seen = [output], set()
+        while waiting:
+            i = waiting.pop()
+            op, *args = self.nodes[i]
+            if op == "in" and args[0] in slots:
+                return True
+            if op not in ("in", "const") and i not in seen:
+                seen.add(i)
+                waiting += [a for a in args if isinstance(a, int)]
+        return False

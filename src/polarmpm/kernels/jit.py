@@ -1,21 +1,21 @@
-"""Compiles generated C code once per machine and keeps it in a cache on disc."""
+"""Compiles generated C code once per machine; `tools.cache` keeps it on disc."""
 
 from __future__ import annotations
 
 import ctypes
 import hashlib
 import os
-import platform
 import shlex
+import shutil
+import signal
 import subprocess
-import tempfile
 from collections.abc import Callable
-from functools import cache, lru_cache
 from pathlib import Path
 
 from mpi4py import MPI
 
 from ..errors import KernelError
+from ..tools import cache
 
 _FLAGS = [
     "-O2",
@@ -27,50 +27,53 @@ _FLAGS = [
     "-fno-trapping-math",
     "-w",
 ]
-
-
-def cache_directory() -> Path:
-    """Folder of compiled kernels: $POLARMPM_CACHE, else the user's cache folder."""
-    base = os.environ.get("POLARMPM_CACHE")
-    if base:
-        return Path(base)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "polarmpm"
-
-
-@lru_cache(maxsize=1)
-def _machine() -> str:
-    """What -march=native depends on; a cache may be shared by different machines."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        flags = next((l for l in lines if l.startswith(("flags", "Features"))), "")
-    except OSError:
-        flags = ""
-    return platform.machine() + flags
+_loaded: dict[str, tuple[Path, ctypes.CDLL]] = {}  # by key: checked once a process
 
 
 def digest(*parts: str) -> str:
     """Name of a kernel in the cache."""
-    return hashlib.sha256("\0".join([*parts, _machine(), *_FLAGS]).encode()).hexdigest()[:24]
+    return hashlib.sha256("\0".join([*parts, cache.machine(), *_FLAGS]).encode()).hexdigest()[:24]
 
 
-def _build(source: str, target: Path) -> None:
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=target.parent) as folder:
-        code, library = Path(folder) / "kernel.c", Path(folder) / "kernel.so"
-        code.write_text(source)
-        command = [*shlex.split(os.environ.get("CC", "cc")), *_FLAGS, str(code), "-o", str(library), "-lm"]
-        try:
-            run = subprocess.run(command, capture_output=True, text=True, check=False)
-        except FileNotFoundError as e:
-            raise KernelError(f"no C compiler found ({command[0]}); install gcc or set CC") from e
-        if run.returncode:
-            raise KernelError(f"the C compiler failed on a generated kernel:\n{run.stderr[:2000]}")
-        os.replace(library, target)  # atomic: another process sees all of it or nothing
+def _compiler() -> list[str]:
+    """The command of the C compiler.
+
+    Raises:
+        KernelError: CC is no command.
+    """
+    told = os.environ.get("CC", "")
+    try:
+        command = shlex.split(told)
+    except ValueError as e:
+        raise KernelError(f"CC = {told!r} is no command ({e}); {cache.NO_COMPILER}") from None
+    return command or [shutil.which("cc") or shutil.which("gcc") or "cc"]
 
 
-@cache
-def _load(path: str) -> ctypes.CDLL:
-    return ctypes.CDLL(path)
+def _build(source: str, work: Path) -> Path:
+    """Compile a library in a folder."""
+    code, library = work / "kernel.c", work / "kernel.so"
+    code.write_text(source)
+    compiler = _compiler()
+    command = [*compiler, *_FLAGS, str(code), "-o", str(library), "-lm"]
+    shown = f"the C compiler ({shlex.join(compiler)})"
+    try:
+        run = subprocess.run(
+            command, capture_output=True, stdin=subprocess.DEVNULL, text=True, errors="replace", check=False
+        )
+    except FileNotFoundError as e:
+        raise KernelError(f"no C compiler found ({shlex.join(compiler)}); {cache.NO_COMPILER}") from e
+    except OSError as e:
+        raise KernelError(f"{shown} can't be run: {e.strerror}; {cache.NO_COMPILER}") from e
+    if run.returncode < 0:
+        name = signal.Signals(-run.returncode).name
+        raise KernelError(
+            f"{shown} was ended by {name}, such as for lack of memory; let fewer processes run beside it, or "
+            "set CC to another compiler's command"
+        )
+    if run.returncode or not library.is_file():
+        ended = f"ended with status {run.returncode}" if run.returncode else "wrote no library"
+        raise KernelError(f"{shown} {ended} on a generated kernel; {cache.NO_COMPILER}\n{run.stderr[:2000]}")
+    return library
 
 
 def library(key: str, source: Callable[[], str], comm: MPI.Comm) -> ctypes.CDLL:
@@ -79,18 +82,16 @@ def library(key: str, source: Callable[[], str], comm: MPI.Comm) -> ctypes.CDLL:
     Collective: one rank compiles, the others wait; an error is raised on every rank.
 
     Raises:
-        KernelError: UFL or the compiler refused the code.
+        KernelError: UFL or the compiler refused the code, or there's no place to keep it.
     """
-    target = cache_directory() / f"{key}.so"
-    error: Exception | None = None
-    if comm.rank == 0 and not target.exists():
-        try:
-            _build(source(), target)
-        except (KernelError, OSError) as e:
-            error = e
-    error = comm.bcast(error, root=0)
-    if error is not None:
-        raise KernelError(str(error)) from error
-    if not target.exists():  # ranks of other machines have a disc of their own
-        _build(source(), target)
-    return _load(str(target))
+
+    def build(work: Path) -> tuple[Path, None]:
+        return _build(source(), work), None
+
+    def get(near: Path | None, announced: bool) -> tuple[Path, ctypes.CDLL]:
+        if key not in _loaded:
+            name = f"{key}.so"
+            _loaded[key] = cache.obtain(key, name, lambda p: ctypes.CDLL(str(p)), build, near, announced)
+        return _loaded[key]
+
+    return cache.on_all_ranks(comm, get)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from . import structures
-from .structures import Structure, declared_in
+from .structures import Declared, Structure, declared_in
 
 INTERFACE = structures.constant("_points.h", "INTERFACE")  # what the headers say; the build may be older
 
@@ -92,6 +93,19 @@ def library() -> ctypes.CDLL:
             )
     for name, returns, arguments in structures.prototypes():
         function = getattr(lib, name)
-        function.argtypes = [argument.converter for argument in arguments]
+        function.argtypes = [argument.ctype for argument in arguments]
         function.restype = ctypes.c_int if returns else None
+        setattr(lib, name, _checking(function, arguments))
     return lib
+
+
+def _checking(function: Any, arguments: list[Declared]) -> Callable[..., Any]:
+    """A function of the library that takes arrays, and checks them. Not by `from_param`: ctypes would make an
+    ArgumentError of whatever interrupts that."""
+
+    def call(*given: Any) -> Any:
+        if len(given) != len(arguments):
+            raise TypeError(f"{function.__name__} takes {len(arguments)} arguments, {len(given)} are given")
+        return function(*[a.passed(value) for a, value in zip(arguments, given, strict=True)])
+
+    return call

@@ -61,11 +61,6 @@ class Declared:
             return ctypes.POINTER(_STRUCTURES[self.kind])
         return ctypes.c_void_p if self.pointer or self.kind == _ADDRESS else _NUMBERS[self.kind]
 
-    @property
-    def converter(self) -> Any:
-        """What converts it as an argument; pointers to numbers check the arrays."""
-        return self if self.pointer and self.kind not in _STRUCTURES else self.ctype
-
     @cached_property
     def dtype(self) -> np.dtype[Any]:
         """Element type of the arrays that a pointer takes; addresses of other arrays are numbers, too."""
@@ -107,12 +102,12 @@ class Declared:
         if not least <= int(value) <= greatest:
             raise ValueError(f"{what} = {value}: {self.kind} holds {least} to {greatest}")
 
-    def from_param(self, value: Any) -> Any:
-        """How ctypes passes a value as this argument: arrays are checked, addresses are taken as they are."""
-        if isinstance(value, np.ndarray):
+    def passed(self, value: Any) -> Any:
+        """What ctypes is to pass as this argument: arrays are checked, addresses are taken as they are."""
+        if isinstance(value, np.ndarray) and self.pointer and self.kind not in _STRUCTURES:
             self.check(value)
-            value = value.ctypes.data
-        return self.ctype.from_param(value)
+            return value.ctypes.data
+        return value
 
 
 # the C text ---------------------------------------------------------------------------------------------

@@ -10,9 +10,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 import ufl
+from ufl.corealg.traversal import unique_pre_traversal
 
 from ..errors import InputError, TrustWarning
-from ..tools.checks import require_finite
+from ..tools import checks, quiet
 
 _LOCKING = 0.49  # Poisson's ratio, see docs/stability.md
 
@@ -33,6 +34,7 @@ class Material:
 
     plastic: ClassVar[bool] = False
     stress_prediction: ClassVar[bool] = True
+    units: ClassVar[Mapping[str, str]] = {}  # of parameters, for repr
 
     @property
     def micropolar(self) -> bool:
@@ -66,6 +68,9 @@ class Material:
         """
         raise NotImplementedError(f"{type(self).__name__} has no energy")
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({numbers(self.parameters(), self.units)})"
+
     def measures(self, F: Any) -> tuple[Any, ...]:
         """Strain measures of a classical material, the arguments of its energy; F itself by default.
 
@@ -74,18 +79,32 @@ class Material:
         return (F,)
 
 
+def numbers(named: Mapping[str, float], units: Mapping[str, str]) -> str:
+    """Numbers by name with their units, for repr."""
+    return ", ".join(f"{name} = {value:.6g} {units.get(name, '')}".rstrip() for name, value in named.items())
+
+
 def check_material(material: Any) -> Material:
     """Raise InputError unless `material` has an energy."""
     if not isinstance(material, Material):
+        made = isinstance(material, type) and issubclass(material, Material)
         raise InputError(
-            f"material: {material!r} is not a material; "
-            "use one of polarmpm's or derive from polarmpm.Material"
+            f"material: {checks.shown(material)} is not a material; "
+            + (
+                "it is a kind of them, to be called with its numbers"
+                if made
+                else "use one of polarmpm's or derive from polarmpm.Material"
+            )
         )
     if type(material).energy is Material.energy:
         raise InputError(
             f"material: {type(material).__name__} has no energy; "
             "define energy(E, Gamma, p), or energy(F, p) when it is classical"
         )
+    kind = type(material).__name__
+    checks.flag(f"material: {kind}.micropolar", material.micropolar)
+    checks.flag(f"material: {kind}.isotropic", material.isotropic)
+    checks.numbers_by_name(f"material: {kind}.parameters()", material.parameters())
     return material
 
 
@@ -106,14 +125,41 @@ def evaluate_scalar(what: str, function: Callable[..., Any], *arguments: Any) ->
         InputError: it raises an error itself, or is not a scalar.
     """
     try:
-        value = ufl.as_ufl(function(*arguments))
+        with quiet.ufl():
+            value = ufl.as_ufl(function(*arguments))
     except InputError:
         raise
     except Exception as e:  # a user's function and UFL may raise anything
-        raise InputError(f"material: {what} can't be evaluated: {e}") from e
+        raise InputError(f"material: {what} can't be evaluated: {type(e).__name__}: {e}{_hint(e)}") from e
     if value.ufl_shape or value.ufl_free_indices:
         raise InputError(f"material: {what} has the shape {value.ufl_shape}; a scalar is needed")
+    if any(isinstance(node, ufl.classes.ComplexValue) for node in unique_pre_traversal(value)):
+        raise InputError(f"material: {what} has complex numbers in it; real ones are needed")
     return value
+
+
+def _hint(error: Exception) -> str:
+    """What is likely wrong where a function for numbers is called with UFL."""
+    foreign = "ufl" in str(error).lower() and ("loop of ufunc" in str(error) or "must be real" in str(error))
+    return "; write it in UFL, such as ufl.exp for np.exp" if foreign or "ufunc" in str(error) else ""
+
+
+def evaluate_measures(material: Material, F: Any) -> tuple[Any, ...]:
+    """Strain measures of a classical material.
+
+    Raises:
+        InputError: they raise an error, or aren't UFL expressions in a tuple.
+    """
+    what = f"material: the measures of {type(material).__name__}"
+    try:
+        found = material.measures(F)
+    except InputError:
+        raise
+    except Exception as e:  # a user's class and UFL may raise anything
+        raise InputError(f"{what} can't be evaluated: {type(e).__name__}: {e}{_hint(e)}") from e
+    if not isinstance(found, tuple | list) or not all(isinstance(m, ufl.classes.Expr) for m in found):
+        raise InputError(f"{what} are {checks.shown(found)}; a tuple of UFL expressions is needed")
+    return tuple(found)
 
 
 def evaluate_energy(material: Material, strains: Sequence[Any], parameters: Any) -> Any:
@@ -130,6 +176,9 @@ class UserEnergy(Material):
         function: W(E, Gamma, p) or, for `micropolar=False`, W(F, p).
         values: the numbers p.name, so that changing them compiles nothing.
 
+    Raises:
+        InputError: not a function of these arguments, or values that aren't finite numbers by name.
+
     Example:
         >>> UserEnergy(lambda E, G, p: p.a * ufl.inner(E, E) + p.b * ufl.inner(G, G), {"a": 1e6, "b": 10.0})
     """
@@ -140,10 +189,16 @@ class UserEnergy(Material):
     isotropic: bool = False
 
     def __post_init__(self) -> None:
-        if not callable(self.function):
-            raise InputError(f"function: {self.function!r} is not callable")
-        for name, value in self.values.items():
-            require_finite(name, value)
+        for name in ("micropolar", "isotropic"):
+            object.__setattr__(self, name, checks.flag(name, getattr(self, name)))
+        takes = ("E", "Gamma", "p") if self.micropolar else ("F", "p")
+        checks.function("function", self.function, "an energy in UFL is", takes=takes)
+        object.__setattr__(self, "values", checks.numbers_by_name("values", self.values))
+
+    def __repr__(self) -> str:
+        kind = ("micropolar" if self.micropolar else "classical") + (", isotropic" if self.isotropic else "")
+        name = getattr(self.function, "__name__", type(self.function).__name__)
+        return f"UserEnergy({', '.join(filter(None, (name, numbers(self.values, {}), kind)))})"
 
     def parameters(self) -> dict[str, float]:
         return dict(self.values)

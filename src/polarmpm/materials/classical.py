@@ -2,35 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import ufl
 
 from ..kinematics.spectral import squared_log_strain, strain_invariants
-from ..tools.checks import require, require_finite
+from ..tools.checks import put_numbers, require
 from .base import Material
-from .moduli import lame
+from .moduli import check_bulk, lame
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class _Classical(Material):
     lam: float
     mu: float
 
     micropolar = False
     isotropic = True
+    units: ClassVar[Mapping[str, str]] = {"lam": "Pa", "mu": "Pa"}
 
     def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            require_finite(name, value)
+        put_numbers(self, "lam", "mu")
         require(self.mu > 0, "mu", self.mu, "mu > 0")
-        require(
-            3 * self.lam + 2 * self.mu > 0,
-            "lam",
-            self.lam,
-            f"3 lam + 2 mu > 0, that is lam > {-2 * self.mu / 3:g}",
-        )
+        check_bulk(self.lam, self.mu)
 
     @classmethod
     def from_engineering(cls, *, E: float, nu: float) -> Any:
@@ -42,7 +38,7 @@ class _Classical(Material):
         return asdict(self)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class NeoHookean(_Classical):
     """W = mu/2 (tr C - 3 - 2 ln J) + lambda/2 (ln J)^2 with C = F^T F; Lame's constants lam, mu in Pa."""
 
@@ -54,7 +50,7 @@ class NeoHookean(_Classical):
         return p.mu / 2 * (ufl.tr(C) - 3 - 2 * log_j) + p.lam / 2 * log_j**2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Hencky(_Classical):
     """W = mu |ln V|^2 + lambda/2 (ln J)^2 with the logarithmic strain; lam, mu in Pa.
 

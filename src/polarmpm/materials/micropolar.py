@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, ClassVar
 
 import ufl
 
-from ..tools.checks import require, require_finite
+from ..tools.checks import number, put_numbers, require
 from .base import Material
-from .moduli import lame
+from .moduli import check_bulk, check_computed, lame
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MicropolarElastic(Material):
     """Saint Venant-Kirchhoff type isotropic micropolar solid, T (3.122)-(3.125).
 
@@ -41,18 +42,22 @@ class MicropolarElastic(Material):
 
     micropolar = True
     isotropic = True
+    units: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(("lam", "mu", "kappa"), "Pa"),
+        **dict.fromkeys(("alpha", "beta", "gamma"), "N"),
+    }
 
     def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            require_finite(name, value)
+        put_numbers(self, *(f.name for f in fields(self)))
         lam, mu, alpha, gamma = self.lam, self.mu, self.alpha, self.gamma
         require(mu > 0, "mu", mu, "mu > 0")
-        require(3 * lam + 2 * mu > 0, "lam", lam, f"3 lam + 2 mu > 0, that is lam > {-2 * mu / 3:g}")
+        check_bulk(lam, mu)
         require(self.kappa >= 0, "kappa", self.kappa, "kappa >= 0")
         require(self.beta >= 0, "beta", self.beta, "beta >= 0")
         require(gamma >= 0, "gamma", gamma, "gamma >= 0")
         slack = 1e-9 * gamma  # bounded stiffness sits on the limit, where rounding must not decide
-        require(3 * alpha + 2 * gamma >= -slack, "alpha", alpha, f"alpha >= -2/3 gamma = {-2 * gamma / 3:g}")
+        allowed = f"3 alpha + 2 gamma >= 0, that is alpha >= -2/3 gamma = {-2 * gamma / 3:g}"
+        require(3 * alpha + 2 * gamma >= -slack, "alpha", alpha, allowed)
 
     @classmethod
     def from_engineering(
@@ -69,26 +74,28 @@ class MicropolarElastic(Material):
             psi: polar ratio, psi = 2 gamma / (2 gamma + alpha), 0 < psi <= 3/2.
         """
         lam, mu = lame(E, nu)
-        for name, value in (("n", n), ("l_b", l_b), ("l_t", l_t), ("psi", psi)):
-            require_finite(name, value)
+        n, l_b, l_t, psi = map(number, ("n", "l_b", "l_t", "psi"), (n, l_b, l_t, psi))
         require(0 <= n < 1, "n", n, "0 <= n < 1")
         require(l_b >= 0, "l_b", l_b, "l_b >= 0")
         require(l_t >= 0, "l_t", l_t, "l_t >= 0")
         require(l_t <= 2 * l_b * (1 + 1e-12), "l_t", l_t, f"l_t <= 2 l_b = {2 * l_b:g} (else beta < 0)")
         require(0 < psi <= 1.5 * (1 + 1e-12), "psi", psi, "0 < psi <= 3/2")
-        gamma = mu * l_t**2
-        beta = max(0.0, 4 * mu * l_b**2 - gamma)
-        alpha = 2 * gamma * (1 - psi) / psi
-        return cls(lam=lam, mu=mu, kappa=n**2 / (1 - n**2) * mu, alpha=alpha, beta=beta, gamma=gamma)
+        gamma = mu * (l_t * l_t)
+        beta = max(0.0, 4 * mu * (l_b * l_b) - gamma)
+        alpha, kappa = 2 * gamma * ((1 - psi) / psi), n**2 / (1 - n**2) * mu
+        given = f"E = {E:g}, n = {n:.17g}, l_b = {l_b:g}, l_t = {l_t:g}, psi = {psi:g}"
+        check_computed(given, alpha, beta, gamma, kappa)
+        return cls(lam=lam, mu=mu, kappa=kappa, alpha=alpha, beta=beta, gamma=gamma)
 
     @classmethod
     def bounded_stiffness(cls, *, lam: float, mu: float, kappa: float, l_b: float) -> MicropolarElastic:
         """Moduli whose torsional stiffness stays bounded for thin bodies: beta = 0,
         gamma = 4 mu l_b^2, alpha = -2/3 gamma (T 3.3.7; lengths in m, moduli in Pa)."""
-        require_finite("mu", mu)
-        require_finite("l_b", l_b)
+        mu, l_b = number("mu", mu), number("l_b", l_b)
         require(l_b >= 0, "l_b", l_b, "l_b >= 0")
-        gamma = 4 * mu * l_b**2
+        require(mu > 0, "mu", mu, "mu > 0")
+        gamma = 4 * mu * (l_b * l_b)
+        check_computed(f"mu = {mu:g}, l_b = {l_b:g}", gamma)
         return cls(lam=lam, mu=mu, kappa=kappa, alpha=-2 / 3 * gamma, beta=0.0, gamma=gamma)
 
     def engineering(self) -> dict[str, float]:

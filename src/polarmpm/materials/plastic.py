@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cached_property, reduce
 from itertools import combinations
-from typing import Any
+from typing import Any, ClassVar
 
 import ufl
 
 from ..errors import InputError
-from ..tools.checks import require, require_finite
-from .base import Material, check_material
+from ..tools import checks
+from .base import Material, check_material, numbers
 from .regions import Edge, Region, SmoothPart, YieldSurface
 from .stiffness import stiffness_at_rest
 
@@ -28,6 +28,11 @@ class Continuation:
 
     parameter: str
     values: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        checks.text("parameter", self.parameter, "the name of one of the material's numbers")
+        values = checks.array("values", self.values, (None,), "values of the parameter")
+        object.__setattr__(self, "values", tuple(values.tolist()))
 
 
 class Plastic(Material):
@@ -55,6 +60,11 @@ class Plastic(Material):
 
     elastic: Material
     plastic = True
+    units: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(("c", "k", "H", "tip"), "Pa"),
+        **dict.fromkeys(("phi", "psi"), "rad"),
+        **dict.fromkeys(("l_p", "length"), "m"),
+    }
 
     @property
     def micropolar(self) -> bool:
@@ -71,6 +81,13 @@ class Plastic(Material):
     @property
     def length(self) -> float:
         return 1.0
+
+    def __repr__(self) -> str:
+        given: dict[str, Any] = {}
+        if is_dataclass(self):
+            given = {f.name: getattr(self, f.name) for f in fields(self)}
+        own = {k: v for k, v in given.items() if isinstance(v, float) and v} or self.plastic_parameters()
+        return f"{type(self).__name__}({numbers(own, self.units)}; {self.elastic!r})"
 
     # numbers --------------------------------------------------------------------------------------
     def parameters(self) -> dict[str, float]:
@@ -143,11 +160,18 @@ def check_regions(material: Plastic) -> tuple[tuple[Region, ...], tuple[YieldSur
     Raises:
         InputError: there are none, what is named isn't a region, or a name is there twice.
     """
-    regions, kind = tuple(material.regions), type(material).__name__
+    kind = type(material).__name__
+    try:
+        regions = tuple(material.regions)
+    except TypeError as e:
+        raise InputError(f"material: {kind}.regions: a sequence of regions is needed: {e}") from e
     surfaces: dict[str, YieldSurface] = {}
     for region in regions:
         if not isinstance(region, Region):
-            raise InputError(f"material: {kind} has {region!r} among its regions; a Region is needed")
+            raise InputError(
+                f"material: {kind} has {checks.shown(region)} among its regions; a Region is needed"
+            )
+        checks.text(f"material: {kind}: name of {type(region).__name__}", getattr(region, "name", None))
         for surface in region.surfaces:
             if surfaces.setdefault(surface.name, surface) != surface:
                 raise InputError(f"material: {kind} has two yield surfaces named {surface.name!r}")
@@ -162,7 +186,7 @@ def check_regions(material: Plastic) -> tuple[tuple[Region, ...], tuple[YieldSur
 def check_elastic(elastic: Any) -> None:
     check_material(elastic)
     if isinstance(elastic, Plastic):
-        raise InputError(f"elastic = {elastic!r}: an elastic material is needed")
+        raise checks.refuse("elastic", elastic, "an elastic material is needed")
 
 
 def check_names(material: Plastic) -> None:
@@ -178,7 +202,7 @@ def check_names(material: Plastic) -> None:
 Function = Callable[..., Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class UserPlasticity(Plastic):
     """A user's yield function and potential in UFL, or several of them.
 
@@ -208,29 +232,34 @@ class UserPlasticity(Plastic):
 
     def __post_init__(self) -> None:
         check_elastic(self.elastic)
+        object.__setattr__(self, "values", checks.numbers_by_name("values", self.values))
         self._check_functions()
         taken = sorted(set(self.elastic.parameters()) & set(self.values))
         if taken:
             raise InputError(f"values: {taken[0]!r} is a parameter of the elastic material")
-        for name, value in self.values.items():
-            require_finite(name, value)
-        require_finite("length", self.length)
-        require(self.length > 0, "length", self.length, "length > 0")
-        if self.continuation is not None and self.continuation.parameter not in self.values:
-            raise InputError(f"continuation: {self.continuation.parameter!r} is none of the values")
+        checks.put_numbers(self, "length")
+        checks.require(self.length > 0, "length", self.length, "length > 0")
+        if self.continuation is not None:
+            checks.instance("continuation", self.continuation, Continuation, "a Continuation is")
+            if self.continuation.parameter not in self.values:
+                raise InputError(f"continuation: {self.continuation.parameter!r} is none of the values")
+
+    def __repr__(self) -> str:
+        names = self.function if isinstance(self.function, Mapping) else ("f",)
+        return f"UserPlasticity({', '.join(names)}; {numbers(self.values, {})}; {self.elastic!r})"
 
     def _check_functions(self) -> None:
         given = {"hardening": self.hardening} if self.hardening is not None else {}
         given |= _by_name("function", self.function)
         given |= {} if self.flow is None else _by_name("flow", self.flow)
         for name, value in given.items():
-            if not callable(value):
-                raise InputError(f"{name}: {value!r} is not callable")
+            takes = ("chi", "p") if name == "hardening" else ("tau", "nu", "chi", "p")
+            checks.function(name, value, "a function in UFL is", takes=takes)
         if isinstance(self.function, Mapping):
             if not self.function:
                 raise InputError("function: no function is given; one at least is needed")
             if self.flow is not None and not isinstance(self.flow, Mapping):
-                raise InputError(f"flow: {self.flow!r}: several functions need flow by the surfaces' names")
+                raise checks.refuse("flow", self.flow, "several functions need flow by the surfaces' names")
         known = self.function if isinstance(self.function, Mapping) else ()
         for name in self.flow if isinstance(self.flow, Mapping) else ():
             if name not in known:

@@ -16,7 +16,9 @@ from typing import Any, Protocol
 import numpy as np
 import ufl
 
+from ..errors import InputError
 from ..kinematics.spectral import exp_symmetric, squared_log_strain, strain_invariants
+from ..tools import checks
 from .base import evaluate_scalar
 
 SPRING = 1e-9  # of the couple-stress moduli, for the return to the apex
@@ -118,12 +120,22 @@ class YieldSurface:
         potential: g (Pa), whose derivatives are the directions of flow; default: f (associated flow).
         hardening: h(tau, nu, chi, p), by which chi grows per multiplier: dchi = h dgamma, such as
             tr(dg/dtau) where chi is the plastic change of volume; default: 1.
+
+    Raises:
+        InputError: no name, or not functions of these arguments.
     """
 
     name: str
     function: Callable[..., Any]
     potential: Callable[..., Any] | None = None
     hardening: Callable[..., Any] | None = None
+
+    def __post_init__(self) -> None:
+        checks.text("name", self.name)
+        for argument in ("function", "potential", "hardening"):
+            given = getattr(self, argument)
+            if given is not None or argument == "function":
+                checks.function(argument, given, "a function in UFL is", takes=("tau", "nu", "chi", "p"))
 
     def value(self, owner: str, *arguments: Any) -> Any:
         """f as a UFL scalar; raises InputError with the owner's name."""
@@ -173,6 +185,10 @@ class Region(ABC):
     surfaces: tuple[YieldSurface, ...] = ()
     multipliers: int = 1
 
+    def __repr__(self) -> str:
+        of = ", ".join(surface.name for surface in self.surfaces)
+        return f"<{type(self).__name__} {getattr(self, 'name', '')!r}{f' of {of}' if of else ''}>"
+
     @abstractmethod
     def residual(self, s: LocalState) -> list[Any]:
         """The local equations, UFL scalars."""
@@ -191,9 +207,18 @@ class Edge(Region):
     """Where smooth surfaces meet: one multiplier for each of them (Koiter), T (4.57)-(4.60) otherwise.
 
     All yield functions are zero, flows and the growth of chi add up.
+
+    Raises:
+        InputError: no surface, or one that isn't a `YieldSurface`.
     """
 
     def __init__(self, *surfaces: YieldSurface, name: str = ""):
+        if not surfaces:
+            raise InputError(f"{type(self).__name__}: no surface is given; one at least is needed")
+        for surface in surfaces:
+            checks.instance(f"{type(self).__name__}: surface", surface, YieldSurface, "a YieldSurface is")
+        if name:
+            checks.text("name", name)
         self.surfaces, self.multipliers = surfaces, len(surfaces)
         self.name = name or "+".join(surface.name for surface in surfaces)
 
@@ -272,6 +297,9 @@ class ConeApex(Region):
     name = "apex"
 
     def __init__(self, cone: Cone, surface: YieldSurface):
+        checks.instance("ConeApex: surface", surface, YieldSurface, "a YieldSurface is")
+        for method in ("slopes", "strength_at", "plastic_length", "apex_spring"):
+            checks.function(f"ConeApex: cone.{method}", getattr(cone, method, None), "a method is")
         self.cone, self.surfaces = cone, (surface,)
 
     def residual(self, s: LocalState) -> list[Any]:

@@ -10,8 +10,8 @@ import ufl
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
-from ..tools import compat
-from .base import Material, evaluate_energy
+from ..tools import compat, quiet
+from .base import Material, evaluate_energy, evaluate_measures
 
 
 def stiffness_at_rest(material: Material) -> tuple[float, float]:
@@ -33,11 +33,12 @@ def _second_derivative(material: Material, place: tuple[int, int], *, wryness: b
     if material.micropolar:
         arguments: Any = (zero, strain) if wryness else (strain, zero)
     else:
-        arguments = material.measures(ufl.Identity(3) + strain)
+        arguments = evaluate_measures(material, ufl.Identity(3) + strain)
     w = evaluate_energy(material, arguments, SimpleNamespace(**material.parameters()))
     second = ufl.diff(ufl.diff(w, t), t)
     try:
-        value = apply_derivatives(apply_algebra_lowering(second))((), {size: (0.0,)})
+        with quiet.ufl():
+            value = apply_derivatives(apply_algebra_lowering(second))((), {size: (0.0,)})
     except Exception:  # UFL evaluates numbers of most of its functions only
         return 0.0
     return abs(float(value)) if np.isfinite(float(value)) else 0.0

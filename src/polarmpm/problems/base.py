@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from mpi4py import MPI
@@ -24,13 +25,16 @@ from ..solvers.arclength import ArcSchedule, Path
 from ..solvers.newton import Controls, Outcome
 from ..solvers.stepping import Schedule, Step, march
 from ..tools import checks
+from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from ..tools.timing import Timer
-from . import attempts
+from . import attempts, ranks
+from .marching import March
 from .observer import Observer
 from .reactions import Equilibrium
 from .results import Results
 from .state import StateFields, check_rows
+from .whole import Changing, Undo
 from .work import StepStart, step_work
 
 
@@ -43,6 +47,7 @@ class Problem(Results):
         observers: told what happens in the run, see `Observer`.
         rows: arrays (np, ...) of the script's own by name, one row for each of `points`.
         timer: CPU seconds of this rank by phase.
+        failed_at: increments (nodes, block) at which the last attempt has failed, for its diagnosis.
     """
 
     def __init__(self, comm: MPI.Comm, points: Points, dim: int, controls: Controls | None):
@@ -55,6 +60,25 @@ class Problem(Results):
         self.steps: list[Step] = []
         self._fields = StateFields(comm)
         self._last_x: np.ndarray | None = None  # where the points were before the last step
+        self.failed_at: np.ndarray | None = None
+
+    def _changing(self) -> Iterator[Changing]:
+        yield from super()._changing()
+        for thing in (self._equilibrium, *self.observers):
+            if thing is not None:
+                yield thing, None
+        if self.system is not None:
+            yield from self.system.changing()
+
+    def _put_back(self, undo: Undo) -> None:
+        tried = self.system
+        super()._put_back(undo)
+        if self.system is not None:
+            self.system.put_back()
+            self._stale = True  # the solver may have been left in the middle of its work
+        for system in {tried, self.system} if self.comm.size == 1 else ():
+            if system is not None:
+                system.destroy()
 
     # what the methods differ in -------------------------------------------------------------------
     @abstractmethod
@@ -68,6 +92,10 @@ class Problem(Results):
     @abstractmethod
     def _increments(self, system: Any) -> Increments:
         """Increments at the local points."""
+
+    @abstractmethod
+    def volume_ratios(self, increments: Increments) -> np.ndarray:
+        """J (np,) after increments of the local points, relative to some state in which it is positive."""
 
     @abstractmethod
     def _check(self, increments: Increments) -> str:
@@ -118,17 +146,23 @@ class Problem(Results):
             NotConverged: with what was tried; the last converged state is intact.
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
-        return march(self, Schedule(steps, to, adaptive, smallest, largest, easy, progress))
+        schedule = Schedule(steps, to, adaptive, smallest, largest, easy, progress)
+        return March(self, march, schedule, "adaptive" if adaptive else "equal")
 
+    @collective("system_at")
     def system_at(self, factor: float) -> NodalSystem:
         """The nodal system in which equilibrium at a load factor is sought, at the increments that the last
         step has led to, with the loads of that factor; `evaluate(True)` makes its residual and tangent."""
         factor = _factor(factor)
-        with self._solving("system_at"):
+
+        def make() -> NodalSystem:
             system = self._prepare()
             self._put_loads(system, factor)
             system.set_prescribed(self._prescribed_at(system, factor))
-        return system
+            return system
+
+        with self._solving("system_at"):
+            return self.whole(make)
 
     @contextmanager
     def _solving(self, what: str) -> Iterator[None]:
@@ -156,12 +190,15 @@ class Problem(Results):
                 step, such as by another problem; or this is called from within a load step.
         """
         factor = _factor(factor)
-        with self._solving("attempt"):
-            outcome = self._attempt(factor)
-            if not outcome.converged and self._fall_back():
-                tried, outcome = outcome.history, self._attempt(factor)
-                outcome.history[:0] = tried
-                self._fell_back(outcome.converged)
+        with ranks.step(self, f"the step to load factor {factor:.9g}", factor), self._solving("attempt"):
+            return self.whole(partial(self._attempt_or_fall_back, factor))
+
+    def _attempt_or_fall_back(self, factor: float) -> Outcome:
+        outcome = self._attempt(factor)
+        if not outcome.converged and self._fall_back():
+            tried, outcome = outcome.history, self._attempt(factor)
+            outcome.history[:0] = tried
+            self._fell_back(outcome.converged)
         return outcome
 
     def _fall_back(self) -> bool:
@@ -182,6 +219,7 @@ class Problem(Results):
         self._finish(system, start, outcome, factor)
         return outcome
 
+    @collective("march_arc_length", compare=True)
     def march_arc_length(
         self,
         first: float,
@@ -217,11 +255,12 @@ class Problem(Results):
         """
         schedule = ArcSchedule(first, until, largest, smallest, to, steps, progress)
         with self._solving("march_arc_length"):
-            self._check_path(self._prepare())
-        return arclength.march(self, schedule)
+            self.whole(self._check_path)
+        return March(self, arclength.march, schedule, "arc length")
 
-    def _check_path(self, system: NodalSystem) -> None:
-        """Raise InputError for conditions that the arc-length method can't take."""
+    def _check_path(self) -> None:
+        """Raise InputError unless all loads, terms and supports are such as the arc-length method takes."""
+        system = self._prepare()
         with errors_on_all_ranks(self.comm):
             places = self._load_places()
         apart = [term.name for term in self.terms if not term.proportional]
@@ -242,13 +281,19 @@ class Problem(Results):
         `march_arc_length`."""
         length = arclength.check_length("length", length)
         to, kink = None if to is None else _factor(to, "to"), checks.flag("kink", kink)
-        with self._solving("attempt_along"):
+        with (
+            ranks.step(self, f"the step of length {length:.9g} m", 1.0),
+            self._solving("attempt_along"),
+        ):
+            return self.whole(partial(self._along_or_fall_back, length, to, kink))
+
+    def _along_or_fall_back(self, length: float, to: float | None, kink: bool) -> tuple[Outcome, float]:
+        outcome, found = self._attempt_along(length, to, kink)
+        if not outcome.converged and self._fall_back():
+            tried = outcome.history
             outcome, found = self._attempt_along(length, to, kink)
-            if not outcome.converged and self._fall_back():
-                tried = outcome.history
-                outcome, found = self._attempt_along(length, to, kink)
-                outcome.history[:0] = tried
-                self._fell_back(outcome.converged)
+            outcome.history[:0] = tried
+            self._fell_back(outcome.converged)
         return outcome, found
 
     def _attempt_along(self, length: float, to: float | None, kink: bool) -> tuple[Outcome, float]:
@@ -334,8 +379,7 @@ class Problem(Results):
                 self._close(system)
                 self._equilibrium = Equilibrium.of(system)
                 self._last_x, self.progress.factor_change = self.points.x, factor - self.progress.factor
-                for observer in self.observers:
-                    observer.after_convergence(self, factor)
+                ranks.tell(self.comm, self.observers, lambda one: one.after_convergence(self, factor))
                 self._commit_terms(system, start.x)
                 base = self.progress.rotation_factor
                 self._commit(system, at_points, factor)
@@ -343,10 +387,10 @@ class Problem(Results):
                 self._note(outcome)
                 system.prescribed.start_from(factor, system.x)
                 self._settle()
-                for observer in self.observers:
-                    observer.after_commit(self, self.progress.rotation_factor != base)
+                rebased = self.progress.rotation_factor != base
+                ranks.tell(self.comm, self.observers, lambda one: one.after_commit(self, rebased))
             else:
-                system.x = start.x
+                self.failed_at, system.x = system.x, start.x
 
     def _commit_terms(self, system: NodalSystem, start: np.ndarray) -> None:
         """Tell the terms of a step that has converged, from increments (nodes, block) at its start."""
@@ -358,14 +402,14 @@ class Problem(Results):
             term.committed = True
 
     def _tell_of_reset(self) -> None:
-        for observer in self.observers:
-            observer.after_reset(self)
+        ranks.tell(self.comm, self.observers, lambda one: one.after_reset(self))
 
     def _prescribed(self, nodes: Nodes, supports: Sequence[Support] | None = None) -> Prescribed:
         """Prescribed unknowns of some supports; by default of those that act."""
         with self.timer("conditions"):
             acting = self.supports if supports is None else supports
             made = Prescribed(nodes, acting, self.layout, self.comm, self.cell_size)
+            ranks.check_masks(made, nodes)
             made.start_from(self.progress.factor, made.base)
             return made
 
@@ -377,13 +421,16 @@ class Problem(Results):
             InputError: the body isn't any more as this problem has left it.
         """
         self._check_left()
-        return {f"rows.{name}": a for name, a in self.rows.items()} | self.term_rows() | self.load_rows()
+        last = {} if self._last_x is None else {"last_x": self._last_x}
+        rows = {f"rows.{name}": a for name, a in self.rows.items()}
+        return last | rows | self.term_rows() | self.load_rows()
 
     def keep(self, rows: dict[str, np.ndarray]) -> None:
         """Put in rows such as those of `kept`."""
         self.rows = {name[5:]: a for name, a in rows.items() if name.startswith("rows.")}
         self.restore_term_rows(rows)
         self.restore_load_rows(rows)
+        self._last_x = rows.get("last_x")
 
 
 def _factor(value: Any, name: str = "factor") -> float:

@@ -15,6 +15,7 @@ from ..bodies.points import Points
 from ..errors import TrustWarning
 from ..forms.points import PointForm
 from ..kernels.kernel import Kernel
+from ..tools.parallel import errors_on_all_ranks
 
 # shares of a step's work inside the boxes above which an answer may be far off: while no point has flowed,
 # and then, as the boxes of points that have flowed count for little
@@ -100,13 +101,24 @@ class BoxRecord:
         limit = DOUBTFUL_FLOW if self.comm.allreduce(flowed, op=MPI.LOR) else DOUBTFUL
         if share > limit and self.comm.allreduce(size, op=MPI.MAX) > SMALL:
             warned, self.in_doubt = self.in_doubt, True
-            if self.comm.rank == 0 and not warned:
-                warnings.warn(
-                    f"step {step}: {100 * share:.0f} % of its work is done inside the points' boxes, where "
-                    f"neither the grid nor the points resolve it; the answer may be far off: {_REMEDY}",
-                    TrustWarning,
-                    stacklevel=2,
-                )
+            with errors_on_all_ranks(self.comm):  # of warnings a script may make errors
+                if self.comm.rank == 0 and not warned:
+                    warnings.warn(
+                        f"step {step}: {100 * share:.0f} % of its work is done inside the points' boxes, "
+                        "where neither the grid nor the points resolve it; the answer may be far off: "
+                        f"{_REMEDY}",
+                        TrustWarning,
+                        stacklevel=2,
+                    )
+
+    def state(self) -> list[float]:
+        """For a restart file: largest share, its step, and whether the run is in doubt."""
+        return [*self.largest, float(self.in_doubt)]
+
+    def restore(self, state: Sequence[float]) -> None:
+        """Put in what `state` gave."""
+        share, step, doubt = state
+        self.largest, self.in_doubt = (float(share), int(step)), bool(doubt)
 
     def summary(self) -> str:
         """How far the run can be trusted, in a line."""

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from ..bodies.points import Points, Selection
+from ..bodies.points import Points
+from ..bodies.selection import Selection
 from ..conditions.amplitudes import Amplitude, check_counts
 from ..conditions.loads import AnyLoad, Applied, HandedOver, Load, make_loads
 from ..conditions.supports import Support, make_support
 from ..errors import InputError
+from ..geometry.planes import Plane
 from ..geometry.surfaces import Surface
 from ..kinematics.layout import Layout
 from ..terms.base import Term
@@ -22,14 +24,16 @@ from ..terms.surfaces import SurfaceSupport
 from ..terms.surfaceterms import SurfaceCondition
 from ..tools import checks
 from ..tools.checks import shown
+from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from . import surfaces
 from .given import Given, Present, Register
 from .state import Progress
 from .turns import Turns
+from .whole import Changing, Whole
 
 
-class Conditions(Turns, ABC):
+class Conditions(Whole, Turns):
     """Supports, loads and terms of a problem. All methods are collective.
 
     Attributes:
@@ -55,6 +59,20 @@ class Conditions(Turns, ABC):
         self.given = Register()
         self._leave()
         self._stale = False  # conditions have changed since the system was built
+        self._unasked: list[Amplitude] = []  # functions that haven't been compared over the ranks yet
+
+    def _changing(self) -> Iterator[Changing]:
+        yield from super()._changing()
+        conditions: list[Any] = [*self._supports, *self._loads, *self._terms, *self._leaving]
+        for given in self.given:
+            conditions += [given, *getattr(given.condition, "parts", (given.condition,))]
+        for thing in (self.progress, self.points, *conditions):
+            yield thing, None
+        for condition in conditions:
+            if isinstance(condition, Support) and isinstance(condition.where, Plane):
+                yield condition.where, None
+            if hasattr(condition, "amplitude"):
+                yield condition.amplitude, None
 
     @property
     def supports(self) -> tuple[Support, ...]:
@@ -75,11 +93,16 @@ class Conditions(Turns, ABC):
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
         """Predicate of node positions, and its name, of what the user gives to `fix`."""
 
+    def _named(self, where: Any) -> Any:
+        """The surface that the name of a group of boundary facets means, where that's a surface."""
+        return where
+
     @property
     @abstractmethod
     def cell_size(self) -> float:
         """Size of a cell or an element (m), the smallest one. Collective."""
 
+    @collective("fix", compare=True)
     def fix(
         self,
         where: Any,
@@ -96,7 +119,8 @@ class Conditions(Turns, ABC):
         Args:
             where: `plane(x=0.0)` or a predicate of node positions (n, d) -> (n,) bool; for finite elements
                 also facets, or the name of a physical group. Or a `Surface` (also one that doesn't follow the
-                grid; `elements.surface(...)`), which the body carries: springs hold it.
+                grid; `elements.surface(...)`), which the body carries: springs hold it; of points from a mesh
+                also the name of a group of its facets (`points.surface(name)`).
             **components: u, theta (all components), or ux, uy, uz, theta_x, theta_y, theta_z (theta in
                 plane strain), in m and rad. A number is ramped with the load factor; a function of the
                 factor, or of (factor, positions), gives the displacement or rotation; positions are
@@ -129,6 +153,7 @@ class Conditions(Turns, ABC):
         """
         self._check_outside("fix")
         check_counts("fix", counts)
+        where = self._named(where)
         springs = {"stiffness": stiffness, "rotation_stiffness": rotation_stiffness, "normal": normal}
         if isinstance(where, Surface):
             return surfaces.add_support(self, where, components, augment=augment, counts=counts, **springs)
@@ -139,6 +164,7 @@ class Conditions(Turns, ABC):
         return self._fix_nodes(where, components, counts)
 
     def _fix_nodes(self, where: Any, components: dict[str, Any], counts: str | None) -> Support:
+        self.check_open()
         predicate, label = self._place(where)
         total = not self.progress.step if counts is None else counts == "total"
         number = self.given.next("support")
@@ -151,6 +177,7 @@ class Conditions(Turns, ABC):
             )
         self._admit(where, support)
         self._supports.append(support)
+        self._unasked += [amplitude for amplitude, _ in support.columns.values()]
         self.given.add(Given(support.name, support, self.progress.factor, counts), "support")
         self._stale = True
         return support
@@ -158,6 +185,7 @@ class Conditions(Turns, ABC):
     def _admit(self, where: Any, support: Support) -> None:
         """Take note of a support that the user has put on `where`, or refuse it."""
 
+    @collective("add", compare=True)
     def add(self, term: Term, *, counts: str | None = None) -> None:
         """Add a term: a contribution to the nodal system, such as a `SurfaceTerm` of one's own. In mid-run it
         acts from the next step on, which begins with a reset of the grid. `counts` as of `load`.
@@ -173,10 +201,12 @@ class Conditions(Turns, ABC):
         if term.taken:
             raise InputError(f"term = {term.name!r} has been added to a problem already; make another one")
         check_counts(term.name, counts)
+        self.check_open()
         term.attach(self.layout, self.comm)
         term.taken = True
         term.begin_at(self.progress.factor, counts)
         self._terms.append(term)
+        self._unasked += term.amplitudes() if isinstance(term, SurfaceCondition) else []
         kind = "surface" if isinstance(term, SurfaceCondition) else "term"
         self.given.add(Given(term.name, term, self.progress.factor, counts), kind)
         self._stale = self.progress.reset_due = True
@@ -190,9 +220,10 @@ class Conditions(Turns, ABC):
         """Name of the next condition on a surface."""
         return f"{kind} {self.given.next('surface')}"
 
+    @collective("traction", compare=True)
     def traction(
         self,
-        where: Surface,
+        where: Surface | str | int,
         *,
         force: Any = None,
         couple: Any = None,
@@ -213,9 +244,10 @@ class Conditions(Turns, ABC):
             InputError: neither is given, values of the wrong size, a surface of another dimension; when the
                 next step begins, also points of the surface outside of the body.
         """
-        return surfaces.add_traction(self, where, force, couple, follows=follows, counts=counts)
+        return surfaces.add_traction(self, self._named(where), force, couple, follows=follows, counts=counts)
 
-    def pressure(self, where: Surface, p: Any, *, counts: str | None = None) -> Term | Applied:
+    @collective("pressure", compare=True)
+    def pressure(self, where: Surface | str | int, p: Any, *, counts: str | None = None) -> Term | Applied:
         """A pressure (Pa) against the current normal of a surface that the body carries, -p cof(F) N dA.
 
         Returns:
@@ -224,8 +256,9 @@ class Conditions(Turns, ABC):
         Raises:
             InputError: as `traction`.
         """
-        return surfaces.add_pressure(self, where, p, counts=counts)
+        return surfaces.add_pressure(self, self._named(where), p, counts=counts)
 
+    @collective("body_load", compare=True)
     def body_load(
         self,
         *,
@@ -266,8 +299,10 @@ class Conditions(Turns, ABC):
 
     def _take(self, applied: Applied, amplitudes: Sequence[Amplitude], counts: str | None) -> None:
         """Note a load of a script's."""
+        self.check_open()
         for amplitude in amplitudes:
             amplitude.begin(self.progress.factor, counts)
+        self._unasked += amplitudes
         self.given.add(Given(applied.name, applied, self.progress.factor, counts), "load")
         self._stale = True
 
@@ -300,20 +335,23 @@ class Conditions(Turns, ABC):
             start = f"term {k}."
             term.rows = {name[len(start) :]: a for name, a in rows.items() if name.startswith(start)}
 
-    def restore_terms(self, arrays: dict[str, np.ndarray]) -> None:
+    def restore_terms(self, arrays: dict[str, np.ndarray], known: int | None = None) -> None:
         """Put in what `term_state` gave, before `restore`; the problem has the same terms.
+
+        Args:
+            known: how many there were; those that come after them are new.
 
         Raises:
             InputError: other terms.
         """
-        with_state = [k for k, term in enumerate(self._terms) if term.state()]
+        with_state = [k for k, term in enumerate(self._terms[:known]) if term.state()]
         saved = {int(key.split("/")[0]) for key in arrays}
         if saved != set(with_state):
             raise InputError(
                 f"the saved state has {len(saved)} term(s) with a state of their own, the problem has "
                 f"{len(with_state)}"
             )
-        for term in self._terms:
+        for term in self._terms[:known]:
             term.committed = True
         for k in with_state:
             start = f"{k}/"

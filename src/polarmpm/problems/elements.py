@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -23,6 +23,7 @@ from ..conditions.prescribed import Prescribed
 from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.elements import ElementForms
+from ..forms.trial import try_energy
 from ..geometry.planes import PlaneSpec
 from ..geometry.surfaces import Surface
 from ..kinematics import rotations
@@ -34,11 +35,15 @@ from ..terms.base import Piece, Term, pieces_of
 from ..terms.settings import MeshNodes, MeshSetting, check_facets
 from ..terms.surfaceterms import SurfaceCondition
 from ..tools import checks, compat
+from ..tools.disposal import dispose_of_dropped
+from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from .base import Problem
+from .described import described, of_rank
 from .given import Present
 from .state import Progress
 from .surfaces import add_load
+from .whole import Changing
 
 
 def _make_forms(elements: Elements) -> ElementForms:
@@ -68,6 +73,10 @@ class SurfaceLoad:
     rows: Any = None  # the nodes of the facets
     position: Any = None  # where they are (n, d) (m)
 
+    def __repr__(self) -> str:
+        area = f"{self.facets.area:.6g} {'m^2' if self.facets.body.dim == 3 else 'm'}"
+        return f"SurfaceLoad({self.amplitude.name!r} on {area}{', follows' if self.follows else ''})"
+
 
 @dataclass
 class _Varying:
@@ -93,6 +102,7 @@ class QuasiStaticFEM(Problem):
     knows_undeformed = True
     body = "elements"
 
+    @collective("QuasiStaticFEM", comm=lambda self, elements, *args, **options: elements.comm, compare=True)
     def __init__(self, elements: Elements, *, controls: Controls | None = None, solver: str = "auto"):
         checks.instance("elements", elements, Elements, "a meshed body, polarmpm.Elements(...), is")
         self.solver = check_solver(solver)
@@ -100,13 +110,26 @@ class QuasiStaticFEM(Problem):
         self.elements = elements
         self.forms = _make_forms(elements)
         _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
-        if elements.degree == 1 and elements.comm.rank == 0:
-            warn_of_locking(elements.points.materials, "elements of degree 1", "degree 2")
+        for material in elements.points.materials:
+            try_energy(material)
+        with errors_on_all_ranks(elements.comm):  # of warnings a script may make errors
+            if elements.degree == 1 and elements.comm.rank == 0:
+                warn_of_locking(elements.points.materials, "elements of degree 1", "degree 2")
         self._surface_loads: list[SurfaceLoad] = []
         self.progress.reset_due = False
         self._system: ElementSystem | None = None
         self._last_loads: np.ndarray | None = None  # forces of the last converged state's loads
         self._body: Any = None  # densities of body loads at the quadrature points
+
+    def _changing(self) -> Iterator[Changing]:
+        yield from super()._changing()
+        for thing in (self.elements, self.forms, *self.forms.changing()):
+            yield thing, None
+
+    def _free(self) -> None:
+        if self._system is not None:
+            self._system.destroy()
+            self._system = None
 
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
@@ -157,6 +180,7 @@ class QuasiStaticFEM(Problem):
         super()._remove_load(load)
         self._surface_loads = [one for one in self._surface_loads if one is not load]
 
+    @collective("load", compare=True)
     def load(
         self, where: Any, *, force: Any = None, couple: Any = None, counts: str | None = None
     ) -> Term | Applied:
@@ -179,6 +203,7 @@ class QuasiStaticFEM(Problem):
         group, values = self.elements.facets(where), {"force": force, "couple": couple}
         return self._add_surface(group, values, False, 1.0 / group.area, "load", counts)
 
+    @collective("traction", compare=True)
     def traction(
         self,
         where: Any,
@@ -201,6 +226,7 @@ class QuasiStaticFEM(Problem):
         group = self.elements.facets(where)
         return self._add_surface(group, {"force": force, "couple": couple}, follows, 1.0, "traction", counts)
 
+    @collective("pressure", compare=True)
     def pressure(self, where: Any, p: Any, *, counts: str | None = None) -> Term | Applied:
         """A pressure (Pa) against the current normal of the current surface, on facets (what
         `elements.facets` takes) or on a surface. Values and `counts` as in `load`."""
@@ -246,6 +272,7 @@ class QuasiStaticFEM(Problem):
             prescribed.put_motion(self.elements.displacement, self.elements.q)
         with self.timer("compile"):
             dead, varying = self._load_forms()
+        dispose_of_dropped(self.comm)
         if self._system is not None:
             self._system.destroy()
         self._system = ElementSystem(
@@ -327,9 +354,13 @@ class QuasiStaticFEM(Problem):
         d, (value, gradient) = self.layout.dim, self.forms.values_at_points()
         return Increments(value, gradient[:, :d], gradient[:, d:])
 
-    def _check(self, increments: Increments) -> str:
+    def volume_ratios(self, increments: Increments) -> np.ndarray:
         d = self.layout.dim
-        bad = rotations.determinant(self.points.F[:, :d, :d] + increments.gradient) <= 0
+        ratios: np.ndarray = rotations.determinant(self.points.F[:, :d, :d] + increments.gradient)
+        return ratios
+
+    def _check(self, increments: Increments) -> str:
+        bad = self.volume_ratios(increments) <= 0
         cells = np.unique(self.points.id[bad] // len(self.elements.reference_points))
         inverted = np.unique(np.concatenate(self.comm.allgather(cells)))
         if not len(inverted):
@@ -369,7 +400,8 @@ class QuasiStaticFEM(Problem):
 
     def restore(self, progress: Progress) -> None:
         """Continue from a state that has been put into the elements already; see `io.restart`."""
-        self.progress, self._equilibrium, self._last_x = progress, None, None
+        self.check_open()
+        self.progress, self._equilibrium = progress, None
         self._leave(changed=True)
         if self._system is not None:
             self._system.destroy()
@@ -381,3 +413,8 @@ class QuasiStaticFEM(Problem):
     def system(self) -> ElementSystem | None:
         """Nodes and residual as of the last step; None before the first one."""
         return self._system
+
+    def __repr__(self) -> str:
+        e = self.elements
+        cells = f"{len(e.body.owned_cells)} {e.body.cell}s{of_rank(self.comm)}, degree {e.degree}"
+        return described(self, cells)

@@ -95,21 +95,12 @@ class Register:
         ]
         return json.dumps(rows)
 
-    def match(self, text: str) -> list[tuple[Given, dict[str, Any] | None]]:
-        """The entries, each with what was saved of it; None: it is new.
-
-        Raises:
-            InputError: some that were saved haven't been given.
-        """
+    def match(self, text: str) -> tuple[list[tuple[Given, dict[str, Any] | None]], list[str]]:
+        """The entries, each with what was saved of it (None: it is new), and the names of those that were
+        saved but haven't been given."""
         rows: list[dict[str, Any]] = json.loads(text)
         found: list[tuple[Given, dict[str, Any] | None]] = []
         for given in self.entries:
             at = next((k for k, row in enumerate(rows) if row["name"] == given.name), None)
             found.append((given, None if at is None else rows.pop(at)))
-        missing = [row["name"] for row in rows]
-        if missing:
-            raise InputError(
-                f"the saved state has {', '.join(missing)}, which the script hasn't given; it is to give all "
-                "conditions again before it reads the file, in the same order, those that it released too"
-            )
-        return found
+        return found, [row["name"] for row in rows]

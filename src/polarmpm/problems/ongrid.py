@@ -16,6 +16,7 @@ from ..basis.base import Basis
 from ..bodies.partition import LoadShares, distribute
 from ..bodies.reference import Reference
 from ..bodies.seeding import check_inside
+from ..bodies.validity import Seal, check_state
 from ..conditions.holding import check_held
 from ..conditions.movinggrid import MovingGrid
 from ..conditions.prescribed import Prescribed
@@ -27,6 +28,7 @@ from ..geometry.grid import Grid
 from ..geometry.planes import Plane
 from ..kernels.kernel import Kernel
 from ..kinematics.motion import Motion
+from ..tools.disposal import dispose_of_dropped
 from .balancing import BalancedResets
 from .base import Problem
 from .boxes import BoxRecord
@@ -59,6 +61,8 @@ class OnGrid(Problem):
     _resets: BalancedResets
     _conservation: Conservation
     _system: LoadedPoints | None
+    _seal: Seal | None  # on what the last step has put into the points
+    _arrangement: int  # of the points, see `Points.arrangements`
     _attempted: tuple[np.ndarray, np.ndarray] | None
     _converged_loads: tuple[np.ndarray, np.ndarray] | None
 
@@ -69,10 +73,17 @@ class OnGrid(Problem):
     def _prepare(self) -> LoadedPoints:
         """The system of the present grid; reset if that is due, renewed if conditions have changed."""
         p, old = self.progress, self._system
-        if len(self.points.materials) != len(self.forms):
-            raise InputError("points: were given another material after the problem had been made of them")
-        if old is not None and not p.reset_due and not self._stale:
-            return old
+        if self.points.arrangements != self._arrangement:
+            raise InputError(
+                "points: others have joined them, or they were given another material, after the problem had "
+                "been made of them"
+            )
+        if old is not None and not p.reset_due:
+            if self._seal is not None:
+                self._seal.check(self.points)
+            if not self._stale:
+                return old
+        dispose_of_dropped(self.comm)
         self._compile()
         reset = old is None or p.reset_due
         if old is None or reset:
@@ -94,6 +105,7 @@ class OnGrid(Problem):
         in_boxes = self.box_record.energy(self._system) if self.balanced_reset else 0.0
         grid = self._moving.at(p.factor if p.step else None, self.supports)
         check_inside(grid, self.points)
+        check_state(self.points, everything=False)
         self._put_grid(grid)
         if self.load_shares.due():
             with self.timer("migration"):

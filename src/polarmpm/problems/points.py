@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from mpi4py import MPI
@@ -13,15 +13,18 @@ from ..assembly.points import LoadedPoints
 from ..basis.base import Basis
 from ..basis.registry import basis_of, names
 from ..bodies.partition import LoadShares
-from ..bodies.points import Points, Selection
+from ..bodies.points import Points
 from ..bodies.reference import Increments, Reference
 from ..bodies.seeding import check_inside
+from ..bodies.selection import Selection
+from ..bodies.validity import Seal, check_state
 from ..conditions.loads import Applied, HandedOver, Load, point_loads
 from ..conditions.movinggrid import MovingGrid
 from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.choice import make_form
 from ..forms.stresses import MaterialField
+from ..forms.trial import try_energy
 from ..geometry.grid import Grid
 from ..geometry.planes import PlaneSpec
 from ..geometry.surfaces import Surface
@@ -33,13 +36,16 @@ from ..solvers.resetting import ResetPolicy, WhenDistorted, make_policy
 from ..terms.base import Term
 from ..terms.ghost import Ghost, GhostPenalty, make_penalty
 from ..tools import checks
+from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks, values_by_number
 from .balancing import BalancedResets
 from .boxes import BoxRecord
 from .conservation import Conservation
+from .described import described, of_rank
 from .ongrid import Compiled, OnGrid
 from .state import Fields, Progress
 from .surfaces import add_load
+from .whole import Changing
 
 ASSEMBLIES = ("direct", "projection")
 _DISTORTED = WhenDistorted()
@@ -80,6 +86,7 @@ def _check_body(grid: Grid, points: Points) -> None:
         raise InputError("points: are on other ranks than the grid; give both the same comm")
     if not points.total:
         raise InputError("points: there is no point")
+    check_state(points)
     check_inside(grid, points)
 
 
@@ -126,6 +133,7 @@ class QuasiStatic(OnGrid):
         PointsOutsideGrid: points lie outside the grid; the message names them.
     """
 
+    @collective("QuasiStatic", comm=lambda self, grid, *args, **options: grid.comm, compare=True)
     def __init__(
         self,
         grid: Grid,
@@ -151,13 +159,9 @@ class QuasiStatic(OnGrid):
         self.forms = [make_form(m, grid.dim) for m in points.materials]
         for form in self.forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
-        if grid.comm.rank == 0:
-            functions = f"the functions of basis={self.basis.name!r}"
-            if self.basis.locks:
-                warn_of_locking(points.materials, functions, "basis='bspline'")
-            else:
-                few = "displacements are 2 to 6 % too small with 32 and 16 cells across a body that bends"
-                warn_of_locking(points.materials, functions, "smaller cells", beyond=_SPLINES_LOCK, how=few)
+            try_energy(form.material)
+        with errors_on_all_ranks(grid.comm):
+            self._warn_of_locking()
         self.rotation_limit = 1.0
         self.boxes = _check_boxes(boxes, self.basis)
         self.box_record = BoxRecord(points, self.forms, grid.comm)
@@ -171,11 +175,39 @@ class QuasiStatic(OnGrid):
         self._compiled = Compiled()
         self._resets = BalancedResets(self.layout, self.comm, self.timer)
         self._system: LoadedPoints | None = None
+        self._seal: Seal | None = None
+        self._arrangement = points.arrangements
         # forces and couples at the points of the last attempt and of the last converged step
         self._attempted: tuple[np.ndarray, np.ndarray] | None = None
         self._converged_loads: tuple[np.ndarray, np.ndarray] | None = None
         if self.load_shares.due():
             self._migrate()
+
+    def _warn_of_locking(self) -> None:
+        """On one rank; an error where the script makes errors of warnings."""
+        if self.comm.rank == 0:
+            functions = f"the functions of basis={self.basis.name!r}"
+            if self.basis.locks:
+                warn_of_locking(self.points.materials, functions, "basis='bspline'")
+            else:
+                few = "displacements are 2 to 6 % too small with 32 and 16 cells across a body that bends"
+                warn_of_locking(
+                    self.points.materials, functions, "smaller cells", beyond=_SPLINES_LOCK, how=few
+                )
+
+    def _changing(self) -> Iterator[Changing]:
+        yield from super()._changing()
+        for thing in (
+            *(self.policy, self.box_record, self.load_shares, self.load_shares.shares),
+            *(self._conservation, self._moving, self._compiled, self._resets),
+        ):
+            yield thing, None
+
+    def _free(self) -> None:
+        self.box_record.kept = self.box_record.energies(self._system)
+        if self._system is not None:
+            self._system.destroy()
+            self._system = None
 
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
@@ -186,6 +218,10 @@ class QuasiStatic(OnGrid):
         return checks.function("fix: where", where, what, takes=("positions",)), getattr(
             where, "__name__", "predicate"
         )
+
+    def _named(self, where: Any) -> Any:
+        named = isinstance(where, str | int | np.integer) and not isinstance(where, bool)
+        return self.points.surface(where) if named and self.points.surfaces else where
 
     def _admit(self, where: Any, support: Support) -> None:
         self._moving.admit(where, support, self.supports, self.progress.step > 0)
@@ -198,16 +234,17 @@ class QuasiStatic(OnGrid):
             for load in handed:
                 load.add_to(self._converged_loads[load.couple], self.points, factor)
 
+    @collective("load", compare=True)
     def load(
         self,
-        where: Selection | Surface,
+        where: Selection | Surface | str | int,
         *,
         force: Any = None,
         couple: Any = None,
         counts: str | None = None,
     ) -> Term | Applied:
         """A dead force (N) and couple (N m) in total, shared equally by selected points, or spread evenly
-        over a surface.
+        over a surface, also one by the name of a group of facets of the mesh that the points come from.
 
         Numbers are ramped, functions of the load factor give the value. In plane strain they count per unit
         thickness, and the couple is one number.
@@ -220,6 +257,7 @@ class QuasiStatic(OnGrid):
         Returns:
             The load, for `release`.
         """
+        where = self._named(where)
         if isinstance(where, Surface):
             return add_load(self, where, force, couple, counts)
         if not isinstance(where, Selection):
@@ -257,8 +295,13 @@ class QuasiStatic(OnGrid):
     def _increments(self, system: LoadedPoints) -> Increments:
         return system.interpolation.gather(system.x)
 
+    def volume_ratios(self, increments: Increments) -> np.ndarray:
+        change = np.eye(self.grid.dim) + increments.gradient
+        ratios: np.ndarray = rotations.determinant(change)
+        return ratios
+
     def _check(self, increments: Increments) -> str:
-        bad = rotations.determinant(np.eye(self.grid.dim) + increments.gradient) <= 0
+        bad = self.volume_ratios(increments) <= 0
         inverted = self.comm.allreduce(int(np.sum(bad)))
         return f"{inverted} material point(s) turned inside out" if inverted else ""
 
@@ -285,7 +328,9 @@ class QuasiStatic(OnGrid):
         self._converged_loads = self._attempted
         p = self.progress
         p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
-        p.reset_due = self.policy.due(p.since_reset, increments.gradient, self.comm)
+        with errors_on_all_ranks(self.comm, "the reset policy") as answer:
+            due = answer.alike = bool(self.policy.due(p.since_reset, increments.gradient, self.comm))
+        p.reset_due = due
         if not p.reset_due and self.layout.rotations:
             largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
             if self.comm.allreduce(largest, op=MPI.MAX) > self.rotation_limit:
@@ -293,6 +338,7 @@ class QuasiStatic(OnGrid):
                 for term in self.terms:
                     term.rebase_rotations()
                 p.rotation_factor = factor
+        self._seal = Seal(self.points)
 
     def _with_boxes(self, change: Callable[[], None]) -> None:
         """Change what the boxes' energy depends on besides the increments; what it loses counts as
@@ -324,15 +370,13 @@ class QuasiStatic(OnGrid):
 
     def kept(self) -> dict[str, np.ndarray]:
         out = super().kept()
-        if self._last_x is not None:
-            out["last_x"] = self._last_x
         if self._converged_loads is not None:
             out |= {"forces": self._converged_loads[0], "couples": self._converged_loads[1]}
         return out | {"box_energy": self.box_record.energies(self._system)}
 
     def keep(self, rows: dict[str, np.ndarray]) -> None:
         super().keep(rows)
-        self._last_x, self.box_record.kept = rows.get("last_x"), rows.get("box_energy")
+        self.box_record.kept = rows.get("box_energy")
         self._converged_loads = (rows["forces"], rows["couples"]) if "forces" in rows else None
 
     def restore(
@@ -350,8 +394,10 @@ class QuasiStatic(OnGrid):
             shares: how well the points are distributed, from `LoadShares.state`; None: they are distributed
                 now.
         """
+        self.check_open()
         self.progress, self._equilibrium, self._conservation = progress, None, Conservation(self.comm)
         self.keep(kept)
+        self._seal, self._arrangement = None, self.points.arrangements
         if self._system is not None:
             self._system.destroy()
             self._system = None
@@ -377,6 +423,7 @@ class QuasiStatic(OnGrid):
         self._system.carried[:] = carried
 
     # results --------------------------------------------------------------------------------------
+    @collective("fields")
     def fields(self, *names: str | MaterialField) -> Fields:
         found = super().fields(*names)
         if "energy" in found:
@@ -387,3 +434,6 @@ class QuasiStatic(OnGrid):
     def system(self) -> LoadedPoints | None:
         """Active nodes, their increments and residual as of the last step; None before the first one."""
         return self._system
+
+    def __repr__(self) -> str:
+        return described(self, f"{len(self.points)} points{of_rank(self.comm)}, basis {self.basis.name!r}")

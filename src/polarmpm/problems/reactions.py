@@ -13,13 +13,17 @@ from mpi4py import MPI
 import numpy as np
 
 from ..assembly.system import NodalSystem
-from ..conditions.prescribed import Prescribed
 from ..conditions.supports import Support
 from ..geometry.nodes import Nodes
 from ..kinematics import rotations
 from ..kinematics.moments import moments
 from ..terms.surfaces import SurfaceSupport
 from ..tools.checks import vector
+
+
+def _shown(values: np.ndarray) -> str:
+    """Components on one line."""
+    return "(" + ", ".join(f"{v:.6g}" for v in values) + ")"
 
 
 class Reaction(tuple[np.ndarray, np.ndarray]):
@@ -67,9 +71,10 @@ class Reaction(tuple[np.ndarray, np.ndarray]):
         return {"force": self.force, "couple": self.couple, "moment": self.moment}
 
     def __repr__(self) -> str:
-        also = f", shared={self.shared}" if self.shared else ""
-        of = f"force={self.force}, couple={self.couple}, moment={self.moment} about {self.about}"
-        return f"Reaction({of}{also})"
+        also = "".join(f", shared with {name}: {_shown(f)} N" for name, f in self.shared.items())
+        couple = f"couple={_shown(self.couple)} N m, " if len(self.couple) else ""
+        moment = f"moment={_shown(self.moment)} N m about {_shown(self.about)} m"
+        return f"Reaction(force={_shown(self.force)} N, {couple}{moment}{also})"
 
 
 @dataclass(frozen=True)
@@ -79,6 +84,9 @@ class Share:
     name: str
     force: np.ndarray
     moment: np.ndarray
+
+    def __repr__(self) -> str:
+        return f"Share({self.name!r}, force={_shown(self.force)} N, moment={_shown(self.moment)} N m)"
 
 
 @dataclass(frozen=True)
@@ -107,6 +115,14 @@ class Balance:
         names = {"force": self.residue[0], "moment": self.residue[1]}
         return {"residue": names, "force": self.force, "moment": self.moment}
 
+    def __repr__(self) -> str:
+        parts = ", ".join(part.name for part in self.parts)
+        force, moment = self.residue
+        return (
+            f"Balance({len(self.parts)} parts: {parts}; sum {_shown(self.force)} N and {_shown(self.moment)} "
+            f"N m about {_shown(self.about)} m, {force:.1e} and {moment:.1e} of the load)"
+        )
+
     def __str__(self) -> str:
         d, m = len(self.force), len(self.moment)
         heads = [f"force {a}" for a in "xyz"[:d]] + (["moment"] if m == 1 else [f"moment {a}" for a in "xyz"])
@@ -126,27 +142,37 @@ class Balance:
         return "\n".join(lines)
 
 
+_ROWS = ("residual", "w", "position", "loads", "carried")
+
+
 @dataclass
 class Equilibrium:
-    """The last converged state, as far as reactions and balance need it. Arrays are (nodes, ...).
+    """The last converged state, as far as reactions and balance need it. Arrays are (nodes, ...), the rows of
+    owned nodes first.
 
     Attributes:
+        supports, masks: those that took part, and which nodes they hold (nodes,).
+        owned: number of nodes that this rank owns.
         residual: internal minus external forces, complete on owned rows.
         w: rotation increments on which couples of the residual do work.
         position: current positions (m).
         loads, carried: spatial forces and couples of the loads, and carried ones, complete on owned rows.
         terms: each term, with its forces and couples on the body on this rank.
+        nodes: of the system; None if the state was read from a file.
         points_moved: points have gone to other ranks since.
     """
 
-    prescribed: Prescribed
-    nodes: Nodes
+    comm: MPI.Comm
+    supports: tuple[Support, ...]
+    masks: list[np.ndarray]
+    owned: int
     residual: np.ndarray
     w: np.ndarray
     position: np.ndarray
     loads: np.ndarray
     carried: np.ndarray
     terms: list[tuple[str, np.ndarray]]
+    nodes: Nodes | None = None
     points_moved: bool = False
 
     @classmethod
@@ -158,14 +184,59 @@ class Equilibrium:
             name, forces = terms.get(id(piece.of), (piece.name, np.zeros_like(x)))
             terms[id(piece.of)] = name, forces - system.terms.forces(x, partial(operator.is_, piece))
         return cls(
-            system.prescribed,
-            system.nodes,
+            system.comm,
+            system.prescribed.supports,
+            system.prescribed.masks,
+            system.nodes.owned,
             system.residual,
             x[:, d:].copy(),
             system.positions(),
             system.spatial_loads(),
             system.carried.copy(),
             list(terms.values()),
+            system.nodes,
+        )
+
+    # files --------------------------------------------------------------------------------------------
+    def saved(self) -> tuple[dict[str, list[str]], dict[str, np.ndarray]]:
+        """For a restart file: names, and this rank's rows."""
+        n, names = len(self.residual), {"supports": [s.name for s in self.supports]}
+        rows = {name: getattr(self, name) for name in _ROWS}
+        rows["held"] = np.array(self.masks, dtype=np.uint8).reshape(-1, n).T
+        rows["owned"] = (np.arange(n) < self.owned).astype(np.uint8)
+        rows |= {f"term {k}": forces for k, (_, forces) in enumerate(self.terms)}
+        return names | {"terms": [name for name, _ in self.terms]}, rows
+
+    @classmethod
+    def read(
+        cls,
+        comm: MPI.Comm,
+        supports: Sequence[Support],
+        names: dict[str, list[str]],
+        rows: dict[str, np.ndarray],
+    ) -> Equilibrium | None:
+        """From what `saved` gave, of which each rank may have other rows; None if a support is missing.
+
+        Args:
+            supports: all that the script has given.
+        """
+        known = {s.name: s for s in supports}
+        if not set(names["supports"]) <= set(known):
+            return None
+        order = np.argsort(1 - rows["owned"].astype(int), kind="stable")
+        rows = {name: a[order] for name, a in rows.items()}
+        residual, w, position, loads, carried = (rows[name] for name in _ROWS)
+        return cls(
+            comm,
+            tuple(known[name] for name in names["supports"]),
+            [mask.astype(bool) for mask in rows["held"].T],
+            int(rows["owned"].sum()),
+            residual,
+            w,
+            position,
+            loads,
+            carried,
+            [(name, rows[f"term {k}"]) for k, name in enumerate(names["terms"])],
         )
 
     # sums ---------------------------------------------------------------------------------------------
@@ -193,18 +264,18 @@ class Equilibrium:
     def _held(self, support: Support) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Forces (owned, block) at the unknowns of a support that no earlier one holds, and those at the
         others by the earlier one's name."""
-        own, at = self.nodes.owned, self.prescribed.supports.index(support)
+        own, at = self.owned, self.supports.index(support)
         first = np.full(self.residual[:own].shape, -1)
-        for number, one in enumerate(self.prescribed.supports[: at + 1]):
+        for number, one in enumerate(self.supports[: at + 1]):
             for column in one.columns:
-                rows = self.prescribed.masks[number][:own] & (first[:, column] < 0)
+                rows = self.masks[number][:own] & (first[:, column] < 0)
                 first[rows, column] = number
         meant = np.zeros(first.shape, dtype=bool)
         for column in support.columns:
-            meant[:, column] = self.prescribed.masks[at][:own]
+            meant[:, column] = self.masks[at][:own]
         forces = np.where(meant & (first == at), self.residual[:own], 0.0)
-        comm, others = self.prescribed.comm, {}
-        for number, one in enumerate(self.prescribed.supports[:at]):
+        comm, others = self.comm, {}
+        for number, one in enumerate(self.supports[:at]):
             rows = meant & (first == number)
             if comm.allreduce(bool(np.any(rows)), op=MPI.LOR):
                 others[one.name] = np.where(rows, self.residual[:own], 0.0)
@@ -213,36 +284,36 @@ class Equilibrium:
     def reaction(self, support: Support, about: np.ndarray) -> Reaction:
         """Reaction of a support that took part in the step. Collective."""
         forces, others = self._held(support)
-        own, comm, d = self.nodes.owned, self.prescribed.comm, self.position.shape[1]
+        own, comm, d = self.owned, self.comm, self.position.shape[1]
         sums = comm.allreduce(self._sums(self._spatial(forces, own)))
         shared = {name: comm.allreduce(f.sum(axis=0))[:d] for name, f in others.items()}
         return Reaction(*self._split(sums, about), about, shared)
 
     def free_residual(self, support: Support, still: Sequence[Support]) -> np.ndarray:
         """Residual (nodes, block) at a support's unknowns that no other one of `still` holds."""
-        at = self.prescribed.supports.index(support)
-        out, mask = np.zeros_like(self.residual), self.prescribed.masks[at]
+        at = self.supports.index(support)
+        out, mask = np.zeros_like(self.residual), self.masks[at]
         for column in support.columns:
             rows = mask.copy()
-            for number, one in enumerate(self.prescribed.supports):
+            for number, one in enumerate(self.supports):
                 if one is not support and one in still and column in one.columns:
-                    rows &= ~self.prescribed.masks[number]
+                    rows &= ~self.masks[number]
             out[rows, column] = self.residual[rows, column]
         return out
 
     # balance ------------------------------------------------------------------------------------------
     def _shares(self) -> Iterator[tuple[str, np.ndarray]]:
-        own = self.nodes.owned
+        own = self.owned
         yield "loads", self._sums(self.loads[:own])
         for name, forces in self.terms:
             yield name, self._sums(self._spatial(forces, len(forces)))
-        for support in self.prescribed.supports:
+        for support in self.supports:
             yield support.name, self._sums(self._spatial(self._held(support)[0], own))
         yield "carried", self._sums(self._spatial(self.carried, own))
 
     def balance(self, about: np.ndarray) -> Balance:
         """Collective."""
-        comm, d = self.prescribed.comm, self.position.shape[1]
+        comm, d = self.comm, self.position.shape[1]
         found = list(self._shares())
         sums = comm.allreduce(np.array([s for _, s in found]))
         split = [self._split(row, about) for row in sums]
@@ -250,7 +321,7 @@ class Equilibrium:
         parts, carried = [s for s in shares[:-1] if s.name != "loads" or self._loaded()], shares[-1]
         force = sum((s.force for s in parts), np.zeros(d))
         moment = sum((s.moment for s in parts), np.zeros_like(carried.moment))
-        length, own = self._length(), self.nodes.owned
+        length, own = self._length(), self.owned
         of_nodes = comm.allreduce(
             float(np.abs(self.residual[:own, :d]).sum() + np.abs(self.loads[:own]).sum())
         )
@@ -264,13 +335,13 @@ class Equilibrium:
 
     def _length(self) -> float:
         """Diagonal (m) of the box around all nodes. Collective."""
-        here = self.position[: self.nodes.owned]
+        here = self.position[: self.owned]
         ends = np.stack([here.max(axis=0, initial=-np.inf), -here.min(axis=0, initial=np.inf)])
-        self.prescribed.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
+        self.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
         return float(np.linalg.norm(ends.sum(axis=0)))
 
     def _loaded(self) -> bool:
-        return bool(self.prescribed.comm.allreduce(bool(np.any(self.loads)), op=MPI.LOR))
+        return bool(self.comm.allreduce(bool(np.any(self.loads)), op=MPI.LOR))
 
 
 def point_about(about: Any, dim: int) -> np.ndarray:

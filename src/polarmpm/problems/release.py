@@ -17,9 +17,11 @@ from ..conditions.supports import Support
 from ..errors import InputError
 from ..geometry.nodes import Nodes
 from ..kinematics import rotations
+from ..solvers.stepping import Restored
 from ..terms.base import Term
 from ..tools import checks
 from ..tools.checks import shown
+from ..tools.meetings import collective
 from .conditions import Conditions
 from .given import Given
 from .reactions import Equilibrium
@@ -59,8 +61,8 @@ def hand_over(
     """
     if system is None or system.nodes is not equilibrium.nodes or equilibrium.points_moved:
         raise InputError(
-            f"release: {support.name}: the grid has been reset since the last converged step; release it at "
-            "once, without over and until, or after another step"
+            f"release: {support.name}: the grid has been reset, or a restart file read, since the last "
+            "converged step; release it at once, without over and until, or after another step"
         )
     d, r = system.layout.dim, system.layout.rotations
     values = point_values(system, equilibrium.free_residual(support, still))
@@ -83,8 +85,10 @@ def described(condition: Any) -> str:
 class Releasable(Conditions):
     """Conditions that can be released, and go on after a restart. All methods are collective."""
 
+    restored: Restored | None = None  # of a run that goes on from a restart file
     _equilibrium: Equilibrium | None = None  # the last converged step
 
+    @collective("release", compare=True)
     def release(self, condition: Any, *, over: float | None = None, until: float | None = None) -> None:
         """Take a condition away: a support, load, traction, pressure or term.
 
@@ -112,8 +116,12 @@ class Releasable(Conditions):
             raise InputError(
                 f"release: {given.name}: before the first load step there is nothing that could fade"
             )
-        self._let_go(given, fade)
-        given.released, given.until = self.progress.factor, None if fade is None else fade.end
+
+        def let_go() -> None:
+            self._let_go(given, fade)
+            given.released, given.until = self.progress.factor, None if fade is None else fade.end
+
+        self.whole(let_go)
 
     def _let_go(self, given: Given, fade: Fade | None) -> None:
         self._stale = True
@@ -138,7 +146,7 @@ class Releasable(Conditions):
 
     def _take_over(self, support: Support, fade: Fade) -> None:
         """Put loads that fade in the place of a support's reaction."""
-        if self._equilibrium is None or support not in self._equilibrium.prescribed.supports:
+        if self._equilibrium is None or support not in self._equilibrium.supports:
             raise InputError(f"release: no load step has been solved yet with {support.name}")
         handed = hand_over(support, self.supports, self._equilibrium, self.system, fade)
         self._loads += handed
@@ -171,20 +179,47 @@ class Releasable(Conditions):
         gone = [h for h in self._handed if not h.fade.share(self.progress.factor)]
         self._loads = [load for load in self._loads if load not in gone]
 
+    def equilibrium_state(self) -> tuple[dict[str, list[str]], dict[str, np.ndarray]] | None:
+        """What reactions and balance of the last converged step need, see `Equilibrium.saved`."""
+        return None if self._equilibrium is None else self._equilibrium.saved()
+
+    def restore_equilibrium(self, names: dict[str, list[str]], rows: dict[str, np.ndarray]) -> None:
+        """Put in what `equilibrium_state` gave, after `restore`."""
+        supports = [g.condition for g in self.given if isinstance(g.condition, Support)]
+        self._equilibrium = Equilibrium.read(self.comm, supports, names, rows)
+
     def condition_state(self) -> dict[str, str]:
         """What a restart file holds of the conditions: which there are, since when, and what was handed
         over."""
         handed = [[h.name, h.couple, h.fade.begin, h.fade.end] for h in self._handed]
         return {"given": self.given.saved(), "handed": json.dumps(handed)}
 
-    def restore_conditions(self, state: dict[str, str], factor: float) -> None:
-        """Go on with conditions as `condition_state` has told; before `restore_terms` and `restore`. New ones
-        count from the load factor of the saved state.
+    def check_conditions(self, state: dict[str, str], fewer: bool = False) -> bool:
+        """Whether some of the conditions that `condition_state` told of haven't been given.
 
         Raises:
-            InputError: some that were saved haven't been given.
+            InputError: there are such, and there may not be `fewer`.
         """
-        known = self.given.match(state["given"]) if "given" in state else [(g, {}) for g in self.given]
+        missing = self.given.match(state["given"])[1]
+        if missing and not fewer:
+            raise InputError(
+                f"the saved state has {', '.join(missing)}, which the script hasn't given; it is to give all "
+                "conditions again before it reads the file, in the same order, those that it released too "
+                "(allow={'conditions'} goes on without them)"
+            )
+        return bool(missing)
+
+    def terms_after(self, state: dict[str, str]) -> list[Term]:
+        """The terms that will be left by `restore_conditions`."""
+        known, _ = self.given.match(state["given"])
+        let_go = [(g.condition, row["until"]) for g, row in known if row and row["released"] is not None]
+        gone = [condition for condition, until in let_go if until is None]
+        return [term for term in self._terms if not any(term is one for one in gone)]
+
+    def restore_conditions(self, state: dict[str, str], factor: float) -> None:
+        """Go on with conditions as `condition_state` has told; before `restore_terms` and `restore`. New ones
+        count from the load factor of the saved state; see `check_conditions`."""
+        known, _ = self.given.match(state["given"])
         empty = np.zeros((0, 0))
         self._loads += [
             HandedOver(name, couple, Fade(*ends), empty)

@@ -9,6 +9,7 @@ from ..errors import InputError
 from ..forms.stresses import MaterialField
 from ..terms.surfaces import SurfaceSupport
 from ..tools.checks import shown
+from ..tools.meetings import collective
 from .reactions import Balance, Reaction, point_about, surface_reaction
 from .release import Releasable
 from .state import Fields, StateFields, choose_fields
@@ -19,6 +20,7 @@ class Results(Releasable):
 
     _fields: StateFields
 
+    @collective("fields")
     def fields(self, *names: str | MaterialField) -> Fields:
         """Energy, Cauchy stress and couple stress at the local points, or what is asked for.
 
@@ -34,11 +36,13 @@ class Results(Releasable):
         """
         return self._fields.evaluate(self.points, choose_fields(names, self.points.plastic))
 
+    @collective("energy")
     def energy(self) -> float:
         """Strain energy of the body (J)."""
         energy: float = self.comm.allreduce(float(self.fields("energy").energy @ self.points.volume0))
         return energy
 
+    @collective("energies")
     def energies(self) -> dict[str, float]:
         """Energy balance of the run so far, in J (J per unit thickness in plane strain).
 
@@ -66,6 +70,7 @@ class Results(Releasable):
         gained = p.external_work + p.carried_work
         return out | {"residue": gained - out["stored"] - dissipated - p.ghost_work - p.term_work}
 
+    @collective("reaction", compare=True)
     def reaction(self, support: Support | SurfaceSupport, about: Any = None) -> Reaction:
         """Force (N), shape (d,), couple (N m), shape (r,), and moment with which a support holds the body in
         the last converged step, by the components that it prescribes: `force, couple = problem.reaction(s)`,
@@ -92,10 +97,11 @@ class Results(Releasable):
         if isinstance(support, SurfaceSupport):
             if e is not None and support.reaction is not None:
                 return surface_reaction(support, point)
-        elif e is not None and support in e.prescribed.supports:
+        elif e is not None and support in e.supports:
             return e.reaction(support, point)
         raise InputError(f"reaction: no load step has been solved yet with {support.name}")
 
+    @collective("balance", compare=True)
     def balance(self, about: Any = None) -> Balance:
         """Loads, reactions and what else acts on the body in the last converged step: forces, and moments
         about the point `about` (default: the origin) in the current configuration. Print it.

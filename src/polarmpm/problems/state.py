@@ -62,6 +62,9 @@ class Fields(Mapping[str, np.ndarray]):
     def __len__(self) -> int:
         return len(self._values)
 
+    def __repr__(self) -> str:
+        return f"Fields({', '.join(f'{name} {a.shape}' for name, a in self._values.items())})"
+
     @property
     def energy(self) -> np.ndarray:
         """Strain energy per reference volume (Pa), (np,)."""

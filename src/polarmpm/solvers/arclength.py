@@ -22,10 +22,11 @@ from tqdm import tqdm
 
 from ..errors import InputError, LocalFailure, NotConverged
 from ..tools import checks
+from ..tools.parallel import errors_on_all_ranks
 from . import newton
 from .linear import SingularTangent
 from .newton import Controls, Outcome, expected_to_end
-from .stepping import BETWEEN, Step, Stepped, check_alone
+from .stepping import BETWEEN, Explain, Step, Stepped, T, check_alone, failed, restored_of
 
 _LENGTH_TOLERANCE = 1e-8  # of a step's length; the state is an equilibrium however long the step is
 # Least cosine between a step and its tangent; what is farther off may be another branch. If steps of a fifth
@@ -290,23 +291,43 @@ class Marching(Stepped, Protocol):
 
     def attempt_along(self, length: float, to: float | None, kink: bool = False) -> tuple[Outcome, float]: ...
 
+    def whole(self, work: Callable[[], T]) -> T:
+        """Do work as a whole or, if anything ends it early, not at all."""
 
-def march(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
-    """Converged steps; see `Problem.march_arc_length`."""
+
+def march(problem: Marching, schedule: ArcSchedule, explain: Explain | None = None) -> Iterator[Step]:
+    """Converged steps; see `Problem.march_arc_length`. `explain` as of `stepping.march`."""
     hidden = (not schedule.progress) if schedule.progress is not None else None
     with tqdm(disable=True if problem.comm.rank else hidden, bar_format=_BAR) as bar:
-        for done, step in enumerate(_steps(problem, schedule), 1):
+        steps = enumerate(_steps(problem, schedule, explain), 1)
+
+        def take() -> tuple[Step | NotConverged | None, bool]:
+            try:
+                done, step = next(steps, (0, None))
+            except NotConverged as error:  # all has been put back
+                return error, True
+            if step is None:
+                return None, True
             problem.steps.append(step)
-            stop = schedule.until is not None and bool(schedule.until(step))
+            stop = False
+            if schedule.until is not None:
+                with errors_on_all_ranks(problem.comm, "until"):
+                    stop = bool(schedule.until(step))
             stop = problem.comm.bcast(stop) or done == schedule.steps
             bar.update()
             bar.set_postfix_str(f"load factor {step.factor:.6g}, {step.iterations} iterations")
-            yield step
-            if stop:
-                return
+            return step, stop
+
+        stop = False
+        while not stop:
+            step, stop = problem.whole(take)
+            if isinstance(step, NotConverged):
+                raise step
+            if step is not None:
+                yield step
 
 
-def _steps(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
+def _steps(problem: Marching, schedule: ArcSchedule, explain: Explain | None) -> Iterator[Step]:
     length, largest = schedule.first, schedule.largest or schedule.first
     last: Step | None = None
     while schedule.to is None or problem.progress.factor != schedule.to:
@@ -324,7 +345,7 @@ def _steps(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
             )
             length *= 0.5
             if length < schedule.smallest * schedule.first:
-                raise NotConverged(aim, outcome.history, tried)
+                raise failed(aim, outcome.history, tried, explain)
         if outcome.iterations <= _EASY:
             length = min(1.5 * length, largest)
         last = Step(
@@ -333,5 +354,6 @@ def _steps(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
             tuple(outcome.history),
             len(tried),
             outcome.unresolved,
+            restored_of(problem),
         )
         yield last

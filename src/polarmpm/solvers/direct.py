@@ -67,7 +67,8 @@ class DirectSolver:
         self._kept = self._old = False  # the factor: is worth to be kept; is of an earlier tangent
         self._given_up = False  # tangents change too much for a factor to be kept
         self._methods = ["general"] if far_from_symmetric else _METHODS[: 2 if symmetric else 3]
-        if symmetric and self.comm.size == 1 and matrix.size[0] <= _SMALL:
+        blocked = self._blocked and matrix.getBlockSize() > 1  # CHOLMOD takes none, and PETSc's error leaks
+        if symmetric and self.comm.size == 1 and matrix.size[0] <= _SMALL and not blocked:
             self._methods = ["small", *self._methods]
         self._method = self._methods[0]
 
@@ -243,6 +244,7 @@ class DirectSolver:
     def destroy(self) -> None:
         """Release PETSc's objects."""
         self._release_solver()
+        self._stored = None
         for thing in (None if self._alone else self._shifted, self.matrix, self.rhs, self.solution):
             if thing is not None:
                 thing.destroy()

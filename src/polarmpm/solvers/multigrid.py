@@ -44,20 +44,23 @@ _RELAXATION = {"ksp_max_it": 1, "pc_type": "sor"}
 _ONE_RANK, _RANKS = {"ksp_chebyshev_eigenvalues": "0.1,1.1"}, {"esteig_ksp_type": "cg"}
 
 
-def rigid_motions(position: np.ndarray, turned: np.ndarray, comm: MPI.Comm) -> np.ndarray:
+def rigid_motions(
+    position: np.ndarray, turned: np.ndarray, comm: MPI.Comm, centre: np.ndarray | None = None
+) -> np.ndarray:
     """Rigid motions of nodes as changes of their unknowns, (k, n, block). Collective.
 
     Where the microrotation has been turned by exp(Dw), a further spin b changes Dw by J_l(Dw)^-1 b, which is
     b + b x Dw / 2 up to the square of Dw. To that order it is linear in the nodal increments, and right at
     points between nodes, whatever the increments of nodes that the points hardly reach. Rotations are about
-    the nodes' centre.
+    `centre`, the nodes' by default.
 
     Args:
         position: current positions (n, d) (m).
         turned: increments of the microrotation (n, r) (rad), r = 0 for classical materials.
     """
     (n, d), r = position.shape, turned.shape[1]
-    centre = comm.allreduce(position.sum(axis=0)) / max(1, comm.allreduce(n))
+    if centre is None:
+        centre = comm.allreduce(position.sum(axis=0)) / max(1, comm.allreduce(n))
     arm = np.pad(position - centre, ((0, 0), (0, 3 - d)))
     spins = np.eye(3)[2:] if d == 2 else np.eye(3)
     out: np.ndarray = np.zeros((d + len(spins), n, d + r))
@@ -100,6 +103,7 @@ class Preconditioner:
             self._weak.setASMOverlap(0)
             self._weak.setOperators(matrix)
             unknowns.destroy()
+        self._hierarchy = hierarchy
         hierarchy.setType(PETSc.PC.Type.GAMG)
         hierarchy.setOperators(matrix)
         _put_options(_PREFIX, _HIERARCHY)
@@ -142,7 +146,9 @@ class Preconditioner:
 
     def destroy(self) -> None:
         """Release PETSc's objects."""
-        self.pc.destroy()
+        for pc in (self._weak, self._hierarchy, self.pc):
+            if pc is not None:
+                pc.destroy()
 
 
 def _put_options(prefix: str, values: dict[str, Any]) -> None:

@@ -97,6 +97,11 @@ class Outcome:
         """Linear solves."""
         return max(0, len(self.history) - 1)
 
+    def __repr__(self) -> str:
+        force = f", force measure {self.history[-1][0]:.2g}" if self.history else ""
+        what = "converged" if self.converged else f"failed: {self.reason or 'no reason yet'}"
+        return f"Outcome({what}; {self.iterations} iterations{force})"
+
 
 def solve(system: System, controls: Controls) -> Outcome:
     """Iterate until one of the convergence measures is below its tolerance. Collective."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from mpi4py import MPI
 
@@ -16,6 +16,8 @@ from tqdm import tqdm
 from ..errors import InputError, NotConverged
 from ..tools import checks
 from .newton import Outcome
+
+T = TypeVar("T")
 
 
 class Stepped(Protocol):
@@ -31,6 +33,24 @@ class Marching(Stepped, Protocol):
 
     def attempt(self, factor: float) -> Outcome: ...
 
+    def whole(self, work: Callable[[], T]) -> T:
+        """Do work as a whole or, if anything ends it early, not at all."""
+
+
+@dataclass(eq=False)
+class Restored:
+    """What a run knows that goes on from a restart file; output files are continued by it.
+
+    Attributes:
+        number: steps up to the saved state.
+        steps: those that are known, by their numbers; all of them unless the script has taken some away.
+        continued: the output files that this run has gone on with so far.
+    """
+
+    number: int
+    steps: dict[int, Step]
+    continued: set[Any] = field(default_factory=set)
+
 
 @dataclass(frozen=True)
 class Step:
@@ -43,6 +63,7 @@ class Step:
         cuts: failed attempts before this one.
         unresolved: share of the step's work that is done inside the points' boxes, where neither the grid nor
             the points resolve it; None where points have no boxes.
+        restored: of a run that goes on from a restart file; None: it began with the undeformed body.
     """
 
     number: int
@@ -50,11 +71,20 @@ class Step:
     history: tuple[tuple[float, float], ...]
     cuts: int
     unresolved: float | None = None
+    restored: Restored | None = field(default=None, compare=False, repr=False)
 
     @property
     def iterations(self) -> int:
         """Linear solves."""
         return len(self.history) - 1
+
+    def __repr__(self) -> str:
+        force = f"{self.history[-1][0]:.2g}" if self.history else "unknown"
+        unresolved = "" if self.unresolved is None else f", {100 * self.unresolved:.2g} % unresolved"
+        return (
+            f"Step(number={self.number}, factor={self.factor:.9g}, {self.iterations} iterations, "
+            f"force measure {force}, {self.cuts} cuts{unresolved})"
+        )
 
 
 @dataclass(frozen=True)
@@ -112,20 +142,38 @@ BETWEEN: dict[str, Any] = {"above": 0.0, "most": 1.0, "allowed": "a number above
 _STEPS = 10  # of which the first adaptive one is a part, unless a number is given
 
 
-def march(problem: Marching, schedule: Schedule) -> Iterator[Step]:
-    """Steps to the final factor; see `Problem.march`."""
+Explain = Callable[[NotConverged], None]
+
+
+def march(problem: Marching, schedule: Schedule, explain: Explain | None = None) -> Iterator[Step]:
+    """Steps to the final factor; see `Problem.march`.
+
+    Args:
+        explain: puts into an error that is about to be raised why the step has failed.
+    """
     hidden = (not schedule.progress) if schedule.progress is not None else None
     if problem.comm.rank:
         hidden = True
     with tqdm(total=100, unit="%", disable=hidden, bar_format=_BAR) as bar:
         stepper = _adaptive if schedule.adaptive else _equal
-        begin = problem.progress.factor
-        for step in stepper(problem, schedule):
-            problem.steps.append(step)
-            share = (step.factor - begin) / (schedule.to - begin) if schedule.to != begin else 1.0
-            bar.update(100 * share - bar.n)
-            force = step.history[-1][0]
-            bar.set_postfix_str(f"step {step.number}, {step.iterations} iterations, residual {force:.1e}")
+        begin, steps = problem.progress.factor, stepper(problem, schedule, explain)
+
+        def take() -> Step | NotConverged | None:
+            try:
+                step = next(steps, None)
+            except NotConverged as error:  # all has been put back
+                return error
+            if step is not None:
+                problem.steps.append(step)
+                share = (step.factor - begin) / (schedule.to - begin) if schedule.to != begin else 1.0
+                bar.update(100 * share - bar.n)
+                force = step.history[-1][0]
+                bar.set_postfix_str(f"step {step.number}, {step.iterations} iterations, residual {force:.1e}")
+            return step
+
+        while (step := problem.whole(take)) is not None:
+            if isinstance(step, NotConverged):
+                raise step
             yield step
 
 
@@ -142,15 +190,32 @@ def check_alone(problem: Stepped, last: Step | None) -> None:
         )
 
 
+def restored_of(problem: Any) -> Restored | None:
+    """What a problem knows of the run before, if it goes on from a restart file."""
+    found: Restored | None = getattr(problem, "restored", None)
+    return found
+
+
 def _attempt(problem: Marching, factor: float, tried: list[str]) -> Step | Outcome:
     outcome = problem.attempt(factor)
     if not outcome.converged:
         tried.append(f"load factor {factor:.6g}: {outcome.reason} after {outcome.iterations} iterations")
         return outcome
-    return Step(problem.progress.step, factor, tuple(outcome.history), len(tried), outcome.unresolved)
+    reached, history = problem.progress.step, tuple(outcome.history)
+    return Step(reached, factor, history, len(tried), outcome.unresolved, restored_of(problem))
 
 
-def _equal(problem: Marching, schedule: Schedule) -> Iterator[Step]:
+def failed(
+    factor: float, history: Sequence[tuple[float, float]], tried: Sequence[str], explain: Explain | None
+) -> NotConverged:
+    """The error to raise, explained."""
+    error = NotConverged(factor, history, tried)
+    if explain is not None:
+        explain(error)
+    return error
+
+
+def _equal(problem: Marching, schedule: Schedule, explain: Explain | None) -> Iterator[Step]:
     begin, last = problem.progress.factor, None
     for k in range(1, schedule.number + 1):
         check_alone(problem, last)
@@ -158,7 +223,7 @@ def _equal(problem: Marching, schedule: Schedule) -> Iterator[Step]:
         tried: list[str] = []
         step = _attempt(problem, factor, tried)
         if isinstance(step, Outcome):
-            raise NotConverged(factor, step.history, tried)
+            raise failed(factor, step.history, tried, explain)
         last = step
         yield step
 
@@ -180,7 +245,7 @@ _DENOMINATOR = 10**6  # different fractions are 1e-12 apart
 _FEW_DIGITS = 8 * float(np.finfo(float).eps)
 
 
-def _adaptive(problem: Marching, schedule: Schedule) -> Iterator[Step]:
+def _adaptive(problem: Marching, schedule: Schedule, explain: Explain | None) -> Iterator[Step]:
     first = (schedule.to - problem.progress.factor) / schedule.number
     largest = first if schedule.largest is None else math.copysign(schedule.largest, first)
     size, last = min(first, largest, key=abs), None
@@ -197,7 +262,7 @@ def _adaptive(problem: Marching, schedule: Schedule) -> Iterator[Step]:
                 break
             size = 0.5 * min(size, left, key=abs)
             if abs(size) < schedule.smallest * abs(first):
-                raise NotConverged(factor, step.history, tried)
+                raise failed(factor, step.history, tried, explain)
         if step.iterations <= schedule.easy:
             size = min(1.5 * size, largest, key=abs)
         last = step

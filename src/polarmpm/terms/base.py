@@ -212,6 +212,9 @@ class Term(ABC):
         term.rows = {}
         return term
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r})"
+
     def attach(self, layout: Layout, comm: MPI.Comm) -> None:  # noqa: B027
         """The problem that takes it has these unknowns and ranks.
 

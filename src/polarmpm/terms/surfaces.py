@@ -198,7 +198,8 @@ class SurfaceSupport(SurfaceCondition):
     def rebase_rotations(self) -> None:
         d, w = self.layout.dim, self.theta - self._at["theta"]
         if self.layout.rotations == 3:  # what does work on Dw now does it on the spin
-            self.multiplier[:, d:] = rotations.couples_on_spins(w, self.multiplier[:, d:])
+            turned = rotations.couples_on_spins(w, self.multiplier[:, d:])
+            self.multiplier = np.hstack([self.multiplier[:, :d], turned])
         super().rebase_rotations()
 
     def converged(self, y: np.ndarray) -> None:
@@ -233,9 +234,22 @@ class SurfaceSupport(SurfaceCondition):
             "multiplier": self.multiplier,
             "offset": self._offset,
             "last": self._last,
+            "gap": np.zeros(len(self.surface)) if self.reaction is None else self.gap,
+            "reaction": self._reaction_row(),
         }
+
+    def _reaction_row(self) -> np.ndarray:
+        """Force, couple and moment in a row; not a number before the first step."""
+        d, r = self.layout.dim, self.layout.rotations
+        if self.reaction is None or self.moment is None:
+            return np.full(d + r + (1 if d == 2 else 3), np.nan)
+        return np.concatenate([*self.reaction, self.moment])
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         super().restore(arrays)
         self.multiplier = np.array(arrays["multiplier"], dtype=float)
         self._offset, self._last = (np.array(arrays[name], dtype=float) for name in ("offset", "last"))
+        row, ends = arrays["reaction"], np.cumsum([self.layout.dim, self.layout.rotations])
+        if np.all(np.isfinite(row)):
+            force, couple, self.moment = np.split(np.array(row, dtype=float), ends)
+            self.reaction, self.gap = (force, couple), np.array(arrays["gap"], dtype=float)

@@ -99,6 +99,11 @@ class SurfaceCondition(Term):
         self._at: dict[str, np.ndarray] = {}  # u, F, theta and q at the last reset or rotation base
         self._data: list[np.ndarray] = []
 
+    def __repr__(self) -> str:
+        unit = "m^2" if self.surface.dim == 3 else "m"
+        on = f"{len(self.surface)} point(s), {self.surface.area.sum():.6g} {unit}"
+        return f"{type(self).__name__}({self.name!r}: {on})"
+
     def attach(self, layout: Layout, comm: MPI.Comm) -> None:
         surface = self.surface
         if surface.dim != layout.dim:

@@ -10,6 +10,7 @@ import inspect
 import math
 import operator
 import os
+import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from numbers import Real
 from pathlib import Path
@@ -22,6 +23,7 @@ import numpy as np
 from ..errors import InputError
 
 T = TypeVar("T")
+_ADDRESS = re.compile(" at 0x[0-9a-f]+")
 _SHOWN = 80  # characters of a value in a message
 
 
@@ -30,7 +32,7 @@ def shown(value: Any) -> str:
     if isinstance(value, np.ndarray) and value.size > 6:
         return f"an array of shape {value.shape}"
     try:
-        text = " ".join(repr(value).split())
+        text = _ADDRESS.sub("", " ".join(repr(value).split()))  # addresses differ between ranks
     except Exception:  # a user's class may have a broken repr
         text = f"an instance of {type(value).__name__}"
     return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
@@ -122,11 +124,15 @@ def array(name: str, value: Any, shape: Sequence[int | None], what: str = "") ->
     return found
 
 
-def numeric(name: str, value: Any, what: str = "") -> np.ndarray:
-    """Real numbers (float64) of whatever shape; not a number and infinite ones, too."""
+def numeric(name: str, value: Any, what: str = "", kinds: str = "iuf") -> np.ndarray:
+    """Real numbers (float64) of whatever shape; not a number and infinite ones, too.
+
+    Args:
+        kinds: of numpy's types; "biuf" takes booleans as zeros and ones.
+    """
     try:
         raw = np.asarray(value)
-        good = raw.dtype.kind in "iuf"
+        good = raw.dtype.kind in kinds
         found = raw.astype(float) if good else raw
     except Exception:  # rows of several lengths, say, and a user's class may do anything
         good = False
@@ -142,6 +148,11 @@ def _of(what: str) -> str:
 def vector(name: str, value: Any, dim: int, what: str = "") -> np.ndarray:
     """A vector (dim,) of finite numbers."""
     return array(name, value, (dim,), what or f"a vector of {dim} components")
+
+
+def several(value: Any) -> bool:
+    """Whether it is a sequence or an array rather than one thing."""
+    return isinstance(value, list | tuple | range) or (isinstance(value, np.ndarray) and value.ndim > 0)
 
 
 def sequence(name: str, value: Any, number: int, what: str = "values") -> tuple[Any, ...]:

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import inspect
 import math
+import sysconfig
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
 from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
 import ufl
 
 from ..errors import KernelError
+from . import cache, quiet
 
 try:  # dolfinx >= 0.8
     import basix.ufl as _basix_ufl
@@ -19,13 +28,13 @@ except ImportError:
     _HAS_BASIX_ELEMENTS = False
 
 
-def coordinate_element(cell: str, gdim: int) -> Any:
-    """Linear (multilinear on boxes) Lagrange element of the mesh geometry."""
+def coordinate_element(cell: str, gdim: int, degree: int = 1) -> Any:
+    """Lagrange element of the mesh geometry, by default linear (multilinear on boxes)."""
     if _HAS_BASIX_ELEMENTS:
-        return _basix_ufl.element("Lagrange", cell, 1, shape=(gdim,))
+        return _basix_ufl.element("Lagrange", cell, degree, shape=(gdim,))
     # with the variant that FFCx adds when it compiles a form: later forms keep their names in the cache
     kind = ufl.Cell(cell, geometric_dimension=gdim)
-    return ufl.VectorElement("Lagrange", kind, 1, dim=gdim, variant="equispaced")
+    return ufl.VectorElement("Lagrange", kind, degree, dim=gdim, variant="equispaced")
 
 
 def quadrature_element(cell: str, size: int, degree: int = 1) -> Any:
@@ -56,19 +65,22 @@ def expression_signature(expr: Any, terminals: dict[Any, int]) -> str:
         raise KernelError(f"{e.args[0]} is not an input of this kernel") from None
 
 
-def create_mesh(comm: Any, cells: Any, positions: Any, cell: str, sharing: np.ndarray | None = None) -> Any:
-    """A dolfinx mesh of linear cells. Collective.
+def create_mesh(
+    comm: Any, cells: Any, positions: Any, cell: str, sharing: np.ndarray | None = None, degree: int = 1
+) -> Any:
+    """A dolfinx mesh. Collective.
 
     Args:
         cells: global node numbers of this rank's cells (m, nodes of a cell).
         positions: coordinates (n, dim) of the nodes that this rank gives, in the order of their numbers.
-        cell: "quadrilateral" or "hexahedron".
+        cell: "triangle", "quadrilateral", "tetrahedron" or "hexahedron".
+        degree: of the geometry, 1 or 2.
         sharing: ranks that have a node of each cell (m, any number), -1 stands for none; cells then stay on
             their ranks. Default: dolfinx distributes them.
     """
     from dolfinx import mesh
 
-    domain = ufl.Mesh(coordinate_element(cell, positions.shape[1]))
+    domain = ufl.Mesh(coordinate_element(cell, positions.shape[1], degree))
     parameters = list(inspect.signature(mesh.create_mesh).parameters)
     arguments = (positions, domain) if parameters[2] == "x" else (domain, positions)
     if sharing is None:
@@ -94,20 +106,45 @@ def _destinations(rank: int, others: np.ndarray) -> Any:
 
 
 def mesh_quadrature(mesh: Any, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (n, d) and volumes (n,) of the quadrature points of this rank's own cells.
+    """Positions (n, d) and volumes (n,) of the quadrature points of this rank's own cells."""
+    xi, weight = quadrature(cell_name(mesh), degree)
+    x, jacobian = mesh_geometry(mesh, xi)
+    return x.reshape(-1, x.shape[2]), (np.abs(np.linalg.det(jacobian)) * weight).ravel()
 
-    The geometry is linear (simplices, quadrilaterals, hexahedra).
-    """
+
+def gmsh_order(cell: str, nodes: int) -> np.ndarray:
+    """Which of gmsh's nodes of a cell is each of dolfinx' (nodes,)."""
+    from dolfinx import cpp
+
+    return np.asarray(cpp.io.perm_gmsh(cpp.mesh.to_type(cell), nodes))
+
+
+def mesh_geometry(
+    mesh: Any, xi: np.ndarray, cells: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (m, q, d) and Jacobians dx/dxi (m, q, d, d) at positions xi (q, d) of the reference cell, in
+    local cells (m,), by default this rank's own; of the geometry's own degree."""
     dim = mesh.topology.dim
-    name = cell_name(mesh)
-    xi, weight = _quadrature(name, degree)
-    table = tabulate(name, 1, xi)
-    own = mesh.topology.index_map(dim).size_local
-    corner = mesh.geometry.x[cell_geometry(mesh)[:own]][:, :, :dim]
-    x = np.einsum("pn,cnd->cpd", table[0], corner)
-    jacobian = np.einsum("jpn,cni->cpij", table[1:], corner)
-    volume = np.abs(np.linalg.det(jacobian)) * weight
-    return x.reshape(-1, dim), volume.ravel()
+    if cells is None:
+        cells = np.arange(mesh.topology.index_map(dim).size_local)
+    if not len(cells):
+        return np.zeros((0, len(xi), dim)), np.zeros((0, len(xi), dim, dim))
+    table = tabulate(cell_name(mesh), geometry_degree(mesh), xi)
+    nodes = mesh.geometry.x[cell_geometry(mesh)[cells]][:, :, :dim]
+    return np.einsum("pn,cnd->cpd", table[0], nodes), np.einsum("jpn,cni->cpij", table[1:], nodes)
+
+
+def geometry_degree(mesh: Any) -> int:
+    """Degree of the mesh's geometry."""
+    return int(mesh.geometry.cmap.degree)
+
+
+def facet_corners(cell: str) -> list[list[int]]:
+    """The corners of each facet of a reference cell."""
+    import basix
+
+    sides = basix.topology(getattr(basix.CellType, cell))
+    return [list(corners) for corners in sides[-2]]
 
 
 def tabulate(cell: str, degree: int, xi: np.ndarray) -> np.ndarray:
@@ -128,20 +165,27 @@ def cell_geometry(mesh: Any) -> np.ndarray:
     return table.reshape(cells.size_local + cells.num_ghosts, -1) if table.size else table.reshape(0, 1)
 
 
-def facet_quadrature(cell: str, facet: int, degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A rule on a facet of the reference cell: positions (q, d) and weights (q,); and the facet's outward
-    normal (d,), as long as the size that the weights are relative to."""
+def facet_quadrature(
+    cell: str, facet: int, rule: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A rule of the reference facet (see `facet_rule`) on a facet of the reference cell: positions (q, d) and
+    weights (q,); the facet's outward normal (d,), as long as the size that the weights are relative to."""
     import basix
 
     kind = getattr(basix.CellType, cell)
     corners, dim = np.asarray(basix.geometry(kind)), len(basix.topology(kind)) - 1
     own = corners[basix.topology(kind)[dim - 1][facet]]
     edges = own[1:dim] - own[0]
-    names = {1: "interval", 2: "quadrilateral" if len(own) == 4 else "triangle"}
-    xi, weight = _quadrature(names[dim - 1], degree)
+    xi, weight = rule
     normal = np.array([edges[0][1], -edges[0][0]]) if dim == 2 else np.cross(*edges)
     outward = np.sign(normal @ (own.mean(axis=0) - corners.mean(axis=0)))
     return own[0] + xi @ edges, weight, outward * normal
+
+
+def facet_rule(cell: str, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (q, d - 1) and weights (q,) of a rule on the reference facet of a cell."""
+    names = {"triangle": "interval", "quadrilateral": "interval", "tetrahedron": "triangle"}
+    return quadrature(names.get(cell, "quadrilateral"), degree)
 
 
 # finite elements --------------------------------------------------------------------------------
@@ -156,6 +200,11 @@ def name_variant(mesh: Any) -> None:
     if not _HAS_BASIX_ELEMENTS and getattr(scalar, "_variant", "") is None:
         named = scalar.reconstruct(variant="equispaced")
         mesh.ufl_domain()._ufl_coordinate_element = ufl.VectorElement(named, dim=element.num_sub_elements())
+
+
+def topology_of(tags: Any) -> Any:
+    """The topology to which tags of dolfinx belong."""
+    return tags.mesh.topology if hasattr(tags, "mesh") else tags.topology
 
 
 def cell_name(mesh: Any) -> str:
@@ -185,7 +234,8 @@ def quadrature_space(mesh: Any, size: int, degree: int) -> Any:
 def _space(mesh: Any, element: Any) -> Any:
     from dolfinx import fem
 
-    return (fem.functionspace if hasattr(fem, "functionspace") else fem.FunctionSpace)(mesh, element)
+    with _own_cache():  # dolfinx 0.5 compiles elements
+        return (fem.functionspace if hasattr(fem, "functionspace") else fem.FunctionSpace)(mesh, element)
 
 
 def cell_dofs(space: Any) -> np.ndarray:
@@ -197,15 +247,16 @@ def cell_dofs(space: Any) -> np.ndarray:
 
 def quadrature_positions(cell: str, degree: int) -> np.ndarray:
     """Positions (n, d) of a rule in the reference cell, in the order of quadrature functions."""
-    return _quadrature(cell, degree)[0]
+    return quadrature(cell, degree)[0]
 
 
 def quadrature_weights(cell: str, degree: int) -> np.ndarray:
     """Weights (n,) of a rule in the reference cell."""
-    return _quadrature(cell, degree)[1]
+    return quadrature(cell, degree)[1]
 
 
-def _quadrature(cell: str, degree: int) -> tuple[np.ndarray, np.ndarray]:
+def quadrature(cell: str, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (n, d) and weights (n,) of a rule in the reference cell."""
     import basix
 
     kind = getattr(basix.CellType, cell)
@@ -216,15 +267,90 @@ def _quadrature(cell: str, degree: int) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(rule[0]), np.asarray(rule[1])
 
 
-_JIT = {"timeout": 600, "cffi_extra_compile_args": ["-O2"]}
+_compiled: dict[str, tuple[Path, Any]] = {}  # by key: checked once a process
+_replaced = threading.RLock()  # dolfinx' function, by ours
+
+
+@contextmanager
+def _own_cache() -> Iterator[None]:
+    """Let dolfinx compile into the cache of our kernels.
+
+    Its own one takes a file that a killed process has left for another's compiler at work, and loads what it
+    finds. Its function is replaced for our calls only; scripts' own forms go their usual way.
+    """
+    from dolfinx import jit
+
+    with _replaced:
+        own = jit.ffcx_jit
+        jit.ffcx_jit = partial(_compile, own)
+        try:
+            yield
+        finally:
+            jit.ffcx_jit = own
+
+
+def _option(module: Any, given: dict[str, Any] | None) -> str:
+    """All options of dolfinx' or ffcx' compiler, in a fixed order, without those of waiting."""
+    get = module.get_options if hasattr(module, "get_options") else module.get_parameters
+    return str(sorted((k, str(v)) for k, v in get(given).items() if k not in ("cache_dir", "timeout")))
+
+
+def _compile(own: Callable[..., Any], comm: MPI.Comm, thing: Any, **options: dict[str, Any]) -> Any:
+    """What `dolfinx.jit.ffcx_jit` returns for a form, an expression or an element. Collective.
+
+    Raises:
+        KernelError: it can't be compiled.
+    """
+    kind = next((k for k in options if k.startswith("jit_")), "jit_options")
+    given = options.get(kind) or {}
+    arguments = [*given.get("cffi_extra_compile_args", ["-O2", "-g0"]), "-w"]
+    options = {**options, kind: {**given, "cffi_extra_compile_args": arguments}}
+
+    def call(folder: Path) -> Any:
+        with quiet.compiler():
+            of_folder = {**options[kind], "cache_dir": str(folder)}
+            compiled, module, _ = own(MPI.COMM_SELF, thing, **{**options, kind: of_folder})
+        return compiled, module, (None, None)  # as of a form that is found, without its code
+
+    def build(work: Path) -> tuple[Path, Any]:
+        (work / "made").mkdir()
+        built = call(work / "made")
+        for file in (work / "made").glob("*.o"):
+            file.unlink()
+        return work / "made", built
+
+    def get(near: Path | None, announced: bool) -> tuple[Path, Any]:
+        with quiet.compiler():
+            key = _key(thing, options)
+        if key not in _compiled:
+            _compiled[key] = cache.obtain(key, key, call, build, near, announced)
+        return _compiled[key]
+
+    return cache.on_all_ranks(comm, get)
+
+
+def _key(thing: Any, options: dict[str, dict[str, Any]]) -> str:
+    """Name of a form, an expression or an element in the cache, with the options of its compilation."""
+    import ffcx.naming
+    from dolfinx import jit
+
+    by_kind = {k.rpartition("_")[0]: v for k, v in options.items()}
+    told = [_option(jit, by_kind.get("jit")), _option(ffcx, by_kind.get("form_compiler"))]
+    tag = "\0".join([*told, str(sysconfig.get_config_var("SOABI")), cache.machine()])
+    return f"dolfinx-{ffcx.naming.compute_signature([thing], tag)}"
 
 
 def compile_form(form: Any, optimisation: str = "-O2") -> Any:
-    """Compile a UFL form. Collective."""
+    """Compile a UFL form. Collective.
+
+    Raises:
+        KernelError: it can't be compiled.
+    """
     from dolfinx import fem
 
     key = "jit_options" if "jit_options" in inspect.signature(fem.form).parameters else "jit_params"
-    return fem.form(form, **{key: {**_JIT, "cffi_extra_compile_args": [optimisation]}})
+    with _own_cache():
+        return fem.form(form, **{key: {"cffi_extra_compile_args": [optimisation]}})
 
 
 class Evaluator:
@@ -236,7 +362,10 @@ class Evaluator:
         parameters = inspect.signature(fem.Expression.__init__).parameters
         key = "jit_options" if "jit_options" in parameters else "jit_params"
         self._mesh, self._shape = mesh, (len(positions), math.prod(expression.ufl_shape))
-        self._expression = fem.Expression(expression, positions, **{key: _JIT})
+        with _own_cache():
+            self._expression = fem.Expression(
+                expression, positions, **{key: {"cffi_extra_compile_args": ["-O2"]}}
+            )
 
     def __call__(self, cells: np.ndarray) -> np.ndarray:
         """(cells, positions, size)."""

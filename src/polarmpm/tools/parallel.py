@@ -1,16 +1,19 @@
-"""Sending rows of arrays between ranks."""
+"""Sending rows of arrays, and errors, between ranks."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from ..errors import ErrorOnAnotherRank, PolarMPMError
+from ..errors import InputError
+from .alike import told
+from .meetings import Word, of
 
 _TAG = 7361  # of messages between ranks
 
@@ -141,35 +144,75 @@ def sharing_ranks(comm: MPI.Comm, numbers: np.ndarray, most: int) -> np.ndarray:
     return route.backward(table[offsets])
 
 
-def raise_on_all_ranks(comm: MPI.Comm, error: BaseException | None) -> None:
+def name_of(comm: MPI.Comm) -> str:
+    """What a communicator is called in pickles, where it can't be itself.
+
+    Raises:
+        InputError: it is neither COMM_WORLD nor COMM_SELF.
+    """
+    for name in ("COMM_WORLD", "COMM_SELF"):
+        if comm == getattr(MPI, name):
+            return name
+    raise InputError(
+        f"comm: an object on a communicator of {comm.size} rank(s) of its own can't be pickled; COMM_WORLD "
+        "and COMM_SELF are allowed"
+    )
+
+
+def communicator_named(name: str) -> MPI.Intracomm:
+    """The communicator of a name from `name_of`, of the process that asks."""
+    found: MPI.Intracomm = getattr(MPI, name)
+    return found
+
+
+def raise_on_all_ranks(comm: MPI.Comm, error: BaseException | None, what: str = "") -> None:
     """Raise on every rank what any rank has found wrong. Collective.
 
     Our own errors are the same everywhere, the lowest rank's. Others, such as those of a script's function,
     are raised as they are where they have happened, and as `ErrorOnAnotherRank` elsewhere.
+
+    Args:
+        what: this rank has done, for messages about ranks that are elsewhere.
     """
-    if comm.size == 1:
-        if error is not None:
-            raise error
-        return
-    told = error if error is None or isinstance(error, PolarMPMError) else f"{type(error).__name__}: {error}"
-    found = [(rank, e) for rank, e in enumerate(comm.allgather(told)) if e is not None]
-    if not found:
-        return
-    rank, first = found[0]
-    if isinstance(first, PolarMPMError):
-        raise first
-    if error is not None and not isinstance(error, PolarMPMError):
+    if comm.size > 1:
+        meetings = of(comm)
+        meetings.meet(Word(what or f"within {meetings.inside or 'a call'}"), error)
+    elif error is not None:
         raise error
-    raise ErrorOnAnotherRank(rank, first)
+
+
+class Answer:
+    """What local work has found, where that has to be the same on all ranks; see `errors_on_all_ranks`."""
+
+    def __init__(self) -> None:
+        self.alike: Any = None
 
 
 @contextmanager
-def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
+def errors_on_all_ranks(comm: MPI.Comm, what: str = "a function of the script") -> Iterator[Answer]:
     """Local work, or a call of the script's functions, whose errors are raised on every rank, so that none
-    waits in vain. What is inside must not be collective. Collective itself."""
-    error: Exception | None = None
+    waits in vain. Collective itself.
+
+    What is inside may make collective calls that are the script's own affair: public ones meet by
+    themselves, so that a rank that fails before one tells those that are in it. It must make no others.
+    `Answer.alike` is compared over the ranks.
+
+    Args:
+        what: this is, for messages about ranks that are elsewhere.
+    """
+    answer = Answer()
+    if comm.size == 1:
+        yield answer
+        return
+    meetings, error = of(comm), None
+    outer, meetings.inside = meetings.inside, ""
     try:
-        yield
-    except Exception as e:
+        yield answer
+    except (Exception, KeyboardInterrupt, SystemExit) as e:
+        if meetings.known(e):
+            raise
         error = e
-    raise_on_all_ranks(comm, error)
+    finally:
+        meetings.inside = outer
+    given = "" if answer.alike is None else told(answer.alike)
+    meetings.meet(Word(f"{what}, in {outer}" if outer else what, given if error is None else ""), error)

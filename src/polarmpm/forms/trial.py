@@ -1,0 +1,75 @@
+"""A user's energy is tried at rest and in a few states, before any work is done with it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import InputError, KernelError
+from ..kernels import codegen
+from ..kernels.codegen import Scalariser
+from ..kernels.kernel import PointSpace, matrix
+from ..kinematics import rotations
+from ..materials.base import Material, UserEnergy, evaluate_energy, named_parameters, parameter_values
+from ..tools import compat
+from .strains import elastic_stress, strain_measures
+
+_STATES = 4  # the first one at rest
+_SIZE = 0.05  # of strains and wrynesses (1/m)
+
+
+def try_energy(material: Material) -> None:
+    """Raise InputError for an energy that can't be meant: one that doesn't depend on the deformation, whose
+    stress at rest isn't a number, or that isn't isotropic though it says so. The package's own aren't tried.
+    """
+    elastic = material.elastic_part
+    own = type(elastic).__module__.startswith(__name__.split(".")[0] + ".")
+    if own and not isinstance(elastic, UserEnergy):
+        return
+    try:
+        depends, energy, stress = _evaluated(elastic)
+    except KernelError:  # is said when it is compiled
+        return
+    kind = type(elastic).__name__
+    if not depends:
+        raise InputError(f"material: the energy of {kind} doesn't depend on the deformation")
+    if not np.isfinite(energy[0]) or not np.all(np.isfinite(stress[:, 0])):
+        bad = energy[0] if not np.isfinite(energy[0]) else stress[~np.isfinite(stress[:, 0]), 0][0]
+        what = "is" if not np.isfinite(energy[0]) else "has a stress of"
+        raise InputError(f"material: the energy of {kind} {what} {bad} at rest; it must be smooth there")
+    if not (elastic.isotropic and elastic.micropolar):
+        return
+    apart = np.abs(energy[_STATES:] - energy[1:_STATES])
+    if np.any(apart > 1e-8 * np.abs(energy).max()):
+        worst = int(np.argmax(apart))
+        raise InputError(
+            f"material: isotropic = True, but the energy of {kind} is {energy[1 + worst]:.6g} in a state and "
+            f"{energy[_STATES + worst]:.6g} in the same state turned"
+        )
+
+
+def _evaluated(material: Material) -> tuple[bool, np.ndarray, np.ndarray]:
+    """Whether the energy depends on the deformation; energies (m,) and stresses (k, m) in the states, those
+    but the first one once more turned."""
+    numbers = parameter_values(material)
+    space = PointSpace(compat.point_domain())
+    u, g, p = (space.coefficient(n) for n in (9, 9, len(numbers)))
+    named = named_parameters(material, p)
+    stretch, wryness = matrix(u, 3, 3), matrix(g, 3, 3) if material.micropolar else None
+    scalarise = Scalariser({u: 0, g: 9, p: 18})
+    expressions = [evaluate_energy(material, strain_measures(material, stretch, wryness), named)]
+    expressions += [s for s in elastic_stress(material, stretch, wryness, named) if s is not None]
+    nodes = []
+    for expression in expressions:
+        data = scalarise(codegen.expand(expression)).data
+        nodes += [scalarise.plain(data[index]) for index in np.ndindex(*data.shape)]
+    rng = np.random.default_rng(1)
+    strain, bend = _SIZE * rng.uniform(-1, 1, (2, _STATES, 3, 3))
+    strain[0], bend[0] = 0.0, 0.0
+    turn = rotations.to_tensor(rotations.from_vector(rng.uniform(-1, 1, (_STATES - 1, 3))))
+    back = np.swapaxes(turn, 1, 2)
+    states = [np.concatenate([a, turn @ a[1:] @ back]) for a in (strain + np.eye(3), bend)]
+    rows = [a.reshape(-1, 9).T for a in states]
+    inputs = np.vstack([*rows, np.tile(numbers[:, None], rows[0].shape[1])])
+    values = scalarise.graph.values(nodes, inputs)
+    depends = scalarise.graph.depends(nodes[0], range(18))
+    return depends, values[0], values[1:]

@@ -1,0 +1,81 @@
+"""The march that a script iterates over: it says when none does."""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+import weakref
+from collections.abc import Callable, Generator, Iterator
+from functools import partial
+from typing import Any
+
+from ..errors import NotConverged
+from ..solvers.stepping import Step
+
+
+class March(Iterator[Step]):
+    """The steps of a march, one after the other, as they are asked for.
+
+    Warns, on rank 0, when it is dropped before the first step: `problem.march(10)` alone solves nothing.
+
+    Args:
+        marching: makes the steps, of the problem, the schedule and what explains a failure.
+        way: "equal", "adaptive" or "arc length", for the diagnosis.
+    """
+
+    def __init__(self, problem: Any, marching: Callable[..., Iterator[Step]], schedule: Any, way: str):
+        self._problem, self._way = problem, way
+        self._steps = marching(problem, schedule, partial(_explain, problem, way))
+        self._begun = False
+        self._unused: Any = None
+        if problem.comm.rank == 0:
+            method = "march_arc_length" if way == "arc length" else "march"
+            self._unused = weakref.finalize(self, _warn, method, *_line_of_script())
+
+    def __iter__(self) -> March:
+        return self
+
+    def __next__(self) -> Step:
+        self._used()
+        return next(self._steps)
+
+    def close(self) -> None:
+        """End the march where it is."""
+        self._used()
+        if isinstance(self._steps, Generator):
+            self._steps.close()
+
+    def _used(self) -> None:
+        self._begun = True
+        if self._unused is not None:
+            self._unused.detach()
+            self._unused = None
+
+    def __repr__(self) -> str:
+        state = "begun" if self._begun else "not begun"
+        return f"{type(self).__name__}({self._way} steps, {state}, from {self._problem!r})"
+
+
+def _explain(problem: Any, way: str, error: NotConverged) -> None:
+    from . import diagnosis  # lazy import: most runs need none
+
+    diagnosis.explain(problem, error, way)
+
+
+def _line_of_script() -> tuple[str, int]:
+    """File and line outside of the package that has called it."""
+    frame, package = sys._getframe(1), os.path.dirname(os.path.dirname(__file__))
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(package):
+        frame = frame.f_back
+    return frame.f_code.co_filename, frame.f_lineno
+
+
+def _warn(method: str, file: str, line: int) -> None:
+    warnings.warn_explicit(
+        f"problem.{method}(...) was never iterated, so that nothing has been solved: write "
+        f"for step in problem.{method}(...):",
+        UserWarning,
+        file,
+        line,
+    )
