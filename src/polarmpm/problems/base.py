@@ -64,8 +64,10 @@ class Problem(Results):
 
     def _changing(self) -> Iterator[Changing]:
         yield from super()._changing()
-        for thing in (self._equilibrium, *self.observers):
-            if thing is not None:
+        if self._equilibrium is not None:
+            yield self._equilibrium, None
+        for thing in self.observers if isinstance(self.observers, list) else ():
+            if isinstance(thing, Observer):
                 yield thing, None
         if self.system is not None:
             yield from self.system.changing()
@@ -169,7 +171,8 @@ class Problem(Results):
         """While a load step is prepared or solved; what a script may have put in wrongly is checked first."""
         with self._turn(what):
             checks.instance("controls", self.controls, Controls, "polarmpm.Controls(...) is")
-            for observer in self.observers:
+            checks.instance("rows", self.rows, dict, "a dict of arrays by name is")
+            for observer in checks.instance("observers", self.observers, list, "a list is"):
                 checks.instance(
                     "observers", observer, Observer, "objects of a class of polarmpm.Observer are"
                 )
