@@ -60,6 +60,7 @@ class Table:
         self._header: list[str] = []
         self._open = False
 
+    @collective("Table")
     def __enter__(self) -> Table:
         error = None
         if self.comm.rank == 0:

@@ -188,8 +188,8 @@ class Meetings:
 
 
 def _told(error: BaseException) -> PolarMPMError | str:
-    """An error as others are told of it."""
-    if isinstance(error, PolarMPMError):
+    """An error as others are told of it; they may not know the script's own classes."""
+    if isinstance(error, PolarMPMError) and type(error).__module__.startswith(__name__.split(".")[0] + "."):
         with contextlib.suppress(Exception):
             pickle.dumps(error)
             return error
@@ -200,7 +200,10 @@ def described_error(error: BaseException) -> str:
     """Kind and text of an error, at most a few lines."""
     if isinstance(error, SystemExit):
         return f"sys.exit({error.code!r})"
-    text = str(error)
+    try:
+        text = str(error)
+    except Exception:  # of a script's own class
+        text = ""
     text = text if len(text) <= 1000 else text[:1000] + "..."
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
