@@ -216,9 +216,8 @@ def _apart(words: Words) -> PolarMPMError:
         parts = _differing([word.given for word, _ in by_rank])
         said = [f"{ranks_named(r)}: {part}" for part, (_, r) in zip(parts, by_rank, strict=True)]
         return InputError(f"{calls.pop()}: the same is needed on all ranks, but they give " + "; ".join(said))
-    return RanksApart(
-        {r: w.call for w, ranks in by_rank for r in ranks}, "; ".join(_doing(*i) for i in by_rank)
-    )
+    calls_by_rank = dict(sorted((rank, word.call) for word, ranks in by_rank for rank in ranks))
+    return RanksApart(calls_by_rank, "; ".join(_doing(word, ranks) for word, ranks in by_rank))
 
 
 def _beginning(texts: list[str]) -> str:
