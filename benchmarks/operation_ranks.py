@@ -291,6 +291,13 @@ list(solve(q))
 ## another plane | fix.*plane|fix.*Plane
 q = bare()
 q.fix(pm.plane(x=1.0 * bad), u=0, theta=0)
+## conditions left different | another|conditions=
+q = loaded()
+try: q.fix(pm.plane(x=6.0), ux=lambda t: fails() or 0.0)
+except RuntimeError: pass
+try: list(solve(q))
+except pm.PolarMPMError: pass
+list(solve(q))
 ## release on one rank | release.*step|step.*release
 q = bare()
 s = q.fix(pm.plane(x=0.0), u=0, theta=0)

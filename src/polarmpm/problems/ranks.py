@@ -14,7 +14,7 @@ from ..conditions.amplitudes import Amplitude
 from ..conditions.prescribed import Prescribed
 from ..errors import InputError
 from ..geometry.nodes import Nodes
-from ..tools.alike import told
+from ..tools.alike import described
 from ..tools.meetings import together
 from ..tools.parallel import errors_on_all_ranks
 
@@ -27,8 +27,15 @@ def step(problem: Any, call: str, factor: float) -> Iterator[None]:
     conditions have been given, their functions are compared at a load factor. Collective."""
     settings = ""
     if problem.comm.size > 1:
-        limit = getattr(problem, "rotation_limit", None)
-        settings = told((problem.controls, limit, len(problem.observers), sorted(problem.rows)))
+        given = problem.given.entries
+        known = {
+            "controls": problem.controls,
+            "rotation_limit": getattr(problem, "rotation_limit", None),
+            "observers": len(problem.observers),
+            "rows": sorted(problem.rows),
+            "conditions": [f"{g.name}{' (released)' * (g.released is not None)}" for g in given],
+        }
+        settings = described((), known)
     with together(problem.comm, call, settings):
         if problem._unasked:
             check_alike(problem.comm, problem._unasked, factor, problem.points.X)

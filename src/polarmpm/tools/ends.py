@@ -92,6 +92,9 @@ class _Ends:
         self.done = True
         with contextlib.suppress(Exception):
             sys.stdout.flush()
+        uncaught = getattr(sys, "last_value", None)
+        if uncaught is not None and not self.status:  # another hook has printed it
+            self.status, self.words = 1, meetings.described_error(uncaught)
         word = Word(_ENDED, "", self.words if self.status else None, True)
         words = leave(word, GRACE if self.status else None)
         world = MPI.COMM_WORLD

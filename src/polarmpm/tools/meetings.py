@@ -188,8 +188,8 @@ class Meetings:
 
 
 def _told(error: BaseException) -> PolarMPMError | str:
-    """An error as others are told of it."""
-    if isinstance(error, PolarMPMError):
+    """An error as others are told of it; they may not know the script's own classes."""
+    if isinstance(error, PolarMPMError) and type(error).__module__.startswith(__name__.split(".")[0] + "."):
         with contextlib.suppress(Exception):
             pickle.dumps(error)
             return error
@@ -200,7 +200,10 @@ def described_error(error: BaseException) -> str:
     """Kind and text of an error, at most a few lines."""
     if isinstance(error, SystemExit):
         return f"sys.exit({error.code!r})"
-    text = str(error)
+    try:
+        text = str(error)
+    except Exception:  # of a script's own class
+        text = ""
     text = text if len(text) <= 1000 else text[:1000] + "..."
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
@@ -213,9 +216,8 @@ def _apart(words: Words) -> PolarMPMError:
         parts = _differing([word.given for word, _ in by_rank])
         said = [f"{ranks_named(r)}: {part}" for part, (_, r) in zip(parts, by_rank, strict=True)]
         return InputError(f"{calls.pop()}: the same is needed on all ranks, but they give " + "; ".join(said))
-    return RanksApart(
-        {r: w.call for w, ranks in by_rank for r in ranks}, "; ".join(_doing(*i) for i in by_rank)
-    )
+    calls_by_rank = dict(sorted((rank, word.call) for word, ranks in by_rank for rank in ranks))
+    return RanksApart(calls_by_rank, "; ".join(_doing(word, ranks) for word, ranks in by_rank))
 
 
 def _beginning(texts: list[str]) -> str:
