@@ -24,7 +24,7 @@ from ..errors import InputError, LocalFailure, NotConverged
 from . import newton
 from .linear import SingularTangent
 from .newton import Controls, Outcome, expected_to_end
-from .stepping import Step, note_sizes, restored_of, sizes_of
+from .stepping import Step, forgotten_at_end, note_sizes, restored_of, sizes_of
 
 _LENGTH_TOLERANCE = 1e-8  # of a step's length; the state is an equilibrium however long the step is
 # Least cosine between a step and its tangent; what is farther off may be another branch. If steps of a fifth
@@ -295,7 +295,7 @@ def march(problem: Marching, schedule: ArcSchedule) -> Iterator[Step]:
     """Converged steps; see `Problem.march_arc_length`."""
     hidden = (not schedule.progress) if schedule.progress is not None else None
     with tqdm(disable=True if problem.comm.rank else hidden, bar_format=_BAR) as bar:
-        for done, step in enumerate(_steps(problem, schedule), 1):
+        for done, step in enumerate(forgotten_at_end(problem, _steps(problem, schedule)), 1):
             problem.steps.append(step)
             stop = schedule.until is not None and bool(schedule.until(step))
             stop = problem.comm.bcast(stop) or done == schedule.steps

@@ -124,7 +124,7 @@ def march(problem: Marching, schedule: Schedule) -> Iterator[Step]:
     with tqdm(total=100, unit="%", disable=hidden, bar_format=_BAR) as bar:
         stepper = _adaptive if schedule.adaptive else _equal
         begin = problem.progress.factor
-        for step in stepper(problem, schedule):
+        for step in forgotten_at_end(problem, stepper(problem, schedule)):
             problem.steps.append(step)
             share = (step.factor - begin) / (schedule.to - begin) if schedule.to != begin else 1.0
             bar.update(100 * share - bar.n)
@@ -153,6 +153,14 @@ def sizes_of(problem: Any, schedule: Any) -> list[float]:
 def note_sizes(problem: Any, schedule: Any, sizes: list[float]) -> None:
     """Note step sizes for a restart file."""
     problem.step_sizes = _called(schedule), sizes
+
+
+def forgotten_at_end(problem: Any, steps: Iterator[Step]) -> Iterator[Step]:
+    """The steps of a march, whose sizes are forgotten when it ends: then there is nothing to go on with."""
+    try:
+        yield from steps
+    finally:
+        problem.step_sizes = None
 
 
 def _called(schedule: Any) -> str:
