@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from abc import abstractmethod
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,9 @@ from ..kinematics import rotations
 from ..terms.base import Term
 from .conditions import Conditions
 from .given import Given
+from .observer import Observer
 from .reactions import Equilibrium
+from .whole import Changing, Undo
 
 
 def fading(factor: float, over: float | None, until: float | None) -> Fade | None:
@@ -81,7 +84,26 @@ def described(condition: Any) -> str:
 class Releasable(Conditions):
     """Conditions that can be released, and go on after a restart. All methods are collective."""
 
+    observers: list[Observer]
     _equilibrium: Equilibrium | None = None  # the last converged step
+
+    def _changing(self) -> Iterator[Changing]:
+        yield from super()._changing()
+        for thing in (self._equilibrium, *self.observers):
+            if thing is not None:
+                yield thing, None
+        if self.system is not None:
+            yield from self.system.changing()
+
+    def _put_back(self, undo: Undo) -> None:
+        tried = self.system
+        super()._put_back(undo)
+        if self.system is not None:
+            self.system.put_back()
+            self._stale = True  # the solver may have been left in the middle of its work
+        for system in {tried, self.system} if self.comm.size == 1 else ():
+            if system is not None:
+                system.destroy()
 
     def release(self, condition: Any, *, over: float | None = None, until: float | None = None) -> None:
         """Take a condition away: a support, load, traction, pressure or term.
