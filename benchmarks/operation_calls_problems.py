@@ -803,6 +803,10 @@ RESULTS = [
     ("q=loaded()\nq.rows['a']=np.zeros(3)\nrun(q)", "bad", ("rows['a']",)),
     ("q=loaded()\nq.rows['a']='text'\nrun(q)", "bad", ("rows['a']",)),
     ("q=loaded()\nq.rows['a']=np.zeros((len(q.points),4))\nrun(q,2)", "ok", ()),
+    *variants("q=loaded()\nq.observers=VALUE\nrun(q)", ("None", "5", "pm.Observer()"), "observers"),
+    *variants("q=loaded()\nq.rows=VALUE\nrun(q)", ("None", "5", "[1]"), "rows"),
+    *variants("q=loaded()\nq.controls=VALUE\nrun(q)", ("None", "5", "pm.Controls"), "controls"),
+    *variants("loaded().rotation_limit=VALUE", (*NOT_NUMBERS, "0", "-1"), "rotation_limit"),
     *variants("q=loaded()\nq.observers.append(VALUE)\nrun(q)", (*OTHERS, "None", "pm.Observer"), "observers"),
     (
         "class W(pm.Observer):\n"

@@ -4,7 +4,8 @@ Small scenes of every kind are run until a step in which something happens. Copi
 take that step, each ended by an exception at another call of a Python or C function from the package's code.
 Right is: the state (points, unknowns, progress, energies, fields, reactions) is that of the last converged
 step to the bit, and both the run that goes on and one that is restored from a restart file, written then, end
-with the digits of a run without interrupts. Signals at random times come on top.
+with the digits of a run without interrupts. Signals at random times come on top. Started by itself with the
+names of scenes, this ends a step at every call.
 """
 
 import contextlib
@@ -399,19 +400,22 @@ def at_random(name, scene, number, draw):
 QUICK = ("reset", "elements")
 
 
+MOST, QUICKLY = 40, 15  # calls of a scene
+
+
 def found(quick, seed, names=()):
-    """Cases of some scenes, default: of all."""
+    """Some calls of all scenes, and signals; or every call of those that are named."""
     draw = random.Random(seed)
     for name in names or (QUICK if quick else SCENES):
         scene = SCENES[name]
-        yield from at_calls(name, scene, 15 if quick else 4000 if name == "elements" else 60, draw)
+        yield from at_calls(name, scene, 10**6 if names else QUICKLY if quick else MOST, draw)
         if not scene.between and not quick:
             yield from at_random(name, scene, 4, draw)
 
 
 def cases(quick, seed):
-    """An exception at every call in a scene, at some in the others, and signals. In a process with one
-    thread, as forks don't inherit OpenMP's."""
+    """An exception at some calls in each scene, and signals. In a process with one thread, as forks don't
+    inherit OpenMP's."""
     command = [sys.executable, __file__, str(int(quick)), str(seed)]
     alone = environment(OMP_THREAD_LIMIT="1")
     with subprocess.Popen(command, env=alone, stdout=subprocess.PIPE, text=True) as process:
@@ -423,7 +427,8 @@ def cases(quick, seed):
 
 
 def main(quick, seed, *names):
-    """Print cases as they come, for `cases`."""
+    """Print cases as they come, for `cases`; of named scenes those at every call:
+    `OMP_THREAD_LIMIT=1 python benchmarks/operation_interrupts.py 0 0 elements`."""
     warnings.simplefilter("ignore")
     for case in found(quick == "1", int(seed), names):
         print(json.dumps([case.group, case.name, case.verdict, case.note]), flush=True)

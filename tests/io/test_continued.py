@@ -12,6 +12,7 @@ import pytest
 
 import polarmpm as pm
 from polarmpm.io import read_table
+from polarmpm.io.files import Replacement, replace_file
 from tests.conftest import COMM, MICROPOLAR
 from tests.helpers.ranks import PATH, ROOT
 
@@ -345,3 +346,20 @@ def test_killed_runs_end_like_others():
         check=False,
     )
     assert done.stdout == "good\n", done.stderr[-3000:]
+
+
+@pytest.mark.skipif(COMM.size > 1, reason="writes on one rank")
+def test_two_processes_that_write_one_file(tmp_path):
+    with Replacement(tmp_path / "a.txt") as first:
+        first.write(b"first")
+        with pytest.raises(OSError, match="another process is writing it"), Replacement(tmp_path / "a.txt"):
+            pass
+        first.finish()
+    assert [f.name for f in tmp_path.iterdir()] == ["a.txt"]
+    replace_file(tmp_path / "a.txt", b"sec", b"ond")
+    (tmp_path / "link.txt").symlink_to("a.txt")
+    (tmp_path / "a.txt.part").write_bytes(b"left by a killed run, and longer")
+    replace_file(tmp_path / "link.txt", b"third")
+    assert (tmp_path / "link.txt").is_symlink()
+    assert (tmp_path / "a.txt").read_bytes() == b"third"
+    assert sorted(f.name for f in tmp_path.iterdir()) == ["a.txt", "link.txt"]

@@ -169,7 +169,7 @@ OTHERS = [
     (
         lambda: energy_of(1.0),
         lambda: energy_of(2.0),
-        r"\[0\]\.energy at sample 0 is .*, this problem",
+        r"\[0\]\.energy at the sample is .*, this problem",
     ),
     (strip, lambda: strip(per_cell=3), "number of points is 48, this problem has 108"),
     (strip, lambda: strip(length=2.0), "number of points is 48, this problem has 32"),

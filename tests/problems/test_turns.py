@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -173,6 +175,13 @@ def test_what_a_script_has_put_in():
         problem.attempt(1.0)
     problem.controls = pm.Controls()
     assert problem.attempt(1.0).converged
+
+
+def test_problems_are_no_values():
+    problem = held(seeded())
+    for call in (copy.copy, copy.deepcopy, pickle.dumps):
+        with pytest.raises(pm.InputError, match="no copy or pickle of a problem"):
+            call(problem)
 
 
 def test_points_of_elements_that_are_gone():

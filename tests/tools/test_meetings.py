@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import pickle
+import random
 import tempfile
 import warnings
 from collections.abc import Callable
@@ -244,6 +245,41 @@ def groups_of_ranks() -> None:
     copy.Free()
 
 
+def drawn_at_random() -> None:
+    """Each rank does as all expect, fails, or is in another call."""
+    draw = random.Random(3)
+    for _ in range(100):
+        kinds = draw.choices(["ok", "user", "ours", "other"], [6, 1, 1, 1], k=COMM.size)
+        failed = [rank for rank, kind in enumerate(kinds) if kind in ("user", "ours")]
+        error = None
+        try:
+            meet_as(kinds[COMM.rank])
+        except Exception as e:
+            error = e
+        if not failed and len(set(kinds)) == 1:
+            assert error is None
+        elif not failed:
+            assert isinstance(error, pm.RanksApart)
+            assert [call == "elsewhere" for call in error.calls.values()] == [k == "other" for k in kinds]
+        elif kinds[failed[0]] == "ours":
+            assert isinstance(error, pm.InputError)
+            assert str(error) == f"rank {failed[0]} fails"
+        elif kinds[COMM.rank] == "user":
+            assert isinstance(error, Failure)
+        else:
+            assert isinstance(error, pm.ErrorOnAnotherRank)
+            assert error.rank == failed[0]
+
+
+def meet_as(kind: str) -> None:
+    if kind == "other":
+        with meetings.together(COMM, "elsewhere"):
+            return
+    with errors_on_all_ranks(COMM):
+        if kind != "ok":
+            raise (Failure if kind == "user" else pm.InputError)(f"rank {COMM.rank} fails")
+
+
 ACCIDENTS = {
     f.__name__: f
     for f in (
@@ -260,6 +296,7 @@ ACCIDENTS = {
         an_error_that_a_script_swallows,
         our_own_errors,
         groups_of_ranks,
+        drawn_at_random,
     )
 }
 
@@ -277,6 +314,12 @@ def test_accidents(name, folder):
 def test_accidents_on_ranks(number):
     found = on_ranks(number, "all", __file__)
     assert found == [dict.fromkeys(ACCIDENTS, "")] * number
+
+
+@pytest.mark.mpi
+@pytest.mark.timeout(120)
+def test_many_ranks():
+    assert on_ranks(6, "drawn_at_random", __file__) == [{"drawn_at_random": ""}] * 6
 
 
 # on one rank, too ------------------------------------------------------------------------------------
@@ -325,6 +368,8 @@ def solve(case: str) -> dict[str, str]:
     with tempfile.TemporaryDirectory() as here:
         folder = Path(COMM.bcast(here))
         for name, accident in ACCIDENTS.items():
+            if case not in ("all", name):
+                continue
             run = functools.partial(accident, folder) if accident is in_a_column else accident
             run()
             found[name] = ""

@@ -8,6 +8,7 @@ overwritten by the next writer of the same file.
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import stat
 import tempfile
@@ -108,12 +109,26 @@ class Replacement:
         self.part, self.done = self.path.with_name(self.path.name + ".part"), False
 
     def __enter__(self) -> Replacement:
+        handle = os.open(self.part, os.O_WRONLY | os.O_CREAT, 0o666)
         try:
-            self.file = self.part.open("wb")
+            self._lock(handle)
+            os.ftruncate(handle, 0)
         except OSError:
-            self._remove()  # a disc that is full may have taken the name
+            os.close(handle)
             raise
+        self.file = os.fdopen(handle, "wb")
         return self
+
+    def _lock(self, handle: int) -> None:
+        """Keep other processes from writing the same part; a lock ends with its process, even if killed."""
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise OSError(errno.EBUSY, "another process is writing it") from None
+        except OSError:  # a file system without locks
+            return
+        if not (self.part.exists() and os.path.samestat(self.part.stat(), os.fstat(handle))):
+            raise OSError(errno.EBUSY, "another process has just written it")
 
     def write(self, content: Any) -> None:
         self.file.write(content)
@@ -125,8 +140,7 @@ class Replacement:
             self.file.write(at_start)
         self.file.flush()
         bring_to_disc(self.file.fileno())
-        self.file.close()
-        os.replace(self.part, self.path)
+        os.replace(self.part, self.path)  # before it is closed, which ends the lock
         self.done = True
         with suppress(OSError):  # the name, too; the content is safe anyway
             folder = os.open(self.path.parent, os.O_RDONLY)
@@ -136,10 +150,10 @@ class Replacement:
                 os.close(folder)
 
     def __exit__(self, *error: object) -> None:
-        with suppress(OSError):  # what it still had to write doesn't matter any more
-            self.file.close()
         if not self.done:
             self._remove()
+        with suppress(OSError):  # what it still had to write doesn't matter any more
+            self.file.close()
 
     def _remove(self) -> None:
         with suppress(OSError):  # the disc has gone
@@ -159,18 +173,17 @@ def replace_file(path: Path, *content: bytes) -> None:
 
 
 # writers ----------------------------------------------------------------------------------------------
-_writers: dict[Path, weakref.ref[Any]] = {}
+_writers: weakref.WeakValueDictionary[Path, Any] = weakref.WeakValueDictionary()
 
 
 def begin_writing(path: Path, writer: Any) -> None:
     """From now on `writer` writes a file; another one of this process, if there is one, must not any more."""
-    _writers[path] = weakref.ref(writer)
+    _writers[path] = writer
 
 
 def check_writer(path: Path, writer: Any) -> None:
     """Raise InputError if another writer of this process has begun with the file since."""
-    found = _writers.get(path)
-    if found is not None and found() is not writer:
+    if _writers.get(path, writer) is not writer:
         raise InputError(
             f"path = {str(path)!r}: a Recorder or Table that was made later writes this file now; take "
             "another name, or go on with that one"

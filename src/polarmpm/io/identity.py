@@ -6,6 +6,7 @@ Of each group of facts a file has the numbers themselves, so that a difference c
 from __future__ import annotations
 
 import json
+import weakref
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from types import SimpleNamespace
@@ -13,9 +14,9 @@ from typing import Any
 
 import numpy as np
 import ufl
-from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 
 from ..errors import InputError
+from ..kernels.codegen import Scalariser, expand
 from ..materials.base import Material, evaluate_energy
 from ..problems.base import Problem
 from ..problems.elements import QuasiStaticFEM
@@ -29,7 +30,6 @@ from . import meshstate
 ALLOWED = ("materials", "points", "grid", "basis", "terms", "conditions")
 _OF_ELEMENTS = ("materials", "terms", "conditions")
 _ROUNDING = 1e-12  # of a number that another machine has computed
-_SAMPLES = 3
 _NEAR = 1e-9  # of a cell; farther apart, two positions aren't the same
 
 Facts = dict[str, dict[str, Any]]
@@ -115,15 +115,28 @@ def _of_material(material: Material) -> dict[str, Any]:
         facts["elastic class"] = type(elastic).__qualname__
     facts |= {"micropolar": material.micropolar, "plastic": material.plastic}
     facts |= {name: float(value) for name, value in material.parameters().items()}
-    own = (type(one).__module__.split(".")[0] == __package__.split(".")[0] for one in (material, elastic))
-    if kind.__name__.startswith("User") or type(elastic).__name__.startswith("User") or not all(own):
-        facts |= {f"{name} at sample {k}": v for k in range(_SAMPLES) for name, v in _samples(material, k)}
+    given = (type(one).__module__.split(".")[0] != __package__.split(".")[0] for one in (material, elastic))
+    if any(given) or any(type(one).__name__.startswith("User") for one in (material, elastic)):
+        facts |= _sample(material)
     return facts
 
 
-def _samples(material: Material, k: int) -> Iterator[tuple[str, float | None]]:
-    """A script's functions as numbers: their values in states that are always the same."""
-    rng = np.random.default_rng(k)
+_sampled: dict[int, tuple[weakref.ref[Material], dict[str, float], dict[str, float | None]]] = {}
+
+
+def _sample(material: Material) -> dict[str, float | None]:
+    """A script's functions as numbers: their values in a state that is always the same."""
+    key, numbers = id(material), material.parameters()
+    known = _sampled.get(key)
+    if known is None or known[0]() is not material or known[1] != numbers:
+        found = {f"{name} at the sample": value for name, value in _samples(material)}
+        known = weakref.ref(material, lambda _: _sampled.pop(key, None)), numbers, found
+        _sampled[key] = known
+    return known[2]
+
+
+def _samples(material: Material) -> Iterator[tuple[str, float | None]]:
+    rng = np.random.default_rng(0)
     first, second = (0.1 * rng.uniform(-1.0, 1.0, (3, 3)) for _ in range(2))
     a, b = (ufl.as_tensor(m.tolist()) for m in (first, second))
     numbers = SimpleNamespace(**{n: ufl.as_ufl(float(v)) for n, v in material.parameters().items()})
@@ -147,11 +160,14 @@ def _energy(material: Material, a: Any, b: Any, numbers: Any) -> Any:
 
 
 def _value(function: Any) -> float | None:
+    scalarise = Scalariser({})  # which folds constants, and knows each part of an expression once
     try:
-        value = float(apply_algebra_lowering(ufl.as_ufl(function()))(()))
-    except Exception:  # UFL evaluates numbers of most of its functions only
+        found: Any = scalarise(expand(ufl.as_ufl(function()))).data
+        node = scalarise.plain(found[()])
+    except Exception:  # whatever a script's function, UFL or a number out of range may raise
         return None
-    return value if np.isfinite(value) else None
+    value = scalarise.graph.value(node)
+    return value if value is not None and np.isfinite(value) else None
 
 
 # comparing --------------------------------------------------------------------------------------------

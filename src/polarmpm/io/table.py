@@ -77,6 +77,7 @@ class Table:
         self._size: int | None = None  # bytes of the file; None: this table has no row yet
         self._run: Restored | None = None
 
+    @collective("Table")
     def __enter__(self) -> Table:
         if self._open:
             raise InputError(f"table {self.path}: its with statement has been entered already")

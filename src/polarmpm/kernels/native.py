@@ -103,9 +103,17 @@ def _checking(function: Any, arguments: list[Declared]) -> Callable[..., Any]:
     """A function of the library that takes arrays, and checks them. Not by `from_param`: ctypes would make an
     ArgumentError of whatever interrupts that."""
 
+    arrays = [(k, argument) for k, argument in enumerate(arguments) if argument.of_array]
+
     def call(*given: Any) -> Any:
         if len(given) != len(arguments):
             raise TypeError(f"{function.__name__} takes {len(arguments)} arguments, {len(given)} are given")
-        return function(*[a.passed(value) for a, value in zip(arguments, given, strict=True)])
+        passed = list(given)
+        for k, argument in arrays:
+            value = passed[k]
+            if isinstance(value, np.ndarray):
+                argument.check(value)
+                passed[k] = value.ctypes.data
+        return function(*passed)
 
     return call

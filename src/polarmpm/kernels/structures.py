@@ -102,12 +102,10 @@ class Declared:
         if not least <= int(value) <= greatest:
             raise ValueError(f"{what} = {value}: {self.kind} holds {least} to {greatest}")
 
-    def passed(self, value: Any) -> Any:
-        """What ctypes is to pass as this argument: arrays are checked, addresses are taken as they are."""
-        if isinstance(value, np.ndarray) and self.pointer and self.kind not in _STRUCTURES:
-            self.check(value)
-            return value.ctypes.data
-        return value
+    @property
+    def of_array(self) -> bool:
+        """Whether it points to an array's numbers."""
+        return self.pointer and self.kind not in _STRUCTURES
 
 
 # the C text ---------------------------------------------------------------------------------------------

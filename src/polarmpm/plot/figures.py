@@ -20,6 +20,7 @@ from ..errors import InputError
 from ..io.files import check_output
 from ..io.paraview import box_corners
 from ..tools import checks
+from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks
 from . import drawing
 from .meshfaces import Faces, gather_faces
@@ -68,6 +69,7 @@ def subplots(
     return figure, np.array(axes, dtype=object).reshape((rows, columns) if min(rows, columns) > 1 else -1)
 
 
+@collective("plot_points", comm=lambda points, *args, **options: points.comm)
 def plot_points(
     points: Points,
     values: np.ndarray | None = None,
@@ -126,6 +128,7 @@ def plot_points(
     return ax
 
 
+@collective("plot_mesh", comm=lambda elements, *args, **options: elements.comm)
 def plot_mesh(
     elements: Elements,
     values: np.ndarray | None = None,
@@ -250,6 +253,7 @@ def load_displacement(
     return ax
 
 
+@collective("save of a figure", comm=lambda *args, comm=MPI.COMM_WORLD, **options: comm)
 def save(
     figure: Any, path: str | os.PathLike[str], *, dpi: float = 160, comm: MPI.Comm = MPI.COMM_WORLD
 ) -> None:

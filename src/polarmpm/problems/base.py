@@ -16,7 +16,7 @@ from ..assembly.system import NodalSystem
 from ..bodies.points import Points
 from ..bodies.reference import Increments
 from ..conditions.prescribed import Prescribed
-from ..conditions.proportional import check_linear, check_loads, check_supports
+from ..conditions.proportional import check_loads, check_supports
 from ..conditions.supports import Support
 from ..errors import InputError
 from ..geometry.nodes import Nodes
@@ -28,13 +28,12 @@ from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from ..tools.timing import Timer
-from . import attempts, ranks
+from . import along, attempts, ranks
 from .marching import March
 from .observer import Observer
 from .reactions import Equilibrium
 from .results import Results
 from .state import StateFields, check_rows
-from .whole import Changing, Undo
 from .work import StepStart, step_work
 
 
@@ -61,24 +60,6 @@ class Problem(Results):
         self._fields = StateFields(comm)
         self._last_x: np.ndarray | None = None  # where the points were before the last step
         self.failed_at: np.ndarray | None = None
-
-    def _changing(self) -> Iterator[Changing]:
-        yield from super()._changing()
-        for thing in (self._equilibrium, *self.observers):
-            if thing is not None:
-                yield thing, None
-        if self.system is not None:
-            yield from self.system.changing()
-
-    def _put_back(self, undo: Undo) -> None:
-        tried = self.system
-        super()._put_back(undo)
-        if self.system is not None:
-            self.system.put_back()
-            self._stale = True  # the solver may have been left in the middle of its work
-        for system in {tried, self.system} if self.comm.size == 1 else ():
-            if system is not None:
-                system.destroy()
 
     # what the methods differ in -------------------------------------------------------------------
     @abstractmethod
@@ -141,7 +122,8 @@ class Problem(Results):
             progress: show a progress bar (default: on a terminal).
 
         Raises:
-            InputError: an argument is out of range.
+            InputError: an argument is out of range; later on: another march has taken steps since, or another
+                problem has taken the body on.
             NotConverged: with what was tried and found; the last converged state is intact.
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
@@ -168,7 +150,8 @@ class Problem(Results):
         """While a load step is prepared or solved; what a script may have put in wrongly is checked first."""
         with self._turn(what):
             checks.instance("controls", self.controls, Controls, "polarmpm.Controls(...) is")
-            for observer in self.observers:
+            checks.instance("rows", self.rows, dict, "a dict of arrays by name is")
+            for observer in checks.instance("observers", self.observers, list, "a list is"):
                 checks.instance(
                     "observers", observer, Observer, "objects of a class of polarmpm.Observer are"
                 )
@@ -269,7 +252,7 @@ class Problem(Results):
                 f"{apart[0]}: the arc-length method takes terms only whose forces are linear in the load "
                 "factor and whose growth with it doesn't depend on the displacements"
             )
-        check_loads(self.comm, places, self._growth_of_terms(system))
+        check_loads(self.comm, places, along.growth_of_terms(self, system))
         check_supports(self.comm, system.prescribed)
 
     def attempt_along(
@@ -305,37 +288,18 @@ class Problem(Results):
                 ends.append(system.loads.copy())
             start = self._begin(system, p.factor)
             system.set_prescribed(self._prescribed_at(system, p.factor))
-            loads = ends[0], ends[1] - ends[0] - self._growth_of_terms(system)
+            loads = ends[0], ends[1] - ends[0] - along.growth_of_terms(self, system)
             volumes = system.node_volumes()
-        path = Path(system, loads, volumes, length, p.factor, lambda x: self._sense(system, x))
+        path = Path(system, loads, volumes, length, p.factor, lambda x: along.sense(self, system, x))
         path.bend = arclength.least_cosine(kink)
         outcome = arclength.solve(path, self.controls, to)
         if outcome.converged:
             self._put_loads(system, path.factor)
-        moved = self._moved(system, path.start, system.x) if path.settled else None
+        moved = along.moved(self, system, path.start, system.x) if path.settled else None
         self._finish(system, start, outcome, path.factor)
         if outcome.converged and moved is not None:  # what relaxed before tells nothing about the path
             self._last_x = self.points.x - moved
         return outcome, path.factor
-
-    def _moved(self, system: NodalSystem, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        """Displacements (np, d) of the local points between two states of the increments (nodes, block)."""
-        x, d = system.x, self.layout.dim
-        system.x = start
-        before = self._increments(system).value[:, :d]
-        system.x = end
-        moved: np.ndarray = self._increments(system).value[:, :d] - before
-        system.x = x
-        return moved
-
-    def _sense(self, system: NodalSystem, direction: np.ndarray) -> float:
-        """Positive where nodal increments (nodes, block) lead on in the direction of the last step."""
-        along, p = 0.0, self.points
-        if self._last_x is not None:
-            moved = self._moved(system, system.x, system.x + direction)
-            along = float(np.einsum("n,ni,ni->", p.volume0, p.x - self._last_x, moved))
-        along = self.comm.allreduce(along)
-        return along or self.progress.factor_change or 1.0
 
     def _begin(self, system: NodalSystem, factor: float) -> StepStart:
         """Set the loads of a step; in the first one they grow from nothing."""
@@ -345,23 +309,6 @@ class Problem(Results):
             before = system.working_loads()
         self._put_loads(system, factor)
         return StepStart(system.x.copy(), before, system.working_loads())
-
-    def _growth_of_terms(self, system: NodalSystem) -> np.ndarray:
-        """What the residual forces (nodes, block) of the terms, complete on owned rows, gain while the load
-        factor grows from 0 to 1. The terms are left at 0. Collective.
-
-        Raises:
-            InputError: a term's forces aren't linear in the load factor.
-        """
-        found = []
-        for factor in (2.0, 1.0, 0.0):
-            self._set_terms(factor)
-            found.append(system.terms.forces(system.x, lambda piece: True))
-        two, one, zero = found
-        check_linear(self.comm, [term.name for term in self.terms], zero, one, two)
-        growth: np.ndarray = one - zero
-        system.nodes.add_to_owners(growth)
-        return growth
 
     def _finish(self, system: NodalSystem, start: StepStart, outcome: Outcome, factor: float) -> None:
         """Make an acceptable solution the body's state, or put back what was there."""
@@ -379,7 +326,7 @@ class Problem(Results):
                 self._close(system)
                 self._equilibrium = Equilibrium.of(system)
                 self._last_x, self.progress.factor_change = self.points.x, factor - self.progress.factor
-                ranks.tell(self.comm, self.observers, lambda one: one.after_convergence(self, factor))
+                ranks.tell(self, "after_convergence", factor)
                 self._commit_terms(system, start.x)
                 base = self.progress.rotation_factor
                 self._commit(system, at_points, factor)
@@ -387,8 +334,7 @@ class Problem(Results):
                 self._note(outcome)
                 system.prescribed.start_from(factor, system.x)
                 self._settle()
-                rebased = self.progress.rotation_factor != base
-                ranks.tell(self.comm, self.observers, lambda one: one.after_commit(self, rebased))
+                ranks.tell(self, "after_commit", self.progress.rotation_factor != base)
             else:
                 self.failed_at, system.x = system.x, start.x
 
@@ -402,7 +348,7 @@ class Problem(Results):
             term.committed = True
 
     def _tell_of_reset(self) -> None:
-        ranks.tell(self.comm, self.observers, lambda one: one.after_reset(self))
+        ranks.tell(self, "after_reset")
 
     def _prescribed(self, nodes: Nodes, supports: Sequence[Support] | None = None) -> Prescribed:
         """Prescribed unknowns of some supports; by default of those that act."""

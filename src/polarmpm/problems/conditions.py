@@ -316,9 +316,11 @@ class Conditions(Whole, Turns):
         return [*self._terms, *(t for t in self._leaving if isinstance(t, Term))]
 
     def _set_terms(self, factor: float, carrying: bool = False) -> None:
-        with errors_on_all_ranks(self.comm):
-            for term in self._working_terms:
-                term.set_factor(factor, carrying)
+        terms = self._working_terms
+        if terms:
+            with errors_on_all_ranks(self.comm):
+                for term in terms:
+                    term.set_factor(factor, carrying)
 
     def term_state(self) -> dict[str, np.ndarray]:
         """What a restart needs of the terms, the same on every rank, by names such as "0/u"."""

@@ -32,7 +32,7 @@ from ..materials.base import warn_of_locking
 from ..solvers.choice import check_solver
 from ..solvers.newton import Controls
 from ..terms.base import Piece, Term, pieces_of
-from ..terms.settings import MeshNodes, MeshSetting
+from ..terms.settings import MeshNodes, MeshSetting, check_facets
 from ..terms.surfaceterms import SurfaceCondition
 from ..tools import checks, compat
 from ..tools.disposal import dispose_of_dropped
@@ -160,6 +160,8 @@ class QuasiStaticFEM(Problem):
         check_held(prescribed, np.ones(own), self.progress.step)
 
     def add(self, term: Term, *, counts: str | None = None) -> None:
+        if isinstance(term, SurfaceCondition):
+            check_facets(term, self.elements)
         super().add(term, counts=counts)
         if isinstance(term, SurfaceCondition) and self.progress.step:
             term.start_from(*self._carried_so_far(term))

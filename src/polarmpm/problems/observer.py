@@ -9,6 +9,10 @@ class Observer:
     """Told what happens in a run: derive from it, say what you want to hear, and append it to
     `problem.observers`. All methods are collective, and must leave the problem as it is.
 
+    A step that anything ends early, an error of an observer too, hasn't been taken: attributes of observers,
+    and what their lists and dicts contain, are put back with the problem's state, and they are told again
+    when the step is taken after all.
+
     The decisions of a run can be replayed by another one: the reset policy (`reset=`) decides on resets,
     `problem.rotation_limit` on new bases of the rotations, and the steps' load factors are in
     `problem.steps`.

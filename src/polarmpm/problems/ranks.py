@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -14,10 +14,9 @@ from ..conditions.amplitudes import Amplitude
 from ..conditions.prescribed import Prescribed
 from ..errors import InputError
 from ..geometry.nodes import Nodes
-from ..tools.alike import told
+from ..tools.alike import described
 from ..tools.meetings import together
 from ..tools.parallel import errors_on_all_ranks
-from .observer import Observer
 
 _ROUNDING = 1e-9  # of the largest value: so far values of two ranks may be apart
 
@@ -28,8 +27,15 @@ def step(problem: Any, call: str, factor: float) -> Iterator[None]:
     conditions have been given, their functions are compared at a load factor. Collective."""
     settings = ""
     if problem.comm.size > 1:
-        limit = getattr(problem, "rotation_limit", None)
-        settings = told((problem.controls, limit, len(problem.observers), sorted(problem.rows)))
+        given = problem.given.entries
+        known = {
+            "controls": problem.controls,
+            "rotation_limit": getattr(problem, "rotation_limit", None),
+            "observers": len(problem.observers),
+            "rows": sorted(problem.rows),
+            "conditions": [f"{g.name}{' (released)' * (g.released is not None)}" for g in given],
+        }
+        settings = described((), known)
     with together(problem.comm, call, settings):
         if problem._unasked:
             check_alike(problem.comm, problem._unasked, factor, problem.points.X)
@@ -37,12 +43,12 @@ def step(problem: Any, call: str, factor: float) -> Iterator[None]:
         yield
 
 
-def tell(comm: MPI.Comm, observers: Sequence[Observer], call: Callable[[Observer], None]) -> None:
-    """Tell the observers, whose errors are raised on all ranks. Collective."""
-    if observers:
-        with errors_on_all_ranks(comm, "an observer"):
-            for observer in observers:
-                call(observer)
+def tell(problem: Any, what: str, *news: Any) -> None:
+    """Call a method of the observers, whose errors are raised on all ranks. Collective."""
+    if problem.observers:
+        with errors_on_all_ranks(problem.comm, "an observer"):
+            for observer in problem.observers:
+                getattr(observer, what)(problem, *news)
 
 
 def check_alike(comm: MPI.Comm, amplitudes: Sequence[Amplitude], factor: float, places: np.ndarray) -> None:

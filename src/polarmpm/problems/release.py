@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from abc import abstractmethod
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,9 @@ from ..tools.checks import shown
 from ..tools.meetings import collective
 from .conditions import Conditions
 from .given import Given
+from .observer import Observer
 from .reactions import Equilibrium
+from .whole import Changing, Undo
 
 
 def fading(factor: float, over: float | None, until: float | None) -> Fade | None:
@@ -88,6 +91,27 @@ class Releasable(Conditions):
     restored: Restored | None = None  # of a run that goes on from a restart file
     step_sizes: tuple[str, list[float]] | None = None  # of the last march, see `solvers.stepping.sizes_of`
     _equilibrium: Equilibrium | None = None  # the last converged step
+    observers: list[Observer]
+
+    def _changing(self) -> Iterator[Changing]:
+        yield from super()._changing()
+        if self._equilibrium is not None:
+            yield self._equilibrium, None
+        for thing in self.observers if isinstance(self.observers, list) else ():
+            if isinstance(thing, Observer):
+                yield thing, None
+        if self.system is not None:
+            yield from self.system.changing()
+
+    def _put_back(self, undo: Undo) -> None:
+        tried = self.system
+        super()._put_back(undo)
+        if self.system is not None:
+            self.system.put_back()
+            self._stale = True  # the solver may have been left in the middle of its work
+        for system in {tried, self.system} if self.comm.size == 1 else ():
+            if system is not None:
+                system.destroy()
 
     @collective("release", compare=True)
     def release(self, condition: Any, *, over: float | None = None, until: float | None = None) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from ..bodies.points import Points
 from ..errors import InputError
@@ -54,6 +55,12 @@ class Turns:
                 f"{what}: a load step of this problem is being solved; functions and observers that it calls "
                 "must leave the problem as it is"
             )
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        raise InputError(
+            f"there is no copy or pickle of a problem, as its {self.body} and matrices are on several ranks: "
+            "save_restart writes its state to a file, from which load_restart goes on in another problem"
+        )
 
     @contextmanager
     def _turn(self, what: str) -> Iterator[None]:

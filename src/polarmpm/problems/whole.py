@@ -27,6 +27,9 @@ T = TypeVar("T")
 Changing = tuple[Any, tuple[str, ...] | None]  # an object, and which of its attributes; None: all
 
 
+_CONTAINERS = (list, dict, set)
+
+
 class Undo:
     """What some objects are like now, to be put back."""
 
@@ -37,8 +40,10 @@ class Undo:
             found = getattr(thing, "__dict__", {})
             kept = dict(found) if names is None else {name: found[name] for name in names if name in found}
             self._attributes.append((thing, kept, names is None))
+            arrays = isinstance(thing, Term)
             for value in kept.values():
-                self._remember(value, isinstance(thing, Term))
+                if arrays or isinstance(value, _CONTAINERS):
+                    self._remember(value, arrays)
 
     def _remember(self, value: Any, arrays: bool) -> None:
         """What a container contains; of terms, which scripts may write, numbers in arrays, too."""

@@ -34,6 +34,7 @@ from .stepping import (
     T,
     check_alone,
     failed,
+    forgotten_at_end,
     note_sizes,
     restored_of,
     sizes_of,
@@ -310,7 +311,7 @@ def march(problem: Marching, schedule: ArcSchedule, explain: Explain | None = No
     """Converged steps; see `Problem.march_arc_length`. `explain` as of `stepping.march`."""
     hidden = (not schedule.progress) if schedule.progress is not None else None
     with tqdm(disable=True if problem.comm.rank else hidden, bar_format=_BAR) as bar:
-        steps = enumerate(_steps(problem, schedule, explain), 1)
+        steps = enumerate(forgotten_at_end(problem, _steps(problem, schedule, explain)), 1)
 
         def take() -> tuple[Step | NotConverged | None, bool]:
             try:

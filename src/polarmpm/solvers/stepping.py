@@ -158,7 +158,8 @@ def march(problem: Marching, schedule: Schedule, explain: Explain | None = None)
         hidden = True
     with tqdm(total=100, unit="%", disable=hidden, bar_format=_BAR) as bar:
         stepper = _adaptive if schedule.adaptive else _equal
-        begin, steps = problem.progress.factor, stepper(problem, schedule, explain)
+        begin = problem.progress.factor
+        steps = forgotten_at_end(problem, stepper(problem, schedule, explain))
 
         def take() -> Step | NotConverged | None:
             try:
@@ -209,6 +210,14 @@ def sizes_of(problem: Any, schedule: Any) -> list[float]:
 def note_sizes(problem: Any, schedule: Any, sizes: list[float]) -> None:
     """Note step sizes for a restart file."""
     problem.step_sizes = _called(schedule), sizes
+
+
+def forgotten_at_end(problem: Any, steps: Iterator[Step]) -> Iterator[Step]:
+    """The steps of a march, whose sizes are forgotten when it ends: then there is nothing to go on with."""
+    try:
+        yield from steps
+    finally:
+        problem.step_sizes = None
 
 
 def _called(schedule: Any) -> str:

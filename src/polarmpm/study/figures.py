@@ -113,7 +113,7 @@ def save_errors(
     slopes: Sequence[int] = (),
 ) -> None:
     """Write a figure with one panel for each reference; see `errors`."""
-    names = error_names(check_rows("rows", rows))
+    names = error_names(rows)
     columns = min(2, max(1, len(names)))
     lines = max(1, -(-len(names) // columns))
     figure, axes = plot.subplots(lines, columns, figsize=(5.4 * columns, 4.0 * lines + 0.6), squeeze=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -54,9 +54,11 @@ def run(
     """
     if MPI.COMM_WORLD.size > 1:
         raise InputError("run: a study starts processes of its own; run the script on one rank")
-    if not isinstance(discretisations, Iterable) or isinstance(discretisations, str):
-        raise checks.refuse("discretisations", discretisations, "a list of Discretisation is needed")
-    discretisations = list(discretisations)
+    try:
+        discretisations = list(discretisations)
+    except Exception:  # a script's class may do anything
+        allowed = "a list of Discretisation is needed"
+        raise checks.refuse("discretisations", discretisations, allowed) from None
     for one in discretisations:
         checks.instance("discretisations", one, Discretisation, "objects of study.Discretisation are")
     references = _checked(references)

@@ -65,11 +65,12 @@ def read_csv(path: str | os.PathLike[str]) -> list[Row]:
     Raises:
         InputError: the file isn't there, or isn't one of these.
     """
+    path = checks.path("path", path)
     try:
         with open(path, newline="", encoding="utf-8") as file:
             return [_row(line) for line in csv.DictReader(file)]
     except (OSError, KeyError, TypeError, ValueError, csv.Error) as e:
-        raise InputError(f"path = {checks.shown(path)} is no table of a study: {e}") from None
+        raise InputError(f"path = {str(path)!r} is no table of a study: {e}") from None
 
 
 def _row(line: Mapping[str, str]) -> Row:
@@ -88,12 +89,12 @@ def _row(line: Mapping[str, str]) -> Row:
 
 def error_names(rows: Sequence[Row]) -> list[str]:
     """Names of the references, in the order given."""
-    return list(dict.fromkeys(name for row in rows for name in row.errors))
+    return list(dict.fromkeys(name for row in check_rows("rows", rows) for name in row.errors))
 
 
 def methods(rows: Sequence[Row]) -> list[str]:
     """Names of the methods, in the order of their first rows."""
-    return list(dict.fromkeys(row.method for row in rows))
+    return list(dict.fromkeys(row.method for row in check_rows("rows", rows)))
 
 
 def _phases(rows: Sequence[Row]) -> list[str]:
@@ -227,7 +228,7 @@ def markdown_times(rows: Sequence[Row], name: str, levels: Sequence[float], *, u
 
 def check_name(rows: Sequence[Row], name: str) -> None:
     """Raise InputError unless rows have an error of this name."""
-    known = error_names(check_rows("rows", rows))
+    known = error_names(rows)
     if not isinstance(name, str) or name not in known:
         raise checks.refuse("name", name, f"errors are {', '.join(known) or 'not known'}")
 

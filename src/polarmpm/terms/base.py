@@ -57,7 +57,7 @@ class Boxes:
         if len(count) not in (2, 3):
             raise refuse("Boxes: count", self.count, "two or three numbers of nodes are needed")
         object.__setattr__(self, "count", tuple(whole("Boxes: count", n, least=1) for n in count))
-        lowest = np.asarray(self.lowest)
+        lowest = _array(self.lowest)
         if lowest.ndim != 1 or (lowest.size and lowest.dtype.kind not in "iu"):
             raise refuse("Boxes: lowest", self.lowest, "lattice numbers (m,), whole numbers, are needed")
         object.__setattr__(self, "lowest", lowest.astype(np.int64, copy=False))
@@ -265,8 +265,8 @@ def pieces_of(term: Term, setting: Setting) -> list[Piece]:
     Raises:
         InputError: it gives something else.
     """
-    made = term.pieces(setting)
-    with errors_on_all_ranks(setting.comm):
+    with errors_on_all_ranks(setting.comm, term.name):
+        made = term.pieces(setting)
         if not isinstance(made, Sequence) or not all(isinstance(piece, Piece) for piece in made):
             raise InputError(f"{term.name}: pieces returned {shown(made)}; a list of Piece is needed")
         for piece in made:
@@ -280,7 +280,7 @@ def _check_piece(name: str, piece: Piece, block: int) -> None:
     for what in ("name", "boxes", "pairs"):
         if not hasattr(piece, what):
             raise InputError(f"{name}: its {type(piece).__name__} has no {what}")
-    pairs = np.asarray(piece.pairs)
+    pairs = _array(piece.pairs)
     good = pairs.ndim == 2 and pairs.shape[1] == 2 and pairs.dtype.kind in "iu"
     if not good or np.any((pairs < 0) | (pairs >= block)):
         allowed = f"components from 0 to {block - 1}, whole numbers (k, 2), are needed"
@@ -295,11 +295,11 @@ def forces_of(piece: Piece, x: np.ndarray) -> np.ndarray:
     Raises:
         InputError: they have another shape.
     """
-    forces = piece.forces(x)
-    if np.shape(forces) != x.shape:
+    forces = _array(piece.forces(x))
+    if forces.shape != x.shape or forces.dtype.kind not in "fiu":
         raise InputError(
-            f"{piece.name}: its forces have the shape {np.shape(forces)}; {x.shape}, that of the increments, "
-            "is needed"
+            f"{piece.name}: its forces are of type {forces.dtype} and shape {forces.shape}; numbers of shape "
+            f"{x.shape}, that of the increments, are needed"
         )
     return forces
 
@@ -310,11 +310,22 @@ def matrices_of(piece: Piece, x: np.ndarray) -> np.ndarray:
     Raises:
         InputError: they have another shape.
     """
-    matrices, (m, n, _) = piece.matrices(x), x.shape
-    shape, rest = np.shape(matrices), (n, n, len(piece.pairs))
-    if shape not in ((m, *rest), (1, *rest)):
-        raise InputError(f"{piece.name}: its matrices have the shape {shape}; {(m, *rest)} is needed")
+    matrices, (m, n, _) = _array(piece.matrices(x)), x.shape
+    rest = n, n, len(piece.pairs)
+    if matrices.shape not in ((m, *rest), (1, *rest)) or matrices.dtype.kind not in "fiu":
+        raise InputError(
+            f"{piece.name}: its matrices are of type {matrices.dtype} and shape {matrices.shape}; numbers of "
+            f"shape {(m, *rest)} are needed"
+        )
     return matrices
+
+
+def _array(value: Any) -> np.ndarray:
+    """What a script gives as an array, if it is one; else something that is no number."""
+    try:
+        return np.asarray(value)
+    except Exception:  # rows of several lengths, say, and a script's class may do anything
+        return np.array(None)
 
 
 def multiply(pairs: np.ndarray, matrices: np.ndarray, x: np.ndarray) -> np.ndarray:

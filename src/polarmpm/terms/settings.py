@@ -101,6 +101,20 @@ class GridSetting(Setting):
         return owner, cells
 
 
+def check_facets(places: Places, elements: Elements) -> FacetSurface:
+    """The surface of places on a mesh.
+
+    Raises:
+        InputError: it isn't made of facets of the mesh.
+    """
+    surface = places.surface
+    if not isinstance(surface, FacetSurface) or surface.elements is not elements:
+        raise InputError(
+            f"{places.name}: the surface is not made of facets of this mesh; use elements.surface(...)"
+        )
+    return surface
+
+
 @dataclass(frozen=True)
 class MeshNodes:
     """Sets of a mesh's nodes.
@@ -135,11 +149,7 @@ class MeshSetting(Setting):
         return MeshNodes(nodes[:, None])
 
     def carry(self, places: Places) -> Carried:
-        surface = places.surface
-        if not isinstance(surface, FacetSurface) or surface.elements is not self.elements:
-            raise InputError(
-                f"{places.name}: the surface is not made of facets of this mesh; use elements.surface(...)"
-            )
+        surface = check_facets(places, self.elements)
         rows, table = surface.rows, surface.table.copy()
         # d(.)/dX -> d(.)/dx~
         back = np.linalg.inv(places.deformation[rows])

@@ -23,8 +23,11 @@ _dropped: dict[_Key, dict[int, Disposal]] = {}
 
 
 def _key(comm: MPI.Comm) -> _Key:
-    ranks = range(comm.size)
-    return tuple(MPI.Group.Translate_ranks(comm.group, list(ranks), MPI.COMM_WORLD.group))
+    mine, world = comm.Get_group(), MPI.COMM_WORLD.Get_group()
+    ranks = tuple(MPI.Group.Translate_ranks(mine, list(range(comm.size)), world))
+    mine.Free()
+    world.Free()
+    return ranks
 
 
 def weakly(method: Callable[[], T]) -> Callable[[], T]:

@@ -26,7 +26,7 @@ from ..errors import ErrorOnAnotherRank, InputError, PolarMPMError, RanksApart
 from .alike import described
 
 _TAG = 7362  # of messages of meetings
-_PATIENCE = 10.0  # seconds that a rank that has failed waits for the others, who might wait for it elsewhere
+_PATIENCE = 5.0  # seconds that a rank that has failed waits for the others, who might wait for it elsewhere
 _SHOWN = 200  # characters of what was given in a message
 
 P = ParamSpec("P")
@@ -77,7 +77,12 @@ class Meetings:
             word = word._replace(error=_told(error))
         words = self._wait(word, error)
         if words is not None or word.error is not None:
-            self._judge(words or {word: [self.comm.rank]}, error)
+            words = words or {}
+            if not any(
+                self.comm.rank in ranks for ranks in words.values()
+            ):  # another one has left the meeting
+                words.setdefault(word, []).append(self.comm.rank)
+            self._judge(words, error)
 
     def _wait(self, word: Word, error: BaseException | None) -> Words | None:
         """What the ranks have said; None: the same. An interrupt waits until they have met."""
@@ -183,8 +188,8 @@ class Meetings:
 
 
 def _told(error: BaseException) -> PolarMPMError | str:
-    """An error as others are told of it."""
-    if isinstance(error, PolarMPMError):
+    """An error as others are told of it; they may not know the script's own classes."""
+    if isinstance(error, PolarMPMError) and type(error).__module__.startswith(__name__.split(".")[0] + "."):
         with contextlib.suppress(Exception):
             pickle.dumps(error)
             return error
@@ -195,7 +200,10 @@ def described_error(error: BaseException) -> str:
     """Kind and text of an error, at most a few lines."""
     if isinstance(error, SystemExit):
         return f"sys.exit({error.code!r})"
-    text = str(error)
+    try:
+        text = str(error)
+    except Exception:  # of a script's own class
+        text = ""
     text = text if len(text) <= 1000 else text[:1000] + "..."
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
@@ -208,9 +216,8 @@ def _apart(words: Words) -> PolarMPMError:
         parts = _differing([word.given for word, _ in by_rank])
         said = [f"{ranks_named(r)}: {part}" for part, (_, r) in zip(parts, by_rank, strict=True)]
         return InputError(f"{calls.pop()}: the same is needed on all ranks, but they give " + "; ".join(said))
-    return RanksApart(
-        {r: w.call for w, ranks in by_rank for r in ranks}, "; ".join(_doing(*i) for i in by_rank)
-    )
+    calls_by_rank = dict(sorted((rank, word.call) for word, ranks in by_rank for rank in ranks))
+    return RanksApart(calls_by_rank, "; ".join(_doing(word, ranks) for word, ranks in by_rank))
 
 
 def _beginning(texts: list[str]) -> str:
@@ -247,7 +254,12 @@ def ranks_named(ranks: list[int]) -> str:
 # the communicators ----------------------------------------------------------------------------------
 known: list[Meetings] = []  # of the communicators of which this rank knows; that of all ranks first
 _CONGRUENT = MPI.Comm.Create_keyval(nopython=True)  # of communicators of all ranks: they meet as one
-_OWN = MPI.Comm.Create_keyval(delete_fn=lambda comm, key, meetings: known.remove(meetings))
+_OWN = MPI.Comm.Create_keyval(delete_fn=lambda comm, key, meetings: _forget(meetings))
+
+
+def _forget(meetings: Meetings) -> None:
+    if meetings in known:
+        known.remove(meetings)
 
 
 def of(comm: MPI.Comm) -> Meetings:
