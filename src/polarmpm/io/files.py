@@ -178,7 +178,7 @@ _numbers = itertools.count()
 
 
 def begin_writing(path: Path) -> int:
-    """Number of a new writer of a file; an earlier one of this process, if there is one, must not write now."""
+    """Number of a new writer of a file; earlier ones of this process must not write it any more."""
     _writers[path] = next(_numbers)
     return _writers[path]
 

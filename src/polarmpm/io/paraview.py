@@ -105,7 +105,10 @@ class _Entry:
 
 def mark_of(step: Step | None) -> str:
     """A few letters that tell a step from the same step of another run."""
-    return "" if step is None else f"{zlib.crc32(repr((step.factor, step.history)).encode()):08x}"
+    if step is None:
+        return ""
+    numbers = [float(step.factor), *(float(n) for measures in step.history for n in measures)]
+    return f"{zlib.crc32(repr(numbers).encode()):08x}"
 
 
 class Collection:

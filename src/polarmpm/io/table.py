@@ -192,7 +192,8 @@ class Table:
 
 
 def _of_step(step: Step) -> tuple[Any, ...]:
-    return step.number, step.factor, step.iterations, *step.history[-1]
+    force, energy = step.history[-1]
+    return int(step.number), float(step.factor), step.iterations, float(force), float(energy)
 
 
 def _line(values: list[Any]) -> bytes:
