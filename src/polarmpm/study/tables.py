@@ -14,7 +14,7 @@ from typing import Any
 from mpi4py import MPI
 
 from ..errors import InputError
-from ..io.files import check_output, replace_file
+from ..io.files import check_output, not_written, replace_file
 from ..tools import checks
 from .discretisations import PHASES, Row
 
@@ -182,8 +182,13 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
     Raises:
         InputError: it can't be written.
+        OutputError: the disc is full; an old file stays.
     """
-    replace_file(check_output(MPI.COMM_SELF, path), text.encode())
+    file = check_output(MPI.COMM_SELF, path)
+    try:
+        replace_file(file, text.encode())
+    except OSError as e:
+        raise not_written("file", file, e) from e
 
 
 def time_for_error(rows: Sequence[Row], name: str, level: float) -> dict[str, float]:
