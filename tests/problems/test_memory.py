@@ -68,6 +68,8 @@ def systems(monkeypatch):
 @pytest.fixture
 def destroyed(monkeypatch):
     """How many disposals have been made, and called."""
+    gc.collect()  # what failed tests have left
+    disposal.dispose_of_dropped(COMM)
     count = {"made": 0, "called": 0}
     make, call = disposal.Disposal.__init__, disposal.Disposal.__call__
 

@@ -7,7 +7,6 @@ import errno
 import io
 import os
 import stat
-import warnings
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
@@ -18,6 +17,7 @@ import numpy as np
 from ..errors import InputError
 from ..solvers.stepping import Restored, Step
 from ..tools import checks
+from ..tools.caller import warn
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks
 from .files import (
@@ -189,9 +189,8 @@ class Table:
                 f"are {', '.join(header)}; give the same ones, or another path"
             )
         if len(numbers) > 1 and numbers == list(range(numbers[0], run.number)):
-            warnings.warn(
-                f"table {self.path}: has no row of step {run.number}, which was saved before it was recorded",
-                stacklevel=4,
+            warn(
+                f"table {self.path}: has no row of step {run.number}, which was saved before it was recorded"
             )
         return b"".join(lines)[:size]
 
