@@ -215,7 +215,7 @@ def user(energy: Any) -> pm.QuasiStatic:
 
 
 def test_an_energy_that_is_not_finite(monkeypatch):
-    """At no strain already, in the points' boxes too. (Problems refuse it; another may come to that later.)"""
+    """At no strain already, in the points' boxes too. (Problems refuse it; others come to that later.)"""
     monkeypatch.setattr(points_problem, "try_energy", lambda material: None)
     error = failure(user(lambda E, G, p: p.a * ufl.ln(ufl.tr(E)) + ufl.inner(E, E) + ufl.inner(G, G)))
     assert kinds(error) == ["not finite"]
