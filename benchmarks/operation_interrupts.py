@@ -239,14 +239,13 @@ def state(problem):
 def differing(found, expected):
     """Names of what isn't the same to the bit."""
     names = {*found, *expected}
-    same = {n for n in names if n in found and n in expected and _equal(found[n], expected[n])}
+    same = {n for n in names if n in found and n in expected and alike(found[n], expected[n])}
     return sorted(names - same)
 
 
-def _equal(a, b):
-    """To the bit; a support that has done nothing yet has no reaction, not a number."""
-    numbers = a.dtype.kind == b.dtype.kind == "f"
-    return np.array_equal(a, b, equal_nan=numbers)
+def alike(one, other):
+    """The same numbers; NaN where nothing is known yet."""
+    return np.array_equal(one, other, equal_nan=one.dtype.kind == other.dtype.kind == "f")
 
 
 def off(found, expected):
