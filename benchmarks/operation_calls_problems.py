@@ -441,23 +441,12 @@ FIRST = [
 
 # what no argument that is a number takes
 NOT_NUMBERS = (
-    '"1"', "None", "1j", "[]", "{}", "object()", 'float("nan")', 'float("inf")', "np.array([1.0, 2.0])",
-    'np.float64("nan")', "True", "lambda: 1", "b'1'", "10**400",
+    '"1"', "None", "1j", "[]", "object()", 'float("nan")', 'float("inf")', "np.array([1.0, 2.0])", "True",
+    "lambda: 1", "10**400",
 )  # fmt: skip
-NOT_COUNTS = (
-    '"2"',
-    "1.5",
-    "2.0",
-    "0",
-    "-3",
-    "True",
-    "[2]",
-    "np.float64(2.0)",
-    'float("nan")',
-    "np.bool_(True)",
-)
+NOT_COUNTS = ('"2"', "1.5", "2.0", "0", "-3", "True", "[2]", "np.float64(2.0)")
 NOT_FLAGS = ('"no"', "0", "1", "1.0", "[]", "np.array([True])", "object()")
-OTHERS = ("5", '"text"', "[1, 2]", "{}", "object()", "np.zeros(3)", "lambda x: x", "type", "1j", "b'a'")
+OTHERS = ("5", '"text"', "[1, 2]", "{}", "object()", "np.zeros(3)", "lambda x: x", "type", "1j")
 
 
 def variants(template, values, *words, expected="bad"):

@@ -250,6 +250,31 @@ def judged(name, make, needed, never, options):
     return Case("diagnosis", name, "clear" if good else "unclear", f"{wrong or ''} {said}".strip())
 
 
+def drawn(seed, number):
+    """A body in space or in the plane whose wall holds some components, drawn at random, and what has to come
+    of it: with all displacements held it stands, else it can move."""
+    random = np.random.default_rng([seed, number])
+    dim, basis = int(random.integers(2, 4)), str(random.choice(["mpm", "gimpm", "bspline"]))
+    material = (MICROPOLAR, NEO)[random.integers(2)]
+    names = [name for name in ("ux", "uy", "uz")[:dim] if random.random() < 0.7]
+    size = np.where(np.arange(dim) == 0, random.uniform(2.2, 4.0), random.uniform(0.8, 1.6, dim))
+    problem = block(dim, material, basis=basis, upper=size)
+    held = dict.fromkeys(names, 0) | ({"theta": 0} if material.micropolar else {})
+    if held:
+        problem.fix(lambda x: x[:, 0] < 0.3, **held)
+    problem.body_load(force=tuple(0.1 * random.normal(size=dim)))
+    name = (
+        f"{dim}D, {basis}, {type(material).__name__}, held: {', '.join(held) or 'nothing'} ({seed}.{number})"
+    )
+    if len(names) < dim:
+        return judged(name, lambda: problem, FREE, LIMIT + FEW + INVERTED + LARGE, {"steps": 2})
+    try:
+        list(problem.march(2, progress=False))
+    except Exception as e:
+        return Case("diagnosis", name, "unclear", f"{type(e).__name__}: {e}".splitlines()[-1])
+    return Case("diagnosis", name, "right")
+
+
 def never_iterated():
     """A march that nobody iterates."""
     problem = push(clamp(block()), 0.0, 1.0)
@@ -262,10 +287,14 @@ def never_iterated():
 
 
 def cases(quick, seed):
-    """All scenes; they don't depend on the seed."""
+    """All scenes, and some that are drawn."""
     every = list(scenes())
     for scene in every[:: 6 if quick else 1]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield judged(*scene)
+    for number in range(4 if quick else 20):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield drawn(seed, number)
     yield never_iterated()

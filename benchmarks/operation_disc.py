@@ -58,8 +58,10 @@ def left_over(folder):
 
 
 def judge(folder, problem, action, name, again, intact=lambda: "", fits=None):
-    """Do what can't succeed; then the run has to go on, and the next try with room to succeed. `fits`: what is
-    wrong with the file if there was room all the same."""
+    """Do what can't succeed; then the run has to go on, and the next try with room to succeed.
+
+    `fits`: what is wrong with the file if there was room all the same.
+    """
     before = state(problem)
     try:
         action()
@@ -205,24 +207,10 @@ KINDS = {
 
 def scenes(quick, size):
     """Name, function of (folder, problem, fill_up), bytes of room, and how the room is limited."""
+    most = size // 1024
     rooms = {
-        "restart": [
-            0,
-            4,
-            20,
-            64,
-            100,
-            150,
-            200,
-            300,
-            400,
-            500,
-            600,
-            700,
-            size // 1024 - 20,
-            size // 1024 - 4,
-        ],
-        "restart over an old one": [0, 64, 300, size // 1024 - 20],
+        "restart": [0, 4, 20, 64, *range(100, 800, 100), most - 20, most - 4],
+        "restart over an old one": [0, 64, 300, most - 20],
         "ParaView": [0, 4, 8, 12],
         "table": [0],
     }
@@ -230,12 +218,8 @@ def scenes(quick, size):
         for room in rooms[what][1:2] if quick and what != "table" else rooms[what]:
             yield f"{what}, {room} kB left", function, room << 10, "disc"
         if not quick or what == "table":
-            yield (
-                f"{what}, files limited",
-                function,
-                {"ParaView": 4096, "table": 9000}.get(what, 50000),
-                "file",
-            )
+            largest = {"ParaView": 4096, "table": 9000}.get(what, 50000)
+            yield f"{what}, files limited", function, largest, "file"
     for what in ("restart",) if quick else ("restart", "ParaView", "table"):
         yield f"{what}, folder removed", lambda *a, what=what: vanishing(*a, what), 0, "none"
 

@@ -148,7 +148,7 @@ def release(problem):
 
 def more(problem):
     """A load that comes in mid-run."""
-    problem.load(problem.points.farthest((0.0, 1.0)), force=(1e3, 0.0))
+    problem.body_load(force=(2e3, 0.0))
 
 
 def springs(problem):

@@ -95,16 +95,6 @@ def recorded():
         pm.load_restart(points(reset=1), folder + "/run.h5")
 
 
-def drawn():
-    """A run of which a figure is made."""
-    from polarmpm import plot
-
-    problem = points(reset=1)
-    march(problem)
-    with tempfile.TemporaryDirectory() as folder:
-        plot.save(plot.plot_points(problem.points), folder + "/body.png", dpi=40)
-
-
 def surfaces():
     """Conditions on surfaces, and the ghost penalty."""
     problem = points(basis="gimpm", reset=1, ghost="thesis")
@@ -141,7 +131,6 @@ KINDS = {
     "failed": failed,
     "interrupted": interrupted,
     "recorded": recorded,
-    "drawn": drawn,
     "arc length": along,
     "mesh": made,
     "elements": lambda: pm.Elements(made(), material=ELASTIC),

@@ -153,6 +153,16 @@ class Own(pm.SurfaceTerm):
 q = held(reset=None)
 q.add(Own('own', pm.Surface.line((6, 0.25), (6, 0.75), 2)))
 list(solve(q))
+## pieces of a term raise | RuntimeError: user
+class Own(pm.SurfaceTerm):
+    def energy(self, at, p):
+        return 500 * at.u[0] ** 2
+    def pieces(self, setting):
+        fails()
+        return super().pieces(setting)
+q = held(reset=None)
+q.add(Own('own', pm.Surface.line((6, 0.25), (6, 0.75), 2)))
+list(solve(q))
 ## warning is an error | TrustWarning: low
 from polarmpm.errors import TrustWarning
 warnings.simplefilter('error')
@@ -189,14 +199,18 @@ comm.Barrier()
 q = loaded()
 for s in solve(q):
     if bad: sys.exit('no more')
-## exits with 0 | has ended
+## exits with 0 | ha(s|ve) ended
 q = loaded()
 for s in solve(q):
     if bad: sys.exit(0)
-## exits with 0 at first | has ended
+## exits with 0 at first | ha(s|ve) ended
 if bad: sys.exit(0)
 list(solve(loaded()))
-## raises SystemExit | has ended
+## exits with 0 long before | ha(s|ve) ended
+if bad: sys.exit(0)
+time.sleep(5)
+list(solve(loaded()))
+## raises SystemExit | ha(s|ve) ended
 q = loaded()
 for s in solve(q):
     if bad: raise SystemExit(4)
@@ -238,7 +252,7 @@ for s in solve(q):
     if bad: q.points.mean_displacement()
 ## one step more | load factor 0.3333
 list(solve(loaded(), 3 + bad))
-## goes on alone | has ended
+## goes on alone | ha(s|ve) ended
 q = loaded()
 list(solve(q))
 if bad: list(q.march(2, to=2.0, progress=False))

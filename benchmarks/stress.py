@@ -1,14 +1,13 @@
 """Stress tests of the solver's numerical stability, at and beyond the ends of what it is made for.
 
 Blocks cut by the grid at random; load steps too large and too small; moduli, lengths, compression, rotations
-and units at the ends of their ranges; locking over Poisson's ratio; runs killed while they write restart
-files. Each case prints a line and goes to `results/stress.csv` and `.md`. `--quick` runs a few of each.
+and units at the ends of their ranges; locking over Poisson's ratio. Each case prints a line and goes to
+`results/stress.csv` and `.md`. `--quick` runs a few of each.
 """
 
 import argparse
 import csv
 import itertools
-import tempfile
 import time
 from dataclasses import asdict, fields
 from io import StringIO
@@ -17,7 +16,6 @@ from pathlib import Path
 import stress_cuts as cuts
 import stress_extremes as extremes
 import stress_locking as locking
-import stress_restart as restart
 import stress_steps as steps
 from stress_cases import BASES, MICROPOLAR, NEO_HOOKEAN, Record, head, line
 
@@ -108,12 +106,6 @@ def locking_cases(quick):
         yield locking.locking("footing", method, 0.4999, False, per_cell=number)
 
 
-def killed_cases(quick):
-    """Runs that are killed."""
-    with tempfile.TemporaryDirectory() as folder:
-        yield from restart.killed_runs(folder, 4 if quick else 20)
-
-
 GROUPS = {
     "cuts": cut_cases,
     "steps": step_cases,
@@ -122,7 +114,6 @@ GROUPS = {
     "rotation": rotation_cases,
     "units": unit_cases,
     "locking": locking_cases,
-    "killed": killed_cases,
 }
 
 

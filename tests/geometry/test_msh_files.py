@@ -357,3 +357,18 @@ def test_a_crack_is_told(folder):
         warnings.simplefilter("error")
         pm.seed_mesh(pm.Grid.box((-1, -1), (3, 3), 1.0, COMM), path, material=BOTH)
         pm.Elements(strip().write(folder / "whole.msh"), material=BOTH)
+
+
+def test_facets_inside_of_the_body_are_told(folder):
+    """A group may go on between two regions; those facets carry nothing."""
+    path = spoilt(add((1, 1, [[3, 8], [8, 13]]))).write(folder / "inner.msh")
+    body = pm.Elements(path, material=BOTH)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert body.facets("left").area == pytest.approx(1.0)
+        assert body.facets("top").area == pytest.approx(2.0)
+    told = [str(w.message) for w in caught if w.category is pm.TrustWarning]
+    assert len(told) == (COMM.rank == 0)
+    assert all("facets 'left': some of the group's facets lie inside" in one for one in told)
+    points = pm.seed_mesh(pm.Grid.box((-1, -1), (3, 3), 1.0, COMM), path, material=BOTH)
+    assert points.surface("left").area.sum() == pytest.approx(1.0)

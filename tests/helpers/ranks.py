@@ -18,9 +18,7 @@ import numpy as np
 import polarmpm as pm
 
 ROOT = str(Path(__file__).parents[2])  # of the repository, for `import tests` in other processes
-PATH = os.pathsep.join(
-    [str(Path(pm.__file__).parents[1]), ROOT]
-)  # for PYTHONPATH: this package and the tests
+PATH = os.pathsep.join([str(Path(pm.__file__).parents[1]), ROOT])  # for PYTHONPATH: package and tests
 
 
 def environment() -> dict[str, str]:

@@ -230,7 +230,7 @@ def test_a_full_disc_in_mid_compile(place, key, monkeypatch):
 def test_folders_are_absolute(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("POLARMPM_CACHE", "some/where")
-    assert cache.directory() == tmp_path / "some/where"
+    assert jit.cache_directory() == tmp_path / "some/where"
     (tmp_path / "below").mkdir()
     monkeypatch.chdir(tmp_path / "below")
     assert cache.directory() == tmp_path / "some/where"

@@ -197,14 +197,13 @@ def test_adaptive_steps_are_not_advised_to_adapt():
     assert "load steps" not in kinds(error)
 
 
-def plastic_bar() -> pm.QuasiStatic:
-    material = pm.VonMises(pm.Hencky(lam=3e3, mu=2e3), k=20.0, H=0.0)
-    return clamp(bar(material=material))
+def plastic(H: float) -> pm.Material:
+    return pm.VonMises(pm.Hencky(lam=3e3, mu=2e3), k=20.0, H=H)
 
 
 def test_a_limit_load():
     """Perfect plasticity: more load than the cross section can take."""
-    error = failure(push(plastic_bar(), 45.0, 0.0), adaptive=True, smallest=0.05)
+    error = failure(push(clamp(bar(material=plastic(0.0))), 45.0, 0.0), adaptive=True, smallest=0.05)
     assert kinds(error)[0] == "limit load"
     assert "march_arc_length" in str(error)
     assert not HELD & set(kinds(error))
@@ -311,6 +310,34 @@ def test_the_last_state_stays():
     expected = by_id(straight.points, straight.points.displacement)
     np.testing.assert_allclose(by_id(tried.points, tried.points.displacement), expected, rtol=1e-9)
     assert tried.energies()["external"] == pytest.approx(straight.energies()["external"], rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["plastic points", "elements", "plastic elements", "after a reset"])
+def test_other_states_stay(kind):
+    if kind == "plastic points":
+        problem = push(clamp(bar(material=plastic(500.0))), 25.0, 0.0)
+    elif kind == "after a reset":
+        problem = push(clamp(bar(reset=1)), 0.0, 8.0)
+    else:
+        problem = cantilever(material=plastic(500.0) if kind == "plastic elements" else MICROPOLAR)
+        problem.traction(problem.elements.farthest((1.0, 0.0)), force=(25.0, 0.0))
+    list(problem.march(2, progress=False))
+    if "plastic" in kind:
+        assert COMM.allreduce(float(problem.points.hardening.sum())) > 0.0
+    arrays = problem.points.arrays()
+    if "elements" in kind:
+        arrays |= {"displacement": problem.elements.displacement, "turned": problem.elements.q}
+    before = {name: a.tobytes() for name, a in arrays.items()}
+    progress = dict(vars(problem.progress), reset_due=None, since_reset=None)
+    failure(problem, 1, to=1e9)
+    arrays = problem.points.arrays()
+    if "elements" in kind:
+        arrays |= {"displacement": problem.elements.displacement, "turned": problem.elements.q}
+    if kind != "after a reset" or COMM.size == 1:  # points may go to other ranks
+        assert before == {name: a.tobytes() for name, a in arrays.items()}
+    assert problem.progress.factor == progress["factor"]
+    assert problem.progress.external_work == progress["external_work"]
+    assert next(problem.march(1, to=1.01, progress=False)).factor == 1.01
 
 
 def test_an_error_in_the_diagnosis(monkeypatch):

@@ -64,7 +64,7 @@ ENDS = {
         1,
         {"rank 2 has ended": 1, "Traceback": 1},
     ),
-    "all exit": ("body(); sys.exit(5)", 2, 5, {"rank": 0}),
+    "all exit": ("body(); sys.exit(5)", 2, 5, {"of 2": 0}),
     "at another call": ("for step in steps():\n    if bad: body()", 2, 1, {"RanksApart": 1, "Traceback": 1}),
     "a function exits": (
         "body().points.where(lambda x: sys.exit(4) if bad else x[:, 0] > 1)",

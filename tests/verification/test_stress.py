@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import polarmpm as pm
-from tests.conftest import COMM
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
@@ -19,7 +18,7 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 def stress():
     """The modules of the stress tests by name; every rank runs all by itself."""
     sys.path.insert(0, str(BENCHMARKS))
-    names = ("cases", "cuts", "steps", "extremes", "locking", "restart")
+    names = ("cases", "cuts", "steps", "extremes", "locking")
     try:
         yield {name: importlib.import_module(f"stress_{name}") for name in names}
     finally:
@@ -176,12 +175,3 @@ def test_locking_is_as_documented(stress, method, nu, low, high):
     found = stress["locking"].locking("footing", method, nu, False, tangents=False)
     assert found.passed
     assert low < 1 - found.error < high
-
-
-# killed runs --------------------------------------------------------------------------------------
-@pytest.mark.skipif(COMM.size > 1, reason="starts processes of its own")
-@pytest.mark.parametrize("kills", [2, pytest.param(8, marks=pytest.mark.slow)])
-def test_killed_runs_go_on_to_the_same_digits(stress, tmp_path, kills):
-    resets = (4,) if kills < 4 else (1, 4)
-    for found in stress["restart"].killed_runs(tmp_path, kills, resets, seed=kills):
-        assert found.passed, found

@@ -136,8 +136,9 @@ class Elements:
         if isinstance(where, str | int | np.integer) and not isinstance(where, bool):
             tag = self.body.group(where if isinstance(where, str) else int(where), dim)
             name, tags = f"facets {where!r}", self.body.facets
-            found = np.asarray(tags.indices)[np.asarray(tags.values) == tag]
-            found = np.intersect1d(found, np.asarray(dmesh.exterior_facet_indices(self.mesh.topology)))
+            tagged = np.asarray(tags.indices)[np.asarray(tags.values) == tag]
+            found = np.intersect1d(tagged, np.asarray(dmesh.exterior_facet_indices(self.mesh.topology)))
+            _warn_of_inner_facets(name, self.body, tagged)
         else:
             if isinstance(where, PlaneSpec):
                 predicate, name = self.on_plane(where), where.name
@@ -280,6 +281,19 @@ def _warn_of_cracks(body: BodyMesh) -> None:
             "mesh.removeDuplicateNodes",
             TrustWarning,
             stacklevel=3,
+        )
+
+
+def _warn_of_inner_facets(name: str, body: BodyMesh, facets: np.ndarray) -> None:
+    """Those between two cells are on no boundary. Collective."""
+    of_facets = body.mesh.topology.connectivity(body.dim - 1, body.dim)
+    inner = int(np.sum(np.diff(np.asarray(of_facets.offsets))[facets] > 1))
+    if body.mesh.comm.allreduce(inner) and body.mesh.comm.rank == 0:
+        warnings.warn(
+            f"{name}: some of the group's facets lie inside of the body, between two cells; those on its "
+            "boundary count alone",
+            TrustWarning,
+            stacklevel=4,
         )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..tools import compat
+from .cells import unit_corners
 from .mshfile import KINDS, Block, Listed, NotAMesh
 
 _USABLE = (2, 3, 4, 5, 9, 10, 11, 12)  # gmsh's types of degree 1 and 2 with all of their nodes
@@ -64,7 +65,7 @@ def grouped(listed: Listed) -> GroupedMesh:
     number[used] = np.arange(len(used))
     x = _checked_nodes(listed.x[used], listed.tags[used], dim)
     cells = number[table][:, compat.gmsh_order(cell, table.shape[1])]
-    _check_cells(cells, x, cell, tags, {tag: name for (d, name), tag in names.items() if d == dim})
+    _check_cells(cells, x, cell, degree, tags, {tag: name for (d, name), tag in names.items() if d == dim})
     sides = _facets(listed, dim, cell)
     wide = len(compat.facet_corners(cell)[0])
     corners, middle = np.zeros((0, wide), dtype=np.int64), np.zeros((0, dim))
@@ -79,7 +80,7 @@ def grouped(listed: Listed) -> GroupedMesh:
 
 
 def _at(x: np.ndarray) -> str:
-    return str(tuple(float(round(c, 9)) for c in x))
+    return str(tuple(float(f"{c:.9g}") + 0.0 for c in x))
 
 
 # groups and types -------------------------------------------------------------------------------------
@@ -192,9 +193,38 @@ def labels(table: np.ndarray) -> np.ndarray:
     return found
 
 
+# shapes -----------------------------------------------------------------------------------------------
+def reference_corners(cell: str) -> np.ndarray:
+    """Corners of the reference cell (n, d), in dolfinx' order."""
+    dim = 2 if cell in ("triangle", "quadrilateral") else 3
+    if cell in ("triangle", "tetrahedron"):
+        return np.vstack([np.zeros(dim), np.eye(dim)])
+    return unit_corners(dim).astype(float)
+
+
+def distorted(cell: str, degree: int, nodes: np.ndarray) -> np.ndarray:
+    """Which cells (m,), given by their nodes' positions (m, k, d), have no Jacobian of one sign."""
+    positions = np.vstack([compat.quadrature_positions(cell, 1 + 2 * degree), reference_corners(cell)])
+    table = compat.tabulate(cell, degree, positions)[1:]
+    values = np.linalg.det(np.einsum("jpn,cni->cpij", table, nodes))
+    size = np.abs(values).max(axis=1, initial=0.0)
+    # the sign itself tells nothing: it depends on the order in which a cell's nodes are given
+    bad: np.ndarray = np.any(values * np.sign(values[:, :1]) <= 1e-10 * size[:, None], axis=1)
+    return bad
+
+
+def not_positive(numbers: np.ndarray, middle: np.ndarray) -> str:
+    """What is told of distorted cells, by their numbers and the middle of one."""
+    listed = ", ".join(map(str, np.sort(numbers)[:10].tolist()))
+    return (
+        f"the Jacobian of {len(numbers)} cell(s) is not positive everywhere: numbers {listed}, one at "
+        f"{_at(middle)}"
+    )
+
+
 # cells and facets -------------------------------------------------------------------------------------
 def _check_cells(
-    cells: np.ndarray, x: np.ndarray, cell: str, tags: np.ndarray, names: dict[int, str]
+    cells: np.ndarray, x: np.ndarray, cell: str, degree: int, tags: np.ndarray, names: dict[int, str]
 ) -> None:
     """No cell twice, nor one upon another, nor one with a node twice."""
     ranked = np.sort(cells, axis=1)
@@ -203,7 +233,10 @@ def _check_cells(
         raise NotAMesh(
             f"{bad.sum()} of its cells have a node twice, such as the one at {_at(_middle(x, cells, bad))}"
         )
-    corners = cells[:, : max(map(max, compat.facet_corners(cell))) + 1]
+    bad = distorted(cell, degree, x[cells])
+    if bad.any():
+        raise NotAMesh(not_positive(np.flatnonzero(bad), _middle(x, cells, bad)))
+    corners = cells[:, : len(reference_corners(cell))]
     for table, what in (
         (corners, "are listed twice"),
         (places(x)[corners], "lie upon others, with nodes of their own"),

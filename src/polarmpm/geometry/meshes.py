@@ -14,9 +14,8 @@ from ..errors import InputError
 from ..tools import compat
 from ..tools.checks import communicator, refuse, shown, whole
 from ..tools.parallel import Route, raise_on_all_ranks
-from .cells import unit_corners
 from .gmsh import read_grouped
-from .groupedmesh import GroupedMesh, labels, places
+from .groupedmesh import GroupedMesh, distorted, labels, not_positive, places, reference_corners
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
@@ -147,10 +146,10 @@ class BodyMesh:
             raise InputError(f"mesh: its geometry has the degree {self.degree}; 1 and 2 are allowed")
         if not self.mesh.topology.index_map(self.dim).size_global:
             raise InputError("mesh: it has no cells")
-        for name, tags, dim in (("cells", self.cells, self.dim), ("facets", self.facets, self.dim - 1)):
-            raise_on_all_ranks(self.mesh.comm, self._bad_tags(name, tags, dim))
         raise_on_all_ranks(self.mesh.comm, self._bad_geometry())
         self._check_twice()
+        for name, tags, dim in (("cells", self.cells, self.dim), ("facets", self.facets, self.dim - 1)):
+            raise_on_all_ranks(self.mesh.comm, self._bad_tags(name, tags, dim))
 
     def _bad_tags(self, name: str, tags: Any, dim: int) -> InputError | None:
         if tags is None:
@@ -176,19 +175,13 @@ class BodyMesh:
         if bad.any():
             return InputError(f"mesh: {bad.sum()} of its nodes have coordinates that aren't finite")
         own = self.owned_cells
-        positions = np.vstack([compat.quadrature_positions(self.cell, 3), _corners(self.cell)])
-        values = np.linalg.det(compat.mesh_geometry(self.mesh, positions)[1])
-        size = np.abs(values).max(axis=1, initial=0.0)
-        # the sign itself tells nothing: it depends on the order in which a cell's nodes are given
-        bad = np.any(values * np.sign(values[:, :1]) <= 1e-10 * size[:, None], axis=1)
+        if not len(own):
+            return None
+        bad = distorted(self.cell, self.degree, x[compat.cell_geometry(self.mesh)[own]][:, :, : self.dim])
         if not bad.any():
             return None
-        numbers = np.sort(self.original_cells[bad])
         middle = self.midpoints(own[bad][:1])[0]
-        return InputError(
-            f"mesh: the Jacobian of {len(numbers)} cell(s) is not positive everywhere: numbers "
-            f"{', '.join(map(str, numbers[:10]))}, one at {tuple(float(round(c, 9)) for c in middle)}"
-        )
+        return InputError(f"mesh: {not_positive(self.original_cells[bad], middle)}")
 
     def _check_twice(self) -> None:
         """No two cells have the same corners."""
@@ -196,7 +189,7 @@ class BodyMesh:
         topology.create_connectivity(self.dim, 0)
         own = len(self.owned_cells)
         flat = np.asarray(topology.connectivity(self.dim, 0).array, dtype=np.int32)
-        corners = flat.reshape(-1, len(_corners(self.cell)))[:own]
+        corners = flat.reshape(-1, len(reference_corners(self.cell)))[:own]
         numbers = np.asarray(topology.index_map(0).local_to_global(corners.ravel().astype(np.int32)))
         key = _mixed(np.sort(numbers.reshape(corners.shape).astype(np.int64), axis=1))
         route = Route(self.mesh.comm, key % self.mesh.comm.size)
@@ -220,7 +213,7 @@ class BodyMesh:
         numbers = np.asarray(topology.index_map(0).local_to_global(vertices))
         x = np.empty((topology.index_map(0).size_local + topology.index_map(0).num_ghosts, self.dim))
         cells = np.asarray(topology.connectivity(self.dim, 0).array)
-        nodes = compat.cell_geometry(self.mesh)[:, : len(_corners(self.cell))]
+        nodes = compat.cell_geometry(self.mesh)[:, : len(reference_corners(self.cell))]
         x[cells] = self.mesh.geometry.x[nodes.ravel()[: len(cells)], : self.dim]
         gathered = self.mesh.comm.allgather((numbers, x[vertices]))
         numbers, first = np.unique(np.concatenate([n for n, _ in gathered]), return_index=True)
@@ -292,10 +285,3 @@ def _mixed(rows: np.ndarray) -> np.ndarray:
         found = (found ^ column) * np.uint64(0x9E3779B97F4A7C15)
         found ^= found >> np.uint64(29)
     return (found >> np.uint64(1)).astype(np.int64)
-
-
-def _corners(cell: str) -> np.ndarray:
-    dim = 2 if cell in ("triangle", "quadrilateral") else 3
-    if cell in ("triangle", "tetrahedron"):
-        return np.vstack([np.zeros(dim), np.eye(dim)])
-    return unit_corners(dim).astype(float)

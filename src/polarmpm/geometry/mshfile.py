@@ -9,7 +9,6 @@ and what doesn't add up is an error.
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -193,7 +192,10 @@ class _Numbers:
 
     def whole(self, count: int, kind: type = np.int64) -> np.ndarray:
         """Whole numbers; those of `kind` in binary files."""
-        found = self._take(count, kind)
+        return self.checked(self._take(count, kind))
+
+    def checked(self, found: np.ndarray) -> np.ndarray:
+        """The same as integers, if they are whole."""
         if found.dtype.kind == "f" and not (np.abs(found) < 2**53).all():
             raise ValueError(f"${self.section} has a number that is too large or none")
         out: np.ndarray = found.astype(np.int64)
@@ -219,15 +221,22 @@ class _Numbers:
 
 def _names(body: bytes) -> dict[tuple[int, int], str]:
     lines = [line for line in body.decode("utf-8", errors="replace").splitlines() if line.strip()]
-    if not lines or int(lines[0]) != len(lines) - 1:
+    if not lines or _count("PhysicalNames", lines[0]) != len(lines) - 1:
         raise ValueError("$PhysicalNames has another number of names than it announces")
     found = {}
     for line in lines[1:]:
-        dim, tag, name = line.split(maxsplit=2)
-        quoted = name.strip()
-        plain = quoted[1:-1] if quoted[:1] == quoted[-1:] == '"' else shlex.split(quoted)[0]
-        found[int(dim), int(tag)] = plain
+        row = re.fullmatch(r'\s*(\d+)\s+(-?\d+)\s+(?:"(.*)"|(\S+))\s*', line)
+        if not row:
+            raise ValueError(f"$PhysicalNames has a line that isn't dimension, tag, name: {line[:40]!r}")
+        found[int(row[1]), int(row[2])] = row[3] or row[4] or row[2]
     return found
+
+
+def _count(section: str, line: str | bytes) -> int:
+    try:
+        return int(line)
+    except ValueError:
+        raise ValueError(f"${section} doesn't begin with a number") from None
 
 
 def _kind(number: int) -> tuple[str, int, int, int]:
@@ -322,7 +331,7 @@ def _sections_2(sections: _Sections) -> Listed:
         elif name in ("Nodes", "Elements"):
             # the count stands in a line of text in binary files, too
             first, _, rest = body.lstrip().partition(b"\n")
-            count, numbers = int(first), sections.numbers(name, rest)
+            count, numbers = _count(name, first), sections.numbers(name, rest)
             if name == "Nodes":
                 found.tags, found.x = _nodes_2(numbers, count)
             else:
@@ -341,7 +350,7 @@ def _nodes_2(numbers: _Numbers, count: int) -> tuple[np.ndarray, np.ndarray]:
         return rows["tag"].astype(np.int64), rows["x"].copy()
     flat = numbers.real(4 * count).reshape(count, 4)
     numbers.finish()
-    return flat[:, 0].astype(np.int64), flat[:, 1:].copy()
+    return numbers.checked(flat[:, 0]), flat[:, 1:].copy()
 
 
 def _elements_2(numbers: _Numbers, count: int) -> list[Block]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
@@ -12,8 +13,11 @@ from ..bodies.points import Points
 from ..errors import InputError
 from ..forms.stresses import TABLE as OF_MATERIALS
 from ..forms.stresses import MaterialField, check_field
+from ..tools import checks
 from ..tools.parallel import errors_on_all_ranks
 from .paraview import padded
+
+_NOT_IN_XML = re.compile(r"[<>&\"\x00-\x1f]")
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,8 @@ def choose(fields: str | AnyField | Iterable[str | AnyField], points: Points) ->
         if isinstance(given, str) and given not in known:
             raise InputError(f"fields: {given!r} is unknown; allowed are {', '.join(allowed)}")
         field = known[given] if isinstance(given, str) else given
+        if _NOT_IN_XML.search(checks.text("fields: name", field.name)):
+            raise InputError(f"fields: {field.name!r} has signs that ParaView's files can't hold as a name")
         if field.plastic and not points.plastic:
             raise InputError(f"fields: {field.name!r}, but none of the materials is plastic")
         if known.get(field.name, field) is not field:
@@ -130,6 +136,8 @@ def _values(field: Field, points: Points) -> np.ndarray:
             f"field {field.name!r}: the shape {values.shape} is given; a row for each of the {len(points)} "
             "points is needed"
         )
+    if 0 in values.shape[1:]:
+        raise InputError(f"field {field.name!r}: the shape {values.shape} has no values")
     if values.dtype.kind not in "biuf":
         raise InputError(f"field {field.name!r}: values of the type {values.dtype}; numbers are needed")
     return padded(values) if values.ndim == 2 and values.shape[1] == points.dim else values

@@ -172,7 +172,7 @@ def check_writer(path: Path, writer: Any) -> None:
     found = _writers.get(path)
     if found is not None and found() is not writer:
         raise InputError(
-            f"path = {str(path)!r}: another {type(writer).__name__} of this run writes this file now; take "
+            f"path = {str(path)!r}: a Recorder or Table that was made later writes this file now; take "
             "another name, or go on with that one"
         )
 

@@ -56,8 +56,9 @@ def made_of(problem: Problem, terms: Sequence[Term]) -> Facts:
     Args:
         terms: of the problem that count.
     """
-    facts: Facts = {"materials": _materials(problem), "terms": _terms(terms)}
-    facts["unknowns"] = {"dimensions": problem.layout.dim, "unknowns of a node": problem.layout.block}
+    layout = problem.layout
+    facts: Facts = {"unknowns": {"dimensions": layout.dim, "unknowns of a node": layout.block}}
+    facts |= {"materials": _materials(problem), "terms": _terms(terms)}
     if isinstance(problem, QuasiStaticFEM):
         facts["mesh"] = meshstate.header(problem)
     else:
@@ -161,7 +162,8 @@ def differences(saved: Facts, here: Facts) -> Iterator[tuple[str, str]]:
         if group == "terms":  # new ones count from now on, if they have no past
             new = {name: facts for name, facts in new.items() if name in old or facts["state"]}
         for name, one, other in _differing(old, new):
-            yield group, f"{name} is {_shown(one)}, this problem has {_shown(other)}"
+            of = "its points are of another body: " if group == "points" else ""
+            yield group, f"{of}{name} is {_shown(one)}, this problem has {_shown(other)}"
 
 
 def _differing(saved: Any, here: Any, name: str = "") -> Iterator[tuple[str, Any, Any]]:
@@ -199,8 +201,9 @@ def refuse_differences(path: Any, found: list[tuple[str, str]], allow: frozenset
         return
     first = "; ".join(text for _, text in left[:3])
     more = f"; and {len(left) - 3} more" if len(left) > 3 else ""
-    groups = list(dict.fromkeys(group for group, _ in left if group in ALLOWED))
-    hint = f" (allow={{{', '.join(map(repr, groups))}}} takes the state all the same)" if groups else ""
+    groups, hint = list(dict.fromkeys(group for group, _ in left)), ""
+    if all(group in ALLOWED for group in groups):
+        hint = f" (allow={{{', '.join(map(repr, groups))}}} takes the state all the same)"
     raise InputError(f"restart file {path}: {first}{more}{hint}")
 
 
@@ -235,7 +238,9 @@ def check_points(problem: Any, rows: dict[str, np.ndarray], path: Any, allow: fr
     off = np.any(np.abs(here - there) > slack, axis=1)
     if np.any(off):
         at = int(np.argmax(off))
-        error = InputError(f"restart file {path}: another seeding; {_differs(ids[at], there[at], here[at])}")
+        error = InputError(
+            f"restart file {path}: its points are of another body: {_differs(ids[at], there[at], here[at])}"
+        )
     raise_on_all_ranks(comm, error)
 
 

@@ -65,6 +65,7 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
         "conditions": problem.condition_state(),
     }
     found = problem.equilibrium_state()
+    about["sizes"] = problem.step_sizes
     if found is not None:
         about["equilibrium"], rows = found
         arrays |= {f"equilibrium/{name}": a for name, a in rows.items()}
@@ -245,7 +246,9 @@ def _put(problem: Problem, saved: _Saved, path: Path, differing: frozenset[str])
         _put_points(problem, saved, differing)
         problem.box_record.restore(saved.about["trust"])
     problem.steps = list(_steps_of(saved.group("steps")))
-    problem.restored = Restored(progress.step, {step.number: step for step in problem.steps})
+    problem.step_sizes = tuple(saved.about["sizes"]) if saved.about["sizes"] else None
+    known = {step.number: step for step in problem.steps}
+    problem.restored = Restored(progress.step, known, problem.step_sizes)
     if "equilibrium" in saved.about:
         problem.restore_equilibrium(saved.about["equilibrium"], saved.group("equilibrium"))
 

@@ -207,6 +207,8 @@ def _expand(name: str, value: Any) -> dict[str, float]:
     if hasattr(value, "as_dict"):  # a reaction or a balance
         value = value.as_dict()
     if isinstance(value, Mapping):
+        if not value:
+            raise InputError(f"column {name!r}: an empty dictionary is neither a number nor a vector")
         parts = [_expand(f"{name}_{key}", part) for key, part in value.items()]
         return {key: number for part in parts for key, number in part.items()}
     try:
@@ -215,7 +217,7 @@ def _expand(name: str, value: Any) -> dict[str, float]:
     except ValueError:
         good = False
     if not good:
-        raise InputError(f"column {name!r}: {value!r} is neither a number nor a vector")
+        raise InputError(f"column {name!r}: {checks.shown(value)} is neither a number nor a vector")
     if numbers.ndim > 1:
         raise InputError(f"column {name!r}: the shape {numbers.shape} is neither a number nor a vector")
     if numbers.ndim == 0:

@@ -27,6 +27,7 @@ _FLAGS = [
     "-fno-trapping-math",
     "-w",
 ]
+cache_directory = cache.directory  # for scripts that ask where kernels are
 _loaded: dict[str, tuple[Path, ctypes.CDLL]] = {}  # by key: checked once a process
 
 

@@ -129,7 +129,7 @@ class Problem(Results):
         easy: int = 6,
         progress: bool | None = None,
     ) -> Iterator[Step]:
-        """Raise the load factor in load steps; yields every converged step.
+        """Raise the load factor in load steps, while it is iterated over; yields every converged step.
 
         Args:
             steps: number of equal steps from the present factor to `to`; of adaptive ones the first, and
@@ -145,7 +145,7 @@ class Problem(Results):
         Raises:
             InputError: an argument is out of range; later on: another march has taken steps since, or another
                 problem has taken the body on.
-            NotConverged: with what was tried; the last converged state is intact.
+            NotConverged: with what was tried and found; the last converged state is intact.
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
         schedule = Schedule(steps, to, adaptive, smallest, largest, easy, progress)
@@ -172,10 +172,9 @@ class Problem(Results):
         with self._turn(what):
             checks.instance("controls", self.controls, Controls, "polarmpm.Controls(...) is")
             checks.instance("rows", self.rows, dict, "a dict of arrays by name is")
+            what = "objects of a class of polarmpm.Observer are"
             for observer in checks.instance("observers", self.observers, list, "a list is"):
-                checks.instance(
-                    "observers", observer, Observer, "objects of a class of polarmpm.Observer are"
-                )
+                checks.instance("observers", observer, Observer, what).check()
             if self.rows:
                 with errors_on_all_ranks(self.comm):
                     for name, rows in self.rows.items():
@@ -253,12 +252,13 @@ class Problem(Results):
             InputError: none of `until`, `to` and `steps` is given; an argument is out of range; couples in
                 space, followers, or conditions on surfaces of material points; loads or supports that depend
                 on the load factor in another way than said.
-            NotConverged: with what was tried; the last converged state is intact.
+            NotConverged: with what was tried and found; the last converged state is intact.
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
         schedule = ArcSchedule(first, until, largest, smallest, to, steps, progress)
         with self._solving("march_arc_length"):
-            self.whole(self._check_path)
+            ready = self.system is not None and not (self._stale or self.progress.reset_due)
+            (self.whole if ready else self.tried)(self._check_path)
         return March(self, arclength.march, schedule, "arc length")
 
     def _check_path(self) -> None:
@@ -382,7 +382,7 @@ class Problem(Results):
                 self._close(system)
                 self._equilibrium = Equilibrium.of(system)
                 self._last_x, self.progress.factor_change = self.points.x, factor - self.progress.factor
-                ranks.tell(self.comm, self.observers, lambda one: one.after_convergence(self, factor))
+                ranks.tell(self, "after_convergence", factor)
                 self._commit_terms(system, start.x)
                 base = self.progress.rotation_factor
                 self._commit(system, at_points, factor)
@@ -390,8 +390,7 @@ class Problem(Results):
                 self._note(outcome)
                 system.prescribed.start_from(factor, system.x)
                 self._settle()
-                rebased = self.progress.rotation_factor != base
-                ranks.tell(self.comm, self.observers, lambda one: one.after_commit(self, rebased))
+                ranks.tell(self, "after_commit", self.progress.rotation_factor != base)
             else:
                 self.failed_at, system.x = system.x, start.x
 
@@ -405,7 +404,7 @@ class Problem(Results):
             term.committed = True
 
     def _tell_of_reset(self) -> None:
-        ranks.tell(self.comm, self.observers, lambda one: one.after_reset(self))
+        ranks.tell(self, "after_reset")
 
     def _prescribed(self, nodes: Nodes, supports: Sequence[Support] | None = None) -> Prescribed:
         """Prescribed unknowns of some supports; by default of those that act."""

@@ -200,7 +200,9 @@ class Conditions(Whole, Turns):
             )
         if term.taken:
             raise InputError(f"term = {term.name!r} has been added to a problem already; make another one")
-        check_counts(term.name, counts)
+        name = checks.text("term.name", term.name)
+        check_counts(name, counts)
+        checks.function(f"{name}: pieces", term.pieces, takes=("setting",))
         self.check_open()
         term.attach(self.layout, self.comm)
         term.taken = True
@@ -316,9 +318,11 @@ class Conditions(Whole, Turns):
         return [*self._terms, *(t for t in self._leaving if isinstance(t, Term))]
 
     def _set_terms(self, factor: float, carrying: bool = False) -> None:
-        with errors_on_all_ranks(self.comm):
-            for term in self._working_terms:
-                term.set_factor(factor, carrying)
+        terms = self._working_terms
+        if terms:
+            with errors_on_all_ranks(self.comm):
+                for term in terms:
+                    term.set_factor(factor, carrying)
 
     def term_state(self) -> dict[str, np.ndarray]:
         """What a restart needs of the terms, the same on every rank, by names such as "0/u"."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -17,7 +17,6 @@ from ..geometry.nodes import Nodes
 from ..tools.alike import told
 from ..tools.meetings import together
 from ..tools.parallel import errors_on_all_ranks
-from .observer import Observer
 
 _ROUNDING = 1e-9  # of the largest value: so far values of two ranks may be apart
 
@@ -37,12 +36,12 @@ def step(problem: Any, call: str, factor: float) -> Iterator[None]:
         yield
 
 
-def tell(comm: MPI.Comm, observers: Sequence[Observer], call: Callable[[Observer], None]) -> None:
-    """Tell the observers, whose errors are raised on all ranks. Collective."""
-    if observers:
-        with errors_on_all_ranks(comm, "an observer"):
-            for observer in observers:
-                call(observer)
+def tell(problem: Any, what: str, *news: Any) -> None:
+    """Call a method of the observers, whose errors are raised on all ranks. Collective."""
+    if problem.observers:
+        with errors_on_all_ranks(problem.comm, "an observer"):
+            for observer in problem.observers:
+                getattr(observer, what)(problem, *news)
 
 
 def check_alike(comm: MPI.Comm, amplitudes: Sequence[Amplitude], factor: float, places: np.ndarray) -> None:

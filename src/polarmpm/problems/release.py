@@ -86,6 +86,7 @@ class Releasable(Conditions):
     """Conditions that can be released, and go on after a restart. All methods are collective."""
 
     restored: Restored | None = None  # of a run that goes on from a restart file
+    step_sizes: tuple[str, list[float]] | None = None  # of the last march, see `solvers.stepping.sizes_of`
     _equilibrium: Equilibrium | None = None  # the last converged step
 
     @collective("release", compare=True)

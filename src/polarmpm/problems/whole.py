@@ -111,6 +111,16 @@ class Whole(ABC):
             raise
         return done
 
+    def tried(self, work: Callable[[], T]) -> T:
+        """Do work, and put back all that it has changed."""
+        self.check_open()
+        undo = Undo(self._changing())
+        try:
+            return work()
+        finally:
+            with undisturbed():
+                self._put_back(undo)
+
     # end ------------------------------------------------------------------------------------------
     def check_open(self) -> None:
         """Raise InputError if the problem has been closed."""

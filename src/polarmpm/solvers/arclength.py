@@ -26,7 +26,18 @@ from ..tools.parallel import errors_on_all_ranks
 from . import newton
 from .linear import SingularTangent
 from .newton import Controls, Outcome, expected_to_end
-from .stepping import BETWEEN, Explain, Step, Stepped, T, check_alone, failed, restored_of
+from .stepping import (
+    BETWEEN,
+    Explain,
+    Step,
+    Stepped,
+    T,
+    check_alone,
+    failed,
+    note_sizes,
+    restored_of,
+    sizes_of,
+)
 
 _LENGTH_TOLERANCE = 1e-8  # of a step's length; the state is an equilibrium however long the step is
 # Least cosine between a step and its tangent; what is farther off may be another branch. If steps of a fifth
@@ -312,7 +323,7 @@ def march(problem: Marching, schedule: ArcSchedule, explain: Explain | None = No
             stop = False
             if schedule.until is not None:
                 with errors_on_all_ranks(problem.comm, "until"):
-                    stop = bool(schedule.until(step))
+                    stop = checks.flag("until returned", schedule.until(step))
             stop = problem.comm.bcast(stop) or done == schedule.steps
             bar.update()
             bar.set_postfix_str(f"load factor {step.factor:.6g}, {step.iterations} iterations")
@@ -330,6 +341,7 @@ def march(problem: Marching, schedule: ArcSchedule, explain: Explain | None = No
 def _steps(problem: Marching, schedule: ArcSchedule, explain: Explain | None) -> Iterator[Step]:
     length, largest = schedule.first, schedule.largest or schedule.first
     last: Step | None = None
+    length = (sizes_of(problem, schedule) or [length])[0]
     while schedule.to is None or problem.progress.factor != schedule.to:
         check_alone(problem, last)
         tried: list[str] = []
@@ -348,6 +360,7 @@ def _steps(problem: Marching, schedule: ArcSchedule, explain: Explain | None) ->
                 raise failed(aim, outcome.history, tried, explain)
         if outcome.iterations <= _EASY:
             length = min(1.5 * length, largest)
+        note_sizes(problem, schedule, [length])
         last = Step(
             problem.progress.step,
             problem.progress.factor,

@@ -44,11 +44,13 @@ class Restored:
     Attributes:
         number: steps up to the saved state.
         steps: those that are known, by their numbers; all of them unless the script has taken some away.
+        sizes: what the march was called with, and its step sizes after the saved state, see `sizes_of`.
         continued: the output files that this run has gone on with so far.
     """
 
     number: int
     steps: dict[int, Step]
+    sizes: tuple[str, list[float]] | None = None
     continued: set[Any] = field(default_factory=set)
 
 
@@ -196,6 +198,24 @@ def restored_of(problem: Any) -> Restored | None:
     return found
 
 
+def sizes_of(problem: Any, schedule: Any) -> list[float]:
+    """Step sizes with which a march that was interrupted by a restart goes on, if it is called with the same
+    arguments; else nothing. They are what `note_sizes` has noted."""
+    run = restored_of(problem)
+    here = run is not None and run.number == problem.progress.step
+    return run.sizes[1] if run and here and run.sizes and run.sizes[0] == _called(schedule) else []
+
+
+def note_sizes(problem: Any, schedule: Any, sizes: list[float]) -> None:
+    """Note step sizes for a restart file."""
+    problem.step_sizes = _called(schedule), sizes
+
+
+def _called(schedule: Any) -> str:
+    given = vars(schedule).items()
+    return repr({name: value for name, value in given if name not in ("progress", "until")})
+
+
 def _attempt(problem: Marching, factor: float, tried: list[str]) -> Step | Outcome:
     outcome = problem.attempt(factor)
     if not outcome.converged:
@@ -246,9 +266,10 @@ _FEW_DIGITS = 8 * float(np.finfo(float).eps)
 
 
 def _adaptive(problem: Marching, schedule: Schedule, explain: Explain | None) -> Iterator[Step]:
-    first = (schedule.to - problem.progress.factor) / schedule.number
+    before = sizes_of(problem, schedule)
+    first = before[0] if before else (schedule.to - problem.progress.factor) / schedule.number
     largest = first if schedule.largest is None else math.copysign(schedule.largest, first)
-    size, last = min(first, largest, key=abs), None
+    size, last = before[1] if before else min(first, largest, key=abs), None
     while problem.progress.factor != schedule.to:
         check_alone(problem, last)
         tried: list[str] = []
@@ -266,4 +287,5 @@ def _adaptive(problem: Marching, schedule: Schedule, explain: Explain | None) ->
         if step.iterations <= schedule.easy:
             size = min(1.5 * size, largest, key=abs)
         last = step
+        note_sizes(problem, schedule, [first, size])
         yield step

@@ -265,8 +265,8 @@ def pieces_of(term: Term, setting: Setting) -> list[Piece]:
     Raises:
         InputError: it gives something else.
     """
-    made = term.pieces(setting)
-    with errors_on_all_ranks(setting.comm):
+    with errors_on_all_ranks(setting.comm, term.name):
+        made = term.pieces(setting)
         if not isinstance(made, Sequence) or not all(isinstance(piece, Piece) for piece in made):
             raise InputError(f"{term.name}: pieces returned {shown(made)}; a list of Piece is needed")
         for piece in made:

@@ -92,7 +92,7 @@ def directory() -> Path:
     if base:
         return _absolute(base) / "polarmpm"
     try:
-        return Path.home() / ".cache" / "polarmpm"
+        return _absolute(str(Path.home())) / ".cache" / "polarmpm"
     except RuntimeError:
         raise OSError("the user has no home") from None
 
@@ -271,11 +271,14 @@ def _locked(root: Path, key: str) -> Iterator[int | None]:
         os.close(file)
 
 
+def _place(key: str) -> int:
+    return int(hashlib.sha256(key.encode()).hexdigest()[:15], 16)
+
+
 def _try_lock(file: int, key: str) -> bool | None:
     """None: the file system has no locks."""
-    place = int(hashlib.sha256(key.encode()).hexdigest()[:15], 16)
     try:
-        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
+        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place(key))
     except (BlockingIOError, PermissionError):
         return False
     except OSError:
@@ -289,7 +292,10 @@ def _sweep(root: Path, file: int | None, key: str) -> None:
         name, dead = folder.name, False
         if name.startswith(_WORK) and file is not None:
             other = name.removeprefix(_WORK).rpartition("-")[0]
-            dead = other == key or bool(_try_lock(file, other))
+            if other == key or _try_lock(file, other):
+                shutil.rmtree(folder, ignore_errors=True)
+            if other != key:
+                fcntl.lockf(file, fcntl.LOCK_UN, 1, _place(other))
         elif name.startswith(_UNLOCKED):
             dead = time.time() - folder.lstat().st_mtime > _OLD
         elif _EARLIER.fullmatch(name) and folder.is_dir():

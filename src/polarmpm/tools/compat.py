@@ -82,6 +82,7 @@ def create_mesh(
 
     domain = ufl.Mesh(coordinate_element(cell, positions.shape[1], degree))
     parameters = list(inspect.signature(mesh.create_mesh).parameters)
+    cells = np.ascontiguousarray(cells, dtype=np.int64)
     arguments = (positions, domain) if parameters[2] == "x" else (domain, positions)
     if sharing is None:
         return mesh.create_mesh(comm, cells, *arguments)
@@ -114,9 +115,9 @@ def mesh_quadrature(mesh: Any, degree: int) -> tuple[np.ndarray, np.ndarray]:
 
 def gmsh_order(cell: str, nodes: int) -> np.ndarray:
     """Which of gmsh's nodes of a cell is each of dolfinx' (nodes,)."""
-    from dolfinx import cpp
+    from dolfinx import cpp, mesh
 
-    return np.asarray(cpp.io.perm_gmsh(cpp.mesh.to_type(cell), nodes))
+    return np.asarray(cpp.io.perm_gmsh(getattr(mesh.CellType, cell), nodes))
 
 
 def mesh_geometry(

@@ -70,7 +70,7 @@ class _Ends:
             self._print(kind, error, trace, [MPI.COMM_WORLD.rank])
             meetings.abort("", 1)
         self.done = True
-        alike = words[word]
+        alike = words.get(word, [MPI.COMM_WORLD.rank])
         elsewhere = {w.error for w in words} - {word.error, None}
         if min(alike) == MPI.COMM_WORLD.rank and getattr(error, "error", None) not in elsewhere:
             self._print(kind, error, trace, alike)
@@ -98,7 +98,7 @@ class _Ends:
         text = f"rank {world.rank} of {world.size}: {self.words}\n"
         if words is None and self.status:
             meetings.abort(text, self.status)
-        elif words is not None and len(words) > 1 and min(words[word]) == world.rank:
+        elif words is not None and len(words) > 1 and min(words.get(word, [0])) == world.rank:
             sys.stderr.write(text if self.words else "")
 
 
@@ -120,7 +120,8 @@ def leave(word: Word, grace: float | None) -> Words | None:
                 next(talk)
             except StopIteration as end:
                 words: Words = end.value or {word: list(range(m.comm.size))}
-                if not all(w.ended for w in words):
+                there = {m.comm.rank}.union(*words.values())
+                if len(there) < m.comm.size or not all(w.ended for w in words):
                     talks[m] = m.talk(word)  # the others have been told; the next meeting tells what they do
                     continue
                 del talks[m]

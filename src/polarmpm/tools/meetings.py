@@ -26,7 +26,7 @@ from ..errors import ErrorOnAnotherRank, InputError, PolarMPMError, RanksApart
 from .alike import described
 
 _TAG = 7362  # of messages of meetings
-_PATIENCE = 10.0  # seconds that a rank that has failed waits for the others, who might wait for it elsewhere
+_PATIENCE = 5.0  # seconds that a rank that has failed waits for the others, who might wait for it elsewhere
 _SHOWN = 200  # characters of what was given in a message
 
 P = ParamSpec("P")
@@ -77,7 +77,12 @@ class Meetings:
             word = word._replace(error=_told(error))
         words = self._wait(word, error)
         if words is not None or word.error is not None:
-            self._judge(words or {word: [self.comm.rank]}, error)
+            words = words or {}
+            if not any(
+                self.comm.rank in ranks for ranks in words.values()
+            ):  # another one has left the meeting
+                words.setdefault(word, []).append(self.comm.rank)
+            self._judge(words, error)
 
     def _wait(self, word: Word, error: BaseException | None) -> Words | None:
         """What the ranks have said; None: the same. An interrupt waits until they have met."""
@@ -247,7 +252,12 @@ def ranks_named(ranks: list[int]) -> str:
 # the communicators ----------------------------------------------------------------------------------
 known: list[Meetings] = []  # of the communicators of which this rank knows; that of all ranks first
 _CONGRUENT = MPI.Comm.Create_keyval(nopython=True)  # of communicators of all ranks: they meet as one
-_OWN = MPI.Comm.Create_keyval(delete_fn=lambda comm, key, meetings: known.remove(meetings))
+_OWN = MPI.Comm.Create_keyval(delete_fn=lambda comm, key, meetings: _forget(meetings))
+
+
+def _forget(meetings: Meetings) -> None:
+    if meetings in known:
+        known.remove(meetings)
 
 
 def of(comm: MPI.Comm) -> Meetings:
