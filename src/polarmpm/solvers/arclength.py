@@ -321,7 +321,7 @@ def march(problem: Marching, schedule: ArcSchedule, explain: Explain | None = No
             stop = False
             if schedule.until is not None:
                 with errors_on_all_ranks(problem.comm, "until"):
-                    stop = bool(schedule.until(step))
+                    stop = checks.flag("until returned", schedule.until(step))
             stop = problem.comm.bcast(stop) or done == schedule.steps
             bar.update()
             bar.set_postfix_str(f"load factor {step.factor:.6g}, {step.iterations} iterations")
