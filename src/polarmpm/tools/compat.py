@@ -19,6 +19,7 @@ import ufl
 
 from ..errors import KernelError
 from . import cache, quiet
+from .parallel import ranks_at_corners
 
 try:  # dolfinx >= 0.8
     import basix.ufl as _basix_ufl
@@ -118,25 +119,13 @@ def distribute_mesh(
     listed = graph.create_adjacencylist(corners.ravel(), ends), mesh.GhostMode.none
     found = mesh.create_cell_partitioner()(comm, comm.size, positions.shape[1], *listed)
     owners = np.asarray(found.array)[: len(cells)]
-    shared, parts = _ranks_at_corners(owners, corners, comm.size), None
+    shared, parts = ranks_at_corners(owners, corners, comm.size), None
     if comm.rank == 0:
         rows = [np.flatnonzero(owners == rank) for rank in range(comm.size)]
         parts = [(cells[at], shared[at], at) for at in rows]
     cells, shared, at = comm.scatter(parts, root=0)
     made = create_mesh(comm, cells, positions, cell, sharing=shared, degree=degree)
     return made, np.concatenate(comm.allgather(at))
-
-
-def _ranks_at_corners(owners: np.ndarray, corners: np.ndarray, ranks: int) -> np.ndarray:
-    """The ranks that have a corner of each cell (m, any number), -1 stands for none, from the cells' owners
-    (m,) and corners (m, k)."""
-    if not len(owners):
-        return np.zeros((0, 0), dtype=np.int64)
-    held = np.unique(corners.ravel() * ranks + np.repeat(owners, corners.shape[1]))
-    begin, end = (np.searchsorted(held // ranks, corners, side=side) for side in ("left", "right"))
-    at = begin[:, :, None] + np.arange(int((end - begin).max()))
-    found = np.where(at < end[:, :, None], held[np.minimum(at, len(held) - 1)] % ranks, -1)
-    return np.asarray(found.reshape(len(owners), -1))
 
 
 def _destinations(rank: int, others: np.ndarray) -> Any:
