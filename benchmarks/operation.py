@@ -61,6 +61,14 @@ def write(cases, file):
         writer.writerows([c.group, c.name, c.verdict, c.note] for c in cases)
 
 
+def put_into_docs(text):
+    """The table into docs/stability.md, between its marks."""
+    page = HERE.parent / "docs" / "stability.md"
+    before, rest = page.read_text().split("<!-- operation -->", 1)
+    after = rest.split("<!-- end -->", 1)[1]
+    study.write_text(page, f"{before}<!-- operation -->\n\n{text}\n<!-- end -->{after}")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a few cases of each group")
@@ -83,6 +91,8 @@ def main():
     write(cases, args.output / "operation.csv")
     text = table(cases, read(args.before))
     study.write_text(args.output / "operation.md", text)
+    if args.output == HERE / "results":
+        put_into_docs(text)
     print(text)
 
 

@@ -64,6 +64,12 @@ def test_links_lead_somewhere():
     assert not missing, "\n".join(missing)
 
 
+def test_the_counts_of_accidents_are_those_of_the_last_run():
+    """docs/stability.md, *Operation*."""
+    table = (ROOT / "docs" / "stability.md").read_text().split("<!-- operation -->")[1].split("<!-- end -->")[0]
+    assert table.strip() == (ROOT / "benchmarks" / "results" / "operation.md").read_text().strip()
+
+
 def test_every_page_is_listed_in_the_readme():
     text = (ROOT / "README.md").read_text()
     assert not [page.name for page in PAGES if page.name != "README.md" and f"{page.name})" not in text]
