@@ -40,7 +40,8 @@ def table(cases, before=()):
     rows = ["| accident | cases | " + " | ".join(VERDICTS) + " |", "|---" * (len(VERDICTS) + 2) + "|"]
     for group in groups:
         number = sum(now[group, v] for v in VERDICTS)
-        cells = [f"{now[group, v]} ({then[group, v]})" if before else str(now[group, v]) for v in VERDICTS]
+        counts = [(now[group, v], then[group, v]) for v in VERDICTS]
+        cells = [f"{n} ({b})" if b else str(n or "") for n, b in counts]
         rows.append(f"| {group} | {number} | " + " | ".join(cells) + " |")
     return "\n".join(rows) + "\n"
 
