@@ -114,6 +114,7 @@ class Points:
     hardening: np.ndarray
     dissipation: np.ndarray
 
+    @collective("Points", comm=lambda self, x, volume, half_length, material, comm, *args, **options: comm)
     def __init__(
         self,
         x: np.ndarray,
