@@ -100,6 +100,7 @@ class Points(Selecting):
     steps: int = 0
     _mesh: Any = None  # of elements, whose communicator it is and dies with it
 
+    @collective("Points", comm=lambda self, x, volume, half_length, material, comm, *args, **options: comm)
     def __init__(
         self,
         x: np.ndarray,
