@@ -239,8 +239,13 @@ def state(problem):
 def differing(found, expected):
     """Names of what isn't the same to the bit."""
     names = {*found, *expected}
-    same = {n for n in names if n in found and n in expected and np.array_equal(found[n], expected[n])}
+    same = {n for n in names if n in found and n in expected and alike(found[n], expected[n])}
     return sorted(names - same)
+
+
+def alike(one, other):
+    """The same numbers; NaN where nothing is known yet."""
+    return np.array_equal(one, other, equal_nan=one.dtype.kind == other.dtype.kind == "f")
 
 
 def off(found, expected):

@@ -189,9 +189,9 @@ def case(what, kind, first, number, limit):
 def cases(quick, seed):
     """kB a problem of each kind, and a step of long runs."""
     for kind in QUICK if quick else KINDS:
-        yield case("problems", kind, 10, 40 if quick else 200, LIMIT)
+        yield case("problems", kind, 10, 40 if quick else 110, LIMIT)
     for kind in () if quick else LONG:
-        yield case("steps", kind, 100, 400, STEP_LIMIT)
+        yield case("steps", kind, 50, 250, STEP_LIMIT)
 
 
 if __name__ == "__main__":

@@ -471,17 +471,26 @@ ON_RANKS = {
         "assert abs(comm.allreduce(om.seeded(path + '/strip.msh').volume0.sum()) - 2) < 1e-9",
         "right",
     ),
+    "a cracked body": (
+        "assert abs(comm.allreduce(om.elements(path + '/cracked.msh').points.volume0.sum()) - 2) < 1e-9",
+        "right",
+    ),
+    "a bow tie on three": ("om.elements(path + '/bow_tie.msh')", "clear"),
     "more ranks than cells": (
         "assert abs(comm.allreduce(om.elements(path + '/one.msh').points.volume0.sum()) - 1) < 1e-9",
         "right",
     ),
 }
 
+THREE = ("more ranks than cells", "a cracked body", "a bow tie on three")
+
 
 def on_two_ranks(folder: Path, names: list[str]) -> Iterator[Case]:
+    from tests.bodies.test_mesh_groups import cracked
     from tests.geometry.test_msh_files import WRONG
     from tests.helpers.msh import strip
 
+    (folder / "cracked.msh").write_text(cracked().text())
     (folder / "bow_tie.msh").write_text(WRONG["bow tie"][0].text())
     (folder / "strip.msh").write_text(strip().text())
     one = strip(3, 2, 1, (1.0, 1.0))
@@ -491,7 +500,7 @@ def on_two_ranks(folder: Path, names: list[str]) -> Iterator[Case]:
     for name in names:
         body, expected = ON_RANKS[name]
         here = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
-        ranks = 3 if name == "more ranks than cells" else 2
+        ranks = 3 if name in THREE else 2
         done = run(RANKS.format(path=here, folder=str(folder), body=body), ranks=ranks, timeout=TIME)
         label = f"{ranks} ranks: {name}"
         found = re.findall(r"VERDICT (\w+?) ?(?=VERDICT|\n| )([^\n]*?)(?=VERDICT|\n|$)", done.out)

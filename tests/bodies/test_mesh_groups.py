@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -248,23 +249,38 @@ def solve(case):
         found[name] = rows[np.argsort(ids)].tolist()
         found[f"{name} ids"] = np.sort(ids).tolist()
     stiff = points.region("stiff")
-    surface = points.surface("top")
-    return {**found, "stiff": stiff.ids.tolist(), "top": np.column_stack([surface.x, surface.area]).tolist()}
+    surface = points.surfaces.get("top")  # the cracked one has no groups of facets
+    top = [] if surface is None else np.column_stack([surface.x, surface.area]).tolist()
+    return {**found, "stiff": stiff.ids.tolist(), "top": top}
+
+
+def cracked():
+    """Cells that have let go of a corner: dolfinx 0.5 waited for ever when three ranks shared them."""
+    mesh = strip(nx=6, ny=4)
+    rows = [row for block in mesh.blocks[3:] for row in block[2]]
+    mesh.blocks, mesh.names = mesh.blocks[3:], {(2, 1): "soft", (2, 2): "stiff"}
+    for new, (cell, corner) in enumerate([(20, 0), (2, 0), (11, 0), (16, 1)], 101):
+        mesh.nodes[new] = mesh.nodes[rows[cell][corner]]
+        rows[cell][corner] = new
+    return mesh
 
 
 @pytest.mark.mpi
 @pytest.mark.timeout(200)
 @pytest.mark.parametrize("ranks", [2, 3])
-@pytest.mark.parametrize("kind", [2, 3])
-def test_the_same_points_on_any_number_of_ranks(folder, kind, ranks):
-    path = str(strip(kind).write(folder / "strip.msh"))
+@pytest.mark.parametrize("make", [partial(strip, 2), strip, cracked])
+@pytest.mark.filterwarnings("ignore:mesh")
+def test_the_same_points_on_any_number_of_ranks(folder, make, ranks):
+    path = str(make().write(folder / "strip.msh"))
     alone = solve(path)
     for rank in on_ranks(ranks, path, __file__):
         assert rank["stiff"] == alone["stiff"]
         for name in ("points ids", "elements ids"):
             assert rank[name] == alone[name]
         for name in ("points", "elements", "top"):
-            close(rank[name], alone[name])
+            assert len(rank[name]) == len(alone[name])
+            if rank[name]:
+                close(rank[name], alone[name])
 
 
 if __name__ == "__main__":

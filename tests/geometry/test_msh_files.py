@@ -317,7 +317,8 @@ def test_what_is_no_source_at_all(folder):
         with pytest.raises(pm.InputError, match=r"a dolfinx mesh, the path of a \.msh file"):
             pm.Elements(source, material=STIFF)
     assert "no such file" in message(folder / "none.msh")
-    assert "can't be read" in message(folder)
+    assert "can't be read: it is a directory" in message(folder)
+    assert "can't be read: it is a directory or a device" in message("/dev/zero")  # has no end
     assert "can't be read" in message("")
 
 

@@ -147,6 +147,25 @@ def test_every_other_step(folder):
     assert [read_table(folder / f"{n}.csv")["step"].tolist() for n in (1, 2)] == [[1, 3, 5], [1, 3, 5]]
 
 
+def test_a_step_that_was_not_recorded(folder):
+    """It was saved first, and the run killed before its row was written."""
+    first, again = strip(), strip()
+    with pm.Table(folder / "a.csv", comm=COMM) as table:
+        for step in first.march(3, to=0.5, progress=False):
+            if step.number < 3:
+                table.record(step)
+    pm.save_restart(first, folder / "a.h5")
+    pm.load_restart(again, folder / "a.h5")
+    with pm.Table(folder / "a.csv", comm=COMM) as table:
+        step = next(again.march(1, progress=False))
+        if COMM.rank == 0:
+            with pytest.warns(UserWarning, match="no row of step 3, which was saved before it was recorded"):
+                table.record(step)
+        else:
+            table.record(step)
+    assert read_table(folder / "a.csv")["step"].tolist() == [1, 2, 4]
+
+
 def test_paths_stay_where_they_were(folder, monkeypatch):
     problem, other = strip(), COMM.bcast(folder / "other")
     if COMM.rank == 0:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -19,6 +18,7 @@ from ..kinematics import rotations
 from ..kinematics.layout import Layout
 from ..materials.base import Material
 from ..tools import checks, compat
+from ..tools.caller import warn
 from ..tools.checks import number, numeric, refuse, vector, whole
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks
@@ -273,28 +273,29 @@ class Elements:
 def _warn_of_cracks(body: BodyMesh) -> None:
     """Two nodes at the same place, as of parts that are drawn side by side, aren't joined."""
     number, place = body.cracks()
-    if number and body.mesh.comm.rank == 0:
-        where = tuple(float(round(c, 9)) for c in place)
-        warnings.warn(
-            f"mesh: at {number} places of the boundary, such as {where}, there are several nodes: the body "
-            "comes apart there. If that isn't meant, join the parts in gmsh: occ.fragment, or "
-            "mesh.removeDuplicateNodes",
-            TrustWarning,
-            stacklevel=3,
-        )
+    with errors_on_all_ranks(body.mesh.comm):  # of warnings a script may make errors
+        if number and body.mesh.comm.rank == 0:
+            where = tuple(float(round(c, 9)) for c in place)
+            warn(
+                f"mesh: at {number} places of the boundary, such as {where}, there are several nodes: the "
+                "body comes apart there. If that isn't meant, join the parts in gmsh: occ.fragment, or "
+                "mesh.removeDuplicateNodes",
+                TrustWarning,
+            )
 
 
 def _warn_of_inner_facets(name: str, body: BodyMesh, facets: np.ndarray) -> None:
     """Those between two cells are on no boundary. Collective."""
     of_facets = body.mesh.topology.connectivity(body.dim - 1, body.dim)
     inner = int(np.sum(np.diff(np.asarray(of_facets.offsets))[facets] > 1))
-    if body.mesh.comm.allreduce(inner) and body.mesh.comm.rank == 0:
-        warnings.warn(
-            f"{name}: some of the group's facets lie inside of the body, between two cells; those on its "
-            "boundary count alone",
-            TrustWarning,
-            stacklevel=4,
-        )
+    inner = body.mesh.comm.allreduce(inner)
+    with errors_on_all_ranks(body.mesh.comm):
+        if inner and body.mesh.comm.rank == 0:
+            warn(
+                f"{name}: some of the group's facets lie inside of the body, between two cells; those on its "
+                "boundary count alone",
+                TrustWarning,
+            )
 
 
 def _mask(values: Any, n: int) -> np.ndarray:

@@ -28,12 +28,14 @@ class BodyMesh:
         mesh: of triangles, quadrilaterals, tetrahedra or hexahedra.
         cells, facets: tags (dolfinx' MeshTags) or None.
         names: physical names, {(dimension, name): tag}.
+        given: number of each cell in its file or model, by dolfinx' `original_cell_index`; None: the same.
     """
 
     mesh: Any
     cells: Any = None
     facets: Any = None
     names: dict[tuple[int, str], int] = field(default_factory=dict)
+    given: np.ndarray | None = None
 
     @classmethod
     def of(
@@ -74,10 +76,10 @@ class BodyMesh:
     @classmethod
     def _distributed(cls, found: GroupedMesh, comm: MPI.Comm) -> BodyMesh:
         """The dolfinx mesh, with tags, of a body that rank 0 has. Collective."""
-        mesh = compat.create_mesh(comm, found.cells, found.x, found.kind, degree=found.degree)
+        mesh, given = compat.distribute_mesh(comm, found.cells, found.x, found.kind, found.degree)
         tags, facets, facet_tags = comm.bcast((found.tags, found.facets, found.facet_tags), root=0)
-        dim, body = mesh.topology.dim, cls(mesh, names=found.names)
-        of_cells = tags[np.asarray(mesh.topology.original_cell_index, dtype=np.int64)]
+        dim, body = mesh.topology.dim, cls(mesh, names=found.names, given=given)
+        of_cells = tags[given[np.asarray(mesh.topology.original_cell_index, dtype=np.int64)]]
         body.cells = _mesh_tags(mesh, dim, np.arange(len(of_cells), dtype=np.int32), of_cells)
         # facets are found by the numbers in the input of their corners
         mesh.topology.create_entities(dim - 1)
@@ -116,7 +118,8 @@ class BodyMesh:
     def original_cells(self) -> np.ndarray:
         """Numbers of the own cells in the order of their input, the same on any number of ranks."""
         numbers = np.asarray(self.mesh.topology.original_cell_index, dtype=np.int64)
-        return numbers[: len(self.owned_cells)]
+        numbers = numbers[: len(self.owned_cells)]
+        return numbers if self.given is None else self.given[numbers]
 
     @property
     def tags_of_cells(self) -> np.ndarray:

@@ -8,6 +8,7 @@ and what doesn't add up is an error.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -102,6 +103,8 @@ def read_msh(path: str) -> Listed:
             "it is a geometry or a script, no mesh, and isn't run; mesh it first: gmsh -3 (in the plane -2) "
             "-format msh41 -o body.msh"
         )
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise NotAMesh("it is a directory or a device, no file")
     with open(path, "rb") as file:
         data = file.read()
     version, binary = _header(data)

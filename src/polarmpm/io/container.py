@@ -141,7 +141,12 @@ def _laid_out(
             made = h5py.h5d.create(file.id, name.encode(), kind, space, dcpl=layout, lcpl=link)
             if made.get_storage_size():
                 places.append((made.get_offset(), name))
-    return memory, sorted(places)
+    places.sort()
+    ends = [place + sum(parts[name].counts) * _width(parts[name]) for place, name in places]
+    starts = [place for place, _ in places[1:]] + [memory.end]
+    if any(end > start for end, start in zip(ends, starts, strict=True)):
+        raise RuntimeError("HDF5 has laid arrays out one over the other")
+    return memory, places
 
 
 class _Stream:
@@ -247,14 +252,19 @@ def _pieces(rows: np.ndarray) -> Iterator[np.ndarray]:
         yield flat[start : start + _PIECE]
 
 
+def _width(part: Part) -> int:
+    """Bytes of a row."""
+    return int(part.rows.dtype.itemsize * np.prod(part.rows.shape[1:], dtype=int))
+
+
 def _received(comm: MPI.Comm, part: Part) -> Iterator[np.ndarray]:
     """Bytes of the rows of all ranks, on rank 0."""
     yield from _pieces(part.rows)
-    width = part.rows.dtype.itemsize * int(np.prod(part.rows.shape[1:], dtype=int))
     for rank, count in enumerate(part.counts):
         if rank:
-            for start in range(0, count * width, _PIECE):
-                content = np.empty(min(_PIECE, count * width - start), dtype=np.uint8)
+            length = count * _width(part)
+            for start in range(0, length, _PIECE):
+                content = np.empty(min(_PIECE, length - start), dtype=np.uint8)
                 comm.Recv(content, rank, _TAG)
                 yield content
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import itertools
 import os
 import stat
 import tempfile
-import weakref
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -173,17 +173,19 @@ def replace_file(path: Path, *content: bytes) -> None:
 
 
 # writers ----------------------------------------------------------------------------------------------
-_writers: weakref.WeakValueDictionary[Path, Any] = weakref.WeakValueDictionary()
+_writers: dict[Path, int] = {}  # the number of the last one
+_numbers = itertools.count()
 
 
-def begin_writing(path: Path, writer: Any) -> None:
-    """From now on `writer` writes a file; another one of this process, if there is one, must not any more."""
-    _writers[path] = writer
+def begin_writing(path: Path) -> int:
+    """Number of a new writer of a file; earlier ones of this process must not write it any more."""
+    _writers[path] = next(_numbers)
+    return _writers[path]
 
 
-def check_writer(path: Path, writer: Any) -> None:
+def check_writer(path: Path, number: int) -> None:
     """Raise InputError if another writer of this process has begun with the file since."""
-    if _writers.get(path, writer) is not writer:
+    if _writers[path] != number:
         raise InputError(
             f"path = {str(path)!r}: a Recorder or Table that was made later writes this file now; take "
             "another name, or go on with that one"

@@ -105,7 +105,10 @@ class _Entry:
 
 def mark_of(step: Step | None) -> str:
     """A few letters that tell a step from the same step of another run."""
-    return "" if step is None else f"{zlib.crc32(repr((step.factor, step.history)).encode()):08x}"
+    if step is None:
+        return ""
+    numbers = [float(step.factor), *(float(n) for measures in step.history for n in measures)]
+    return f"{zlib.crc32(repr(numbers).encode()):08x}"
 
 
 class Collection:
@@ -123,7 +126,7 @@ class Collection:
         self.comm = comm
         self.path = check_output(comm, path, ".pvd")
         self.folder = check_output(comm, folder / path.name).parent
-        begin_writing(self.path, self)
+        self._writer = begin_writing(self.path)
         self._entries: dict[int, _Entry] = {}
         self._found: dict[int, _Entry] | None = None  # what another run, or this one before, has left
         self._run: Restored | None = None
@@ -150,7 +153,7 @@ class Collection:
         Raises:
             OutputError: something can't be written; the collection is as it was before the step.
         """
-        check_writer(self.path, self)
+        check_writer(self.path, self._writer)
         self._go_on(run)
         piece, error = self._piece(number, self.comm.rank), None
         new = number not in self._entries

@@ -17,6 +17,7 @@ import numpy as np
 from ..errors import InputError
 from ..solvers.stepping import Restored, Step
 from ..tools import checks
+from ..tools.caller import warn
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks
 from .files import (
@@ -81,7 +82,7 @@ class Table:
     def __enter__(self) -> Table:
         if self._open:
             raise InputError(f"table {self.path}: its with statement has been entered already")
-        begin_writing(self.path, self)
+        self._writer = begin_writing(self.path)
         self._open, self._header, self._size, self._run = True, [], None, None
         return self
 
@@ -100,7 +101,7 @@ class Table:
         if not self._open:
             raise InputError("a table records inside of its with statement only")
         checks.instance("step", step, Step, "a step of march is")
-        check_writer(self.path, self)
+        check_writer(self.path, self._writer)
         row: dict[str, Any] = dict(zip(_STEP_COLUMNS, _of_step(step), strict=True))
         with errors_on_all_ranks(self.comm, f"the columns of the table {self.path}"):
             for name, function in self.columns.items():
@@ -169,7 +170,7 @@ class Table:
         except OSError:
             return b""
         first, *rows = [next(csv.reader([line.decode("utf-8", "replace")]), []) for line in lines] or [[]]
-        size, known = len(lines[0]) if lines else 0, 0
+        size, numbers = len(lines[0]) if lines else 0, []
         for line, row in zip(lines[1:], rows, strict=True):
             number = int(row[0]) if row and row[0].isdigit() else None
             whole = len(row) == len(first) and line.endswith(b"\n")
@@ -178,20 +179,25 @@ class Table:
             if number in run.steps:
                 if row[: len(_STEP_COLUMNS)] != _texts(_of_step(run.steps[number])):
                     return b""
-                known += 1
+                numbers.append(number)
             size += len(line)
-        if not known:
+        if not numbers:
             return b""
         if first != header:
             raise InputError(
                 f"columns: the table {self.path} has {', '.join(first)} from before the restart, now there "
                 f"are {', '.join(header)}; give the same ones, or another path"
             )
+        if len(numbers) > 1 and numbers == list(range(numbers[0], run.number)):
+            warn(
+                f"table {self.path}: has no row of step {run.number}, which was saved before it was recorded"
+            )
         return b"".join(lines)[:size]
 
 
 def _of_step(step: Step) -> tuple[Any, ...]:
-    return step.number, step.factor, step.iterations, *step.history[-1]
+    force, energy = step.history[-1]
+    return int(step.number), float(step.factor), step.iterations, float(force), float(energy)
 
 
 def _line(values: list[Any]) -> bytes:

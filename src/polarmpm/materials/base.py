@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -14,6 +13,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from ..errors import InputError, TrustWarning
 from ..tools import checks, quiet
+from ..tools.caller import warn
 
 _LOCKING = 0.49  # Poisson's ratio, see docs/stability.md
 
@@ -231,9 +231,8 @@ def warn_of_locking(
             continue
         nu = known["lam"] / (2 * (known["lam"] + known["mu"]))
         if nu > beyond:
-            warnings.warn(
+            warn(
                 f"{type(material.elastic_part).__name__}: at Poisson's ratio {nu:.6g} {functions} lock, as "
                 f"they do beyond {beyond}: {how}; take {remedy}",
                 TrustWarning,
-                stacklevel=3,
             )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
 import ufl
 
 from ..errors import InputError
+from ..tools.caller import warn
 from ..tools.checks import choice, put_numbers, refuse, require, shown
 from .base import Material
 from .plastic import Continuation, Plastic, check_elastic, check_names
@@ -34,10 +34,9 @@ def check_flow(material: Any, name: str) -> None:
     elif material.l_p is not None:
         raise refuse("l_p", material.l_p, "a classical material has no plastic length")
     if material.H < 0 and not elastic.micropolar:
-        warnings.warn(
+        warn(
             f"H = {material.H:g}: softening without a length scale; the width of a shear band is that of the "
-            "cells",
-            stacklevel=4,
+            "cells"
         )
 
 
@@ -131,11 +130,10 @@ class DruckerPrager(Plastic):
             choice("cone", self.cone, CONES)
         elif self.phi > 0:
             acts = math.degrees(math.asin(plane_friction(CONES[0], self.phi, self.psi)))
-            warnings.warn(
+            warn(
                 f'cone = None: "compression", the outer cone, is taken. In plane strain its phi = '
                 f"{math.degrees(self.phi):.3g} degrees act as {acts:.3g} degrees; name a cone: "
-                + ", ".join(f'"{cone}"' for cone in CONES),
-                stacklevel=4,
+                + ", ".join(f'"{cone}"' for cone in CONES)
             )
 
     @property

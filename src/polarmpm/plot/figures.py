@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from io import BytesIO
 from typing import Any
 
 from mpi4py import MPI
@@ -17,7 +18,7 @@ import numpy as np
 from ..bodies.elements import Elements
 from ..bodies.points import Points
 from ..errors import InputError
-from ..io.files import check_output
+from ..io.files import check_output, not_written, replace_file
 from ..io.paraview import box_corners
 from ..tools import checks
 from ..tools.meetings import collective
@@ -261,6 +262,7 @@ def save(
 
     Raises:
         InputError: the file can't be written, or its kind is unknown; not a figure; on every rank alike.
+        OutputError: the disc is full; an old file stays.
     """
     checks.communicator("comm", comm)
     dpi = checks.number("dpi", dpi, above=0.0)
@@ -275,8 +277,13 @@ def save(
             # axes in three dimensions forget the label of z when they tell their size
             extra = [ax.zaxis.label for ax in whole.axes if hasattr(ax, "zaxis")]
             extra += whole.get_default_bbox_extra_artists()
-            whole.savefig(file, dpi=dpi, bbox_inches="tight", pad_inches=0.15, bbox_extra_artists=extra)
-        except (OSError, ValueError) as e:
+            file, content = file if file.suffix else file.with_suffix(".png"), BytesIO()
+            options: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.15, "dpi": dpi}
+            whole.savefig(content, format=file.suffix[1:], bbox_extra_artists=extra, **options)
+            replace_file(file, content.getvalue())
+        except OSError as e:
+            error = not_written("figure", file, e)
+        except ValueError as e:
             error = InputError(f"path = {str(file)!r} can't be written: {e}")
     raise_on_all_ranks(comm, error)
 

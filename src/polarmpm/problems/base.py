@@ -151,10 +151,9 @@ class Problem(Results):
         with self._turn(what):
             checks.instance("controls", self.controls, Controls, "polarmpm.Controls(...) is")
             checks.instance("rows", self.rows, dict, "a dict of arrays by name is")
+            what = "objects of a class of polarmpm.Observer are"
             for observer in checks.instance("observers", self.observers, list, "a list is"):
-                checks.instance(
-                    "observers", observer, Observer, "objects of a class of polarmpm.Observer are"
-                )
+                checks.instance("observers", observer, Observer, what).check()
             if self.rows:
                 with errors_on_all_ranks(self.comm):
                     for name, rows in self.rows.items():

@@ -3,7 +3,6 @@ them."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 
 from mpi4py import MPI
@@ -15,6 +14,7 @@ from ..bodies.points import Points
 from ..errors import TrustWarning
 from ..forms.points import PointForm
 from ..kernels.kernel import Kernel
+from ..tools.caller import warn
 from ..tools.parallel import errors_on_all_ranks
 
 # shares of a step's work inside the boxes above which an answer may be far off: while no point has flowed,
@@ -103,12 +103,11 @@ class BoxRecord:
             warned, self.in_doubt = self.in_doubt, True
             with errors_on_all_ranks(self.comm):  # of warnings a script may make errors
                 if self.comm.rank == 0 and not warned:
-                    warnings.warn(
+                    warn(
                         f"step {step}: {100 * share:.0f} % of its work is done inside the points' boxes, "
                         "where neither the grid nor the points resolve it; the answer may be far off: "
                         f"{_REMEDY}",
                         TrustWarning,
-                        stacklevel=2,
                     )
 
     def state(self) -> list[float]:

@@ -200,7 +200,9 @@ class Conditions(Whole, Turns):
             )
         if term.taken:
             raise InputError(f"term = {term.name!r} has been added to a problem already; make another one")
-        check_counts(term.name, counts)
+        name = checks.text("term.name", term.name)
+        check_counts(name, counts)
+        checks.function(f"{name}: pieces", term.pieces, takes=("setting",))
         self.check_open()
         term.attach(self.layout, self.comm)
         term.taken = True

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import warnings
 import weakref
 from collections.abc import Callable, Generator, Iterator
@@ -12,6 +10,7 @@ from typing import Any
 
 from ..errors import NotConverged
 from ..solvers.stepping import Step
+from ..tools.caller import line_of_script
 
 
 class March(Iterator[Step]):
@@ -31,7 +30,7 @@ class March(Iterator[Step]):
         self._unused: Any = None
         if problem.comm.rank == 0:
             method = "march_arc_length" if way == "arc length" else "march"
-            self._unused = weakref.finalize(self, _warn, method, *_line_of_script())
+            self._unused = weakref.finalize(self, _warn, method, *line_of_script())
 
     def __iter__(self) -> March:
         return self
@@ -61,14 +60,6 @@ def _explain(problem: Any, way: str, error: NotConverged) -> None:
     from . import diagnosis  # lazy import: most runs need none
 
     diagnosis.explain(problem, error, way)
-
-
-def _line_of_script() -> tuple[str, int]:
-    """File and line outside of the package that has called it."""
-    frame, package = sys._getframe(1), os.path.dirname(os.path.dirname(__file__))
-    while frame.f_back is not None and frame.f_code.co_filename.startswith(package):
-        frame = frame.f_back
-    return frame.f_code.co_filename, frame.f_lineno
 
 
 def _warn(method: str, file: str, line: int) -> None:

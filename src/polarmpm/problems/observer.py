@@ -4,6 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..tools import checks
+
+_TOLD = {  # what it is told, with which arguments
+    "after_reset": ("problem",),
+    "after_convergence": ("problem", "factor"),
+    "after_commit": ("problem", "rebased"),
+}
+
 
 class Observer:
     """Told what happens in a run: derive from it, say what you want to hear, and append it to
@@ -17,6 +25,11 @@ class Observer:
     `problem.rotation_limit` on new bases of the rotations, and the steps' load factors are in
     `problem.steps`.
     """
+
+    def check(self) -> None:
+        """Raise InputError unless it can be told what happens."""
+        for name, takes in _TOLD.items():
+            checks.function(f"observers: {type(self).__name__}.{name}", getattr(self, name), takes=takes)
 
     def after_reset(self, problem: Any) -> None:
         """Increments count from the present state on: the grid has been reset, or, of elements, a step been

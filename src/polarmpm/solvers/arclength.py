@@ -20,7 +20,7 @@ from mpi4py import MPI
 import numpy as np
 from tqdm import tqdm
 
-from ..errors import InputError, LocalFailure, NotConverged
+from ..errors import InputError, LocalFailure
 from ..tools import checks
 from ..tools.parallel import errors_on_all_ranks
 from . import newton
@@ -313,18 +313,15 @@ def march(problem: Marching, schedule: ArcSchedule, explain: Explain | None = No
     with tqdm(disable=True if problem.comm.rank else hidden, bar_format=_BAR) as bar:
         steps = enumerate(forgotten_at_end(problem, _steps(problem, schedule, explain)), 1)
 
-        def take() -> tuple[Step | NotConverged | None, bool]:
-            try:
-                done, step = next(steps, (0, None))
-            except NotConverged as error:  # all has been put back
-                return error, True
+        def take() -> tuple[Step | None, bool]:
+            done, step = next(steps, (0, None))
             if step is None:
                 return None, True
             problem.steps.append(step)
             stop = False
             if schedule.until is not None:
                 with errors_on_all_ranks(problem.comm, "until"):
-                    stop = bool(schedule.until(step))
+                    stop = checks.flag("until returned", schedule.until(step))
             stop = problem.comm.bcast(stop) or done == schedule.steps
             bar.update()
             bar.set_postfix_str(f"load factor {step.factor:.6g}, {step.iterations} iterations")
@@ -333,8 +330,6 @@ def march(problem: Marching, schedule: ArcSchedule, explain: Explain | None = No
         stop = False
         while not stop:
             step, stop = problem.whole(take)
-            if isinstance(step, NotConverged):
-                raise step
             if step is not None:
                 yield step
 

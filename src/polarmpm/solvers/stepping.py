@@ -161,11 +161,8 @@ def march(problem: Marching, schedule: Schedule, explain: Explain | None = None)
         begin = problem.progress.factor
         steps = forgotten_at_end(problem, stepper(problem, schedule, explain))
 
-        def take() -> Step | NotConverged | None:
-            try:
-                step = next(steps, None)
-            except NotConverged as error:  # all has been put back
-                return error
+        def take() -> Step | None:
+            step = next(steps, None)
             if step is not None:
                 problem.steps.append(step)
                 share = (step.factor - begin) / (schedule.to - begin) if schedule.to != begin else 1.0
@@ -175,8 +172,6 @@ def march(problem: Marching, schedule: Schedule, explain: Explain | None = None)
             return step
 
         while (step := problem.whole(take)) is not None:
-            if isinstance(step, NotConverged):
-                raise step
             yield step
 
 

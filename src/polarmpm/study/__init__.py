@@ -21,12 +21,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from pathlib import Path
 
+from ..tools import checks
 from . import figures
 from .discretisations import PHASES, Case, Discretisation, Row
 from .running import compare, run
 from .tables import (
+    check_rows,
     digits,
     error_names,
     markdown,
@@ -59,8 +60,10 @@ def write(
     Raises:
         InputError: the files can't be written.
     """
-    path = Path(folder)
+    path = checks.path("folder", folder, "the name of a folder")
+    checks.text("name", name)
     write_csv(rows, path / f"{name}.csv")
+    published = check_rows("published", published)
     text = markdown([*rows, *published], unit=unit) + "\n" + markdown_phases(rows)
     write_text(path / f"{name}.md", text)
     for over in ("h", "cpu_s"):

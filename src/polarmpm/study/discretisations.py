@@ -120,3 +120,8 @@ class Row:
     peak_memory_mb: float | None = None
     failed_at: float | None = None
     failure: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("method", "label"):
+            checks.text(name, getattr(self, name), "a text is needed")
+        checks.number("h", self.h, above=0.0, allowed="a positive cell size")

@@ -48,6 +48,8 @@ def errors(
         raise checks.refuse("over", over, f"allowed are {', '.join(_AXES)}")
     check_name(rows, name)
     published = check_rows("published", published)
+    if not isinstance(slopes, Sequence | np.ndarray) or isinstance(slopes, str):
+        raise checks.refuse("slopes", slopes, "orders of convergence, such as (1, 2), are needed")
     slopes = [checks.whole("slopes", order) for order in slopes]
     check_axes(ax, solid=False)
     if ax is None:

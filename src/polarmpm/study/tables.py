@@ -14,7 +14,7 @@ from typing import Any
 from mpi4py import MPI
 
 from ..errors import InputError
-from ..io.files import check_output, replace_file
+from ..io.files import check_output, not_written, replace_file
 from ..tools import checks
 from .discretisations import PHASES, Row
 
@@ -105,6 +105,7 @@ def _phases(rows: Sequence[Row]) -> list[str]:
 def markdown(rows: Sequence[Row], *, unit: str = "") -> str:
     """Results, errors and costs as a Markdown table. `unit` is the unit of result and errors."""
     rows = check_rows("rows", rows)
+    checks.instance("unit", unit, str, "a text is")
     names, of = error_names(rows), f" ({unit})" if unit else ""
     has_result = any(row.result for row in rows)
     head = ["method", "cells", "h (m)", "points", "unknowns", "steps (cuts)", "iterations"]
@@ -182,8 +183,14 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
     Raises:
         InputError: it can't be written.
+        OutputError: the disc is full; an old file stays.
     """
-    replace_file(check_output(MPI.COMM_SELF, path), text.encode())
+    content = checks.instance("text", text, str, "a text is").encode()
+    file = check_output(MPI.COMM_SELF, path)
+    try:
+        replace_file(file, content)
+    except OSError as e:
+        raise not_written("file", file, e) from e
 
 
 def time_for_error(rows: Sequence[Row], name: str, level: float) -> dict[str, float]:
@@ -215,6 +222,7 @@ def time_for_error(rows: Sequence[Row], name: str, level: float) -> dict[str, fl
 def markdown_times(rows: Sequence[Row], name: str, levels: Sequence[float], *, unit: str = "") -> str:
     """`time_for_error` as a Markdown table: lines are errors, columns methods; the least time is bold."""
     lines, every = [], methods(rows)
+    levels = checks.numeric("levels", levels, "errors").ravel().tolist()
     for level in levels:
         times = time_for_error(rows, name, level)
         least = min(times.values(), default=math.inf)

@@ -105,6 +105,8 @@ class SurfaceCondition(Term):
         return f"{type(self).__name__}({self.name!r}: {on})"
 
     def attach(self, layout: Layout, comm: MPI.Comm) -> None:
+        if not hasattr(self, "surface"):
+            raise InputError(f"{type(self).__name__}: its __init__ has to call that of SurfaceTerm")
         surface = self.surface
         if surface.dim != layout.dim:
             raise InputError(

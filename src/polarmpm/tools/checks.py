@@ -215,7 +215,8 @@ def function(
                 name, value, f"it is called with {len(takes)} argument(s), {', '.join(takes)}: {e}"
             ) from None
         except ValueError:  # functions written in C may not tell
-            pass
+            if isinstance(value, np.ufunc) and value.nin != len(takes):
+                raise refuse(name, value, f"it is called with {', '.join(takes)}") from None
     called: Callable[..., Any] = value
     return called
 

@@ -19,6 +19,7 @@ import ufl
 
 from ..errors import KernelError
 from . import cache, quiet
+from .parallel import ranks_at_corners
 
 try:  # dolfinx >= 0.8
     import basix.ufl as _basix_ufl
@@ -88,10 +89,43 @@ def create_mesh(
         return mesh.create_mesh(comm, cells, *arguments)
     # dolfinx 0.5 finds out by ghost cells which ranks share a vertex, and its own partitions only have those
     # across facets: cells on two ranks that touch at a corner would be apart. It drops the ghosts later.
-    old = "ghost_mode" in parameters
+    old = _by_ghosts()
     destinations = _destinations(comm.rank, sharing if old else sharing[:, :0])
     options = {"ghost_mode": mesh.GhostMode.none} if old else {}
     return mesh.create_mesh(comm, cells, *arguments, **options, partitioner=lambda *_: destinations)
+
+
+def _by_ghosts() -> bool:
+    """Whether ranks know of shared vertices by ghost cells alone."""
+    from dolfinx import mesh
+
+    return "ghost_mode" in inspect.signature(mesh.create_mesh).parameters
+
+
+def distribute_mesh(
+    comm: Any, cells: np.ndarray, positions: np.ndarray, cell: str, degree: int
+) -> tuple[Any, np.ndarray]:
+    """A dolfinx mesh, see `create_mesh`, of which rank 0 gives all cells and nodes; and the number that each
+    cell was given with (m,), by dolfinx' `original_cell_index`. Collective."""
+    number = comm.bcast(len(cells), root=0)
+    if comm.size == 1 or not _by_ghosts():
+        return create_mesh(comm, cells, positions, cell, degree=degree), np.arange(number)
+    # the partition is dolfinx' own, but its ranks know of all shared vertices, not of those of facets alone:
+    # a body that hangs together at a corner or has a crack would come apart, or wait for ever
+    from dolfinx import graph, mesh
+
+    corners = np.ascontiguousarray(cells[:, : 1 + max(map(max, facet_corners(cell)))], dtype=np.int64)
+    ends = (np.arange(len(cells) + 1) * corners.shape[1]).astype(np.int32)
+    listed = graph.create_adjacencylist(corners.ravel(), ends), mesh.GhostMode.none
+    found = mesh.create_cell_partitioner()(comm, comm.size, positions.shape[1], *listed)
+    owners = np.asarray(found.array)[: len(cells)]
+    shared, parts = ranks_at_corners(owners, corners, comm.size), None
+    if comm.rank == 0:
+        rows = [np.flatnonzero(owners == rank) for rank in range(comm.size)]
+        parts = [(cells[at], shared[at], at) for at in rows]
+    cells, shared, at = comm.scatter(parts, root=0)
+    made = create_mesh(comm, cells, positions, cell, sharing=shared, degree=degree)
+    return made, np.concatenate(comm.allgather(at))
 
 
 def _destinations(rank: int, others: np.ndarray) -> Any:

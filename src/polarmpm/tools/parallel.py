@@ -144,6 +144,18 @@ def sharing_ranks(comm: MPI.Comm, numbers: np.ndarray, most: int) -> np.ndarray:
     return route.backward(table[offsets])
 
 
+def ranks_at_corners(owners: np.ndarray, corners: np.ndarray, ranks: int) -> np.ndarray:
+    """The ranks that have a corner of each cell (m, any number), -1 stands for none, from the cells' owners
+    (m,) and corners (m, k)."""
+    if not len(owners):
+        return np.zeros((0, 0), dtype=np.int64)
+    held = np.unique(corners.ravel() * ranks + np.repeat(owners, corners.shape[1]))
+    begin, end = (np.searchsorted(held // ranks, corners, side=side) for side in ("left", "right"))
+    at = begin[:, :, None] + np.arange(int((end - begin).max()))
+    found = np.where(at < end[:, :, None], held[np.minimum(at, len(held) - 1)] % ranks, -1)
+    return np.asarray(found.reshape(len(owners), -1))
+
+
 def name_of(comm: MPI.Comm) -> str:
     """What a communicator is called in pickles, where it can't be itself.
 
