@@ -106,7 +106,8 @@ def _passed_on(error):
     """Whether it comes from a function of the code that the package has called, or is Python's own word on
     arguments that are missing."""
     files = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
-    ours = any(f.startswith(os.path.dirname(pm.__file__)) for f in files)
+    wrappers = os.sep + "meetings.py"  # around collective calls
+    ours = any(f.startswith(os.path.dirname(pm.__file__)) and not f.endswith(wrappers) for f in files)
     if isinstance(error, TypeError) and "argument" in str(error) and not ours:
         return True
     return files[-1] == "<string>" and ours

@@ -75,7 +75,7 @@ class OnGrid(Problem):
         p, old = self.progress, self._system
         if self.points.arrangements != self._arrangement:
             raise InputError(
-                "points: others have joined them, or they were given another material, after the problem had "
+                "points: others have joined them, or they were given another material after the problem had "
                 "been made of them"
             )
         if old is not None and not p.reset_due:
