@@ -202,8 +202,8 @@ class BodyMesh:
             raise InputError(f"mesh: {twice} of its cells are listed twice (the same corners)")
 
     def cracks(self) -> tuple[int, np.ndarray]:
-        """How many places on the boundary have several nodes, which leave the body apart there; one of them
-        (d,). Collective."""
+        """How many places on the boundary have several nodes, or one in the middle of another cell's side,
+        which leave the body apart there; one of them (d,). Collective."""
         from dolfinx import mesh as dmesh
 
         topology = self.mesh.topology
@@ -212,18 +212,22 @@ class BodyMesh:
         outer = np.asarray(dmesh.exterior_facet_indices(topology))
         listed = np.asarray(topology.connectivity(self.dim - 1, 0).array)
         corners = len(compat.facet_corners(self.cell)[0])
-        vertices = np.unique(listed.reshape(-1, corners)[outer]).astype(np.int32)
+        sides = listed.reshape(-1, corners)[outer]
+        vertices = np.unique(sides).astype(np.int32)
         numbers = np.asarray(topology.index_map(0).local_to_global(vertices))
         x = np.empty((topology.index_map(0).size_local + topology.index_map(0).num_ghosts, self.dim))
         cells = np.asarray(topology.connectivity(self.dim, 0).array)
         nodes = compat.cell_geometry(self.mesh)[:, : len(reference_corners(self.cell))]
         x[cells] = self.mesh.geometry.x[nodes.ravel()[: len(cells)], : self.dim]
-        gathered = self.mesh.comm.allgather((numbers, x[vertices]))
-        numbers, first = np.unique(np.concatenate([n for n, _ in gathered]), return_index=True)
-        every = np.concatenate([x for _, x in gathered])[first]
-        _, first, count = np.unique(places(every), return_index=True, return_counts=True)
-        several = first[count > 1]
-        return len(several), every[several[0]] if len(several) else np.zeros(self.dim)
+        edges = {2: [(0, 1)], 3: [(0, 1), (0, 2), (1, 2)], 4: [(0, 1), (0, 2), (1, 3), (2, 3)]}[corners]
+        middle = x[sides[:, np.array(edges)]].mean(axis=2).reshape(-1, self.dim)
+        gathered = self.mesh.comm.allgather((numbers, x[vertices], middle))
+        numbers, first = np.unique(np.concatenate([n for n, *_ in gathered]), return_index=True)
+        every = np.concatenate([x for _, x, _ in gathered])[first]
+        place = places(np.concatenate([every, *(m for *_, m in gathered)]))
+        here, halves = place[: len(every)], place[len(every) :]
+        bad = np.flatnonzero((np.bincount(here)[here] > 1) | np.isin(here, halves))
+        return len(np.unique(here[bad])), every[bad[0]] if len(bad) else np.zeros(self.dim)
 
     def midpoints(self, cells: np.ndarray) -> np.ndarray:
         """Mean of the nodes (n, d) of local cells."""
