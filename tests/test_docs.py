@@ -66,9 +66,8 @@ def test_links_lead_somewhere():
 
 def test_the_counts_of_accidents_are_those_of_the_last_run():
     """docs/stability.md, *Operation*."""
-    table = (
-        (ROOT / "docs" / "stability.md").read_text().split("<!-- operation -->")[1].split("<!-- end -->")[0]
-    )
+    page = (ROOT / "docs" / "stability.md").read_text()
+    table = page.split("<!-- operation -->")[1].split("<!-- end -->")[0]
     assert table.strip() == (ROOT / "benchmarks" / "results" / "operation.md").read_text().strip()
 
 

@@ -396,6 +396,7 @@ class QuasiStatic(OnGrid):
         """
         self.check_open()
         self.progress, self._equilibrium, self._conservation = progress, None, Conservation(self.comm)
+        self._leave(changed=True)
         self.keep(kept)
         self._seal, self._arrangement = None, self.points.arrangements
         if self._system is not None:
@@ -411,7 +412,6 @@ class QuasiStatic(OnGrid):
             reference = self._migrate(reference)
         else:
             self.load_shares.restore(shares)
-        self._leave(changed=True)
         if reference is None or lattice is None or values is None:
             progress.reset_due = True
             return

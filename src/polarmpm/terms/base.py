@@ -324,7 +324,7 @@ def _array(value: Any) -> np.ndarray:
     """What a script gives as an array, if it is one; else something that is no number."""
     try:
         return np.asarray(value)
-    except Exception:  # rows of several lengths, say, and a script's class may do anything
+    except (TypeError, ValueError):  # rows of several lengths, say
         return np.array(None)
 
 
