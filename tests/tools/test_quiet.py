@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -82,3 +84,15 @@ def test_without_standard_error(capfd):
     finally:
         os.dup2(kept, 2)
         os.close(kept)
+
+
+def test_warnings_stay_warnings_and_the_root_logger_as_it_is():
+    """The form compiler's import would turn all warnings into log records."""
+    script = """
+import logging, warnings
+show, root = warnings.showwarning, logging.getLogger()
+import polarmpm, dolfinx.fem
+assert warnings.showwarning is show
+assert not root.handlers and root.level == logging.WARNING
+"""
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=60)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import warnings
 from types import FrameType
 
-_PACKAGE = os.path.dirname(os.path.dirname(__file__)) + os.sep
+_PACKAGE = __name__.split(".")[0]
 
 
 def frame_of_script() -> FrameType:
     """The innermost call that isn't the package's own."""
     frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
+    # by their modules: functions that data classes make have no file
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").split(".")[0] == _PACKAGE:
         frame = frame.f_back
     return frame
 

@@ -28,6 +28,8 @@ try:  # dolfinx >= 0.8
 except ImportError:
     _HAS_BASIX_ELEMENTS = False
 
+quiet.import_ffcx()
+
 
 def coordinate_element(cell: str, gdim: int, degree: int = 1) -> Any:
     """Lagrange element of the mesh geometry, by default linear (multilinear on boxes)."""

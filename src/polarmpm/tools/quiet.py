@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import logging
 import os
 import sys
 import threading
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
@@ -83,6 +85,21 @@ def _captured() -> Iterator:
         os.dup2(kept[0], 2)
         for descriptor in kept:
             os.close(descriptor)
+
+
+def import_ffcx() -> None:
+    """The form compiler, whose import gives the root logger a handler and turns warnings into log records:
+    both are left as the script has them."""
+    if "ffcx" in sys.modules:
+        return
+    root, show = logging.getLogger(), warnings.showwarning
+    handlers, level = list(root.handlers), root.level
+    with suppress(ImportError):
+        importlib.import_module("ffcx")
+    if warnings.showwarning is not show:
+        logging.captureWarnings(False)
+    root.handlers[:] = handlers
+    root.setLevel(level)
 
 
 @contextmanager
