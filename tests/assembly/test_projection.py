@@ -66,7 +66,7 @@ def body(dim: int, materials: list[pm.Material], where: str) -> tuple[pm.Grid, P
     else:
         gamma[:, 2, :2], vector[:, 2] = rng.uniform(-1, 1, (n, 2)), rng.uniform(-2, 2, n)
     points = None
-    for k, material in enumerate(materials):
+    for k, material in enumerate(materials[:n]):
         mine = np.array_split(np.arange(n)[k :: len(materials)], COMM.size)[COMM.rank]
         part = Points(x[mine], volume[mine], np.full((len(mine), dim), 0.1), material, COMM)
         part.F = F[mine]

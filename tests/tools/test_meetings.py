@@ -207,7 +207,7 @@ def functions_of_all_positions() -> None:
 
 def an_error_that_a_script_swallows() -> None:
     points = body().points
-    with pytest.raises(pm.InputError, match="values = .*a row for each of the"):
+    with pytest.raises(pm.InputError, match=r"values = .*a row for each of the"):
         points.mean(np.ones(1 if BAD else len(points)))
     assert points.mean(np.ones(len(points))) == 1.0
 
