@@ -10,6 +10,7 @@ import argparse
 import collections
 import csv
 import importlib
+import re
 import time
 from pathlib import Path
 
@@ -54,12 +55,18 @@ def read(file):
         return [Case(**row) for row in csv.DictReader(lines)]
 
 
+def short(case):
+    """Its row in a file: without the folders of this machine, and with a note where it isn't good."""
+    note = "" if case.verdict in GOOD else re.sub(r"(/[^\s'\"/:]+)+/", "", case.note)[:120]
+    return [case.group, case.name, case.verdict, note]
+
+
 def write(cases, file):
     """Cases, one a row."""
     with file.open("w", newline="") as lines:
         writer = csv.writer(lines, lineterminator="\n")
         writer.writerow(["group", "name", "verdict", "note"])
-        writer.writerows([c.group, c.name, c.verdict, c.note] for c in cases)
+        writer.writerows(map(short, cases))
 
 
 def put_into_docs(text):
