@@ -233,12 +233,14 @@ def _arch():
 
 def judged(name, make, needed, never, options):
     """The verdict on what a failed step says."""
-    problem = make()
     try:
+        problem = make()
         for _ in problem.march(**{"steps": 4, "progress": False, **options}):
             pass
     except pm.NotConverged as e:
         text = str(e)
+    except pm.InputError as e:  # refused before a step, such as an energy that isn't finite at rest
+        return Case("diagnosis", name, "clear", str(e).splitlines()[0])
     except Exception as e:
         return Case("diagnosis", name, "raw", f"{type(e).__name__}: {e}".splitlines()[0])
     else:
