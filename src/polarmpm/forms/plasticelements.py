@@ -34,8 +34,6 @@ class PlasticElementForms(ElementForms):
         self._point_forms = [make_form(m, elements.dim) for m in points.materials]
         for form in self._point_forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
-        self._kernels: list[tuple[Kernel, Kernel]] = []
-        self._mappings: list[ReturnMapping | None] = []
         self._comm = comm
         self._states: list[np.ndarray] = []  # kernel inputs after z
         self._frames: list[np.ndarray] = []  # see `_frame`
@@ -47,15 +45,24 @@ class PlasticElementForms(ElementForms):
 
     # kernels --------------------------------------------------------------------------------------
     @cached_property
-    def _quadrature_forms(self) -> QuadratureForms:
-        e = self.elements
-        kernels, mappings = [], []
+    def _compiled(self) -> tuple[list[tuple[Kernel, Kernel]], list[ReturnMapping | None]]:
+        """Kernels of the materials, and their return mappings; made by the first step. Collective."""
+        kernels: list[tuple[Kernel, Kernel]] = []
+        mappings: list[ReturnMapping | None] = []
         for form, rows in zip(self._point_forms, self._rows_of, strict=True):
             kernels.append(form.compile(self._comm))
-            plastic = form.material.plastic
-            ids = e.points.id[rows]
-            mappings.append(ReturnMapping(form, self._comm, ids) if plastic else None)
-        self._kernels, self._mappings = kernels, mappings
+            ids = self.elements.points.id[rows]
+            mappings.append(ReturnMapping(form, self._comm, ids) if form.material.plastic else None)
+        return kernels, mappings
+
+    @property
+    def _mappings(self) -> list[ReturnMapping | None]:
+        """Those that there are."""
+        return self._compiled[1] if "_compiled" in self.__dict__ else []
+
+    @cached_property
+    def _quadrature_forms(self) -> QuadratureForms:
+        e, _ = self.elements, self._compiled
         return QuadratureForms(e.space, self.layout, e.quadrature_degree, symmetric=False)
 
     @property
@@ -125,12 +132,12 @@ class PlasticElementForms(ElementForms):
         nz = self.layout.unknowns
         # no correction before: an elastic material beside plastic ones has the tangent itself
         predicts = tangent and self._point_forms[k].predicts
-        out = self._kernels[k][tangent](inputs, *([inputs[:, :nz]] if predicts else []))
+        out = self._compiled[0][k][tangent](inputs, *([inputs[:, :nz]] if predicts else []))
         s, a = out[:, :nz], np.zeros((len(inputs) if tangent else 0, nz, nz))
         if tangent:
             i, j = np.triu_indices(nz)
             a[:, i, j] = a[:, j, i] = out[:, nz:]
-        mapping = self._mappings[k]
+        mapping = self._compiled[1][k]
         if mapping is not None:
             y = mapping.evaluate(inputs, tangent)
             s[y.rows] = y.returned[:, :nz]

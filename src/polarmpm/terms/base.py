@@ -26,7 +26,7 @@ from ..geometry.grid import Grid, box_indices
 from ..geometry.nodes import ActiveNodes
 from ..geometry.surfaces import Surface
 from ..kinematics.layout import Layout
-from ..tools.checks import refuse, shown, whole
+from ..tools.checks import ordinary, refuse, shown, whole
 from ..tools.parallel import errors_on_all_ranks
 
 
@@ -324,7 +324,9 @@ def _array(value: Any) -> np.ndarray:
     """What a script gives as an array, if it is one; else something that is no number."""
     try:
         return np.asarray(value)
-    except (TypeError, ValueError):  # rows of several lengths, say
+    except Exception as e:  # rows of several lengths, say, and a script's class may do anything
+        if not ordinary(e):
+            raise
         return np.array(None)
 
 

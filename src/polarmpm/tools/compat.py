@@ -28,7 +28,7 @@ try:  # dolfinx >= 0.8
 except ImportError:
     _HAS_BASIX_ELEMENTS = False
 
-quiet.import_ffcx()
+quiet.watch_imports()
 
 
 def coordinate_element(cell: str, gdim: int, degree: int = 1) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import logging
 import os
 import sys
@@ -10,9 +9,18 @@ import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
+from types import ModuleType
+from typing import Any
 
 from ..errors import KernelError
 from .cache import NO_COMPILER
+
+# packages whose errors are of compiling, and what errors of the compiler are called
+_COMPILING = ("builtins", "cffi", "distutils", "setuptools", "ffcx", "dolfinx", "basix", "ufl", "numpy")
+_OF_COMPILER = ("VerificationError", "CompileError", "LinkError", "DistutilsExecError")
 
 
 @contextmanager
@@ -31,11 +39,14 @@ def compiler() -> Iterator[None]:
                 raise
             error = e
         except Exception as e:
+            known = type(e).__module__.split(".")[0] in _COMPILING or type(e).__name__ in _OF_COMPILER
+            if not known:  # from outside, such as an alarm's
+                raise
             error = e
         text = written()
     if error is None:
         return
-    if type(error).__name__ in ("VerificationError", "CompileError", "LinkError", "DistutilsExecError"):
+    if type(error).__name__ in _OF_COMPILER:
         command = os.environ.get("CC") or "gcc"
         said = f"the C compiler ({command}) failed on a form: {error}; {NO_COMPILER}\n{text[:2000]}"
     else:
@@ -87,19 +98,36 @@ def _captured() -> Iterator:
             os.close(descriptor)
 
 
-def import_ffcx() -> None:
-    """The form compiler, whose import gives the root logger a handler and turns warnings into log records:
-    both are left as the script has them."""
-    if "ffcx" in sys.modules:
-        return
-    root, show = logging.getLogger(), warnings.showwarning
-    handlers, level = list(root.handlers), root.level
-    with suppress(ImportError):
-        importlib.import_module("ffcx")
-    if warnings.showwarning is not show:
-        logging.captureWarnings(False)
-    root.handlers[:] = handlers
-    root.setLevel(level)
+class _FormCompiler(MetaPathFinder):
+    """Watches the import of the form compiler, by whomever: it gives the root logger a handler and turns
+    warnings into log records. Both are left as the script has them."""
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        """What the other finders find, with an `exec_module` that cleans up."""
+        if name != "ffcx":
+            return None
+        sys.meta_path.remove(self)
+        spec = find_spec(name)
+        if spec is not None and spec.loader is not None:
+            execute = spec.loader.exec_module
+
+            def exec_module(module: ModuleType) -> None:
+                root, show = logging.getLogger(), warnings.showwarning
+                handlers, level = list(root.handlers), root.level
+                execute(module)
+                if warnings.showwarning is not show:
+                    logging.captureWarnings(False)
+                root.handlers[:] = handlers
+                root.setLevel(level)
+
+            spec.loader.exec_module = exec_module  # type: ignore[method-assign]
+        return spec
+
+
+def watch_imports() -> None:
+    """From now on, for imports of the form compiler."""
+    if "ffcx" not in sys.modules and not any(isinstance(f, _FormCompiler) for f in sys.meta_path):
+        sys.meta_path.insert(0, _FormCompiler())
 
 
 @contextmanager
