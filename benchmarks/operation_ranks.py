@@ -64,7 +64,7 @@ seeded(lambda x: fails() or block(x))
 q = bare()
 q.fix(lambda x: fails() or x[:, 0] < 1e-6, u=0)
 list(solve(q))
-## predicate of the wrong type | support 1.*predicate returned
+## predicate of the wrong type | support 1.*predicate: returned
 q = bare()
 q.fix(lambda x: np.zeros(3) if bad else x[:, 0] < 1e-6, u=0)
 list(solve(q))
@@ -122,7 +122,7 @@ with pm.Table('t.csv', a=lambda: q.energy() if bad else 1.0) as t:
 ## until raises | RuntimeError: user
 q = held()
 q.body_load(force=(0, -100))
-list(q.march_arc_length(0.1, until=lambda s: fails(), progress=False))
+list(q.march_arc_length(0.1, until=lambda s: bool(fails()), progress=False))
 ## policy raises | RuntimeError: user
 class Own:
     def due(self, steps, gradient, comm):
