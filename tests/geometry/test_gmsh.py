@@ -124,15 +124,13 @@ def test_a_facet_group_on_no_cell(session):
 
 
 def test_gaps_in_the_tags_of_nodes(session):
-    """As removeDuplicateNodes leaves them."""
+    """As removeDuplicateNodes leaves them, up to some version of gmsh."""
     if COMM.rank == 0:
         a, b = (gmsh.model.occ.addRectangle(x, 0, 0, 1, 1) for x in (0, 1))
         gmsh.model.occ.synchronize()
         gmsh.model.addPhysicalGroup(2, [a, b], 1)
         gmsh.model.mesh.generate(2)
         gmsh.model.mesh.removeDuplicateNodes()
-        tags = gmsh.model.mesh.getNodes()[0]
-        assert max(tags) > len(tags)
     body = pm.Elements(session, material=NEO_HOOKEAN)
     assert COMM.allreduce(body.points.volume0.sum()) == pytest.approx(2.0, rel=1e-12)
     assert body.facets(lambda x: np.ones(len(x), bool)).area == pytest.approx(6.0, rel=1e-12)  # one body
