@@ -34,7 +34,7 @@ def test_numbers(value, limits):
     found = attempt(checks.number, "a", value, **limits)
     if found is not None:
         assert type(found) is float
-        assert found == value
+        assert found == float(value)
         assert limits.get("least", -np.inf) <= found <= limits.get("most", np.inf)
     found = attempt(checks.whole, "a", value, least=0)
     assert found is None or (type(found) is int and found == value and found >= 0)
