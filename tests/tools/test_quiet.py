@@ -16,6 +16,7 @@ import polarmpm as pm
 from polarmpm.solvers.direct import DirectSolver
 from polarmpm.solvers.linear import SingularTangent
 from polarmpm.tools import quiet
+from tests.helpers.ranks import environment
 
 
 def test_errors_of_ufl_are_raised_and_not_printed(capfd):
@@ -95,4 +96,4 @@ import polarmpm, dolfinx.fem
 assert warnings.showwarning is show
 assert not root.handlers and root.level == logging.WARNING
 """
-    subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=60, env=environment())
