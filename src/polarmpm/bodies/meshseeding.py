@@ -27,7 +27,7 @@ from .regions import Regions, materials_of
 from .seeding import check_inside
 
 
-@collective("seed_mesh", comm=lambda grid, *args, **options: grid.comm, compare=True)
+@collective("seed_mesh", comm=lambda grid, *args, **options: grid.comm)  # the mesh may be rank 0's alone
 def seed_mesh(
     grid: Grid,
     mesh: Any,
