@@ -179,6 +179,8 @@ class OnGrid(Problem):
         self._conservation.moved(before, self.points, self.grid)
         self.keep({name: route.forward(rows) for name, rows in kept.items()})
         self._attempted = None
+        if self._seal is not None:  # the sums are over other points now
+            self._seal = Seal(self.points)
         if self._equilibrium is not None:
             self._equilibrium.points_moved = True
         return None if reference is None else reference.moved(route)
