@@ -294,10 +294,3 @@ def _warn_of_inner_facets(name: str, comm: MPI.Comm, inner: int) -> None:
                 "boundary count alone",
                 TrustWarning,
             )
-
-
-def _mask(values: Any, n: int) -> np.ndarray:
-    mask: np.ndarray = np.asarray(values)
-    if mask.shape != (n,) or mask.dtype != bool:
-        raise InputError(f"predicate: returned {mask.dtype} {mask.shape}; a bool for each position is needed")
-    return mask

@@ -165,15 +165,8 @@ class FieldForm:
         """
         state, out = PointState(self.material, self._inputs), []
         for field in self.fields:
-            try:
-                with quiet.ufl():
-                    value = ufl.as_ufl(field.function(state))
-            except InputError:
-                raise
-            except Exception as e:  # a user's function and UFL may raise anything
-                if not checks.ordinary(e):
-                    raise
-                raise InputError(f"field {field.name!r} can't be evaluated: {type(e).__name__}: {e}") from e
+            with checks.evaluating(f"field {field.name!r}"), quiet.ufl():
+                value = ufl.as_ufl(field.function(state))
             if value.ufl_shape not in ((), (3,), (3, 3)) or value.ufl_free_indices:
                 raise InputError(
                     f"field {field.name!r} has the shape {value.ufl_shape}; a scalar, a vector of three or a "

@@ -125,12 +125,8 @@ def field_values(problem: Any, field: str | AnyField) -> np.ndarray:
 
 
 def _values(field: Field, points: Points) -> np.ndarray:
-    try:
+    with checks.evaluating(f"field {field.name!r}"):
         values = np.asarray(field.function(points))
-    except Exception as e:  # a user's function may raise anything, and on one rank alone
-        if not checks.ordinary(e):
-            raise
-        raise InputError(f"field {field.name!r} can't be evaluated: {type(e).__name__}: {e}") from e
     if values.dtype.kind not in "biuf":
         raise InputError(f"field {field.name!r}: values of type {values.dtype} are given; numbers are needed")
     if values.shape[:1] != (len(points),):

@@ -124,15 +124,8 @@ def evaluate_scalar(what: str, function: Callable[..., Any], *arguments: Any) ->
     Raises:
         InputError: it raises an error itself, or is not a scalar.
     """
-    try:
-        with quiet.ufl():
-            value = ufl.as_ufl(function(*arguments))
-    except InputError:
-        raise
-    except Exception as e:  # a user's function and UFL may raise anything
-        if not checks.ordinary(e):
-            raise
-        raise InputError(f"material: {what} can't be evaluated: {type(e).__name__}: {e}{_hint(e)}") from e
+    with checks.evaluating(f"material: {what}", _hint), quiet.ufl():
+        value = ufl.as_ufl(function(*arguments))
     if value.ufl_shape or value.ufl_free_indices:
         raise InputError(f"material: {what} has the shape {value.ufl_shape}; a scalar is needed")
     if any(isinstance(node, ufl.classes.ComplexValue) for node in unique_pre_traversal(value)):
@@ -153,14 +146,8 @@ def evaluate_measures(material: Material, F: Any) -> tuple[Any, ...]:
         InputError: they raise an error, or aren't UFL expressions in a tuple.
     """
     what = f"material: the measures of {type(material).__name__}"
-    try:
+    with checks.evaluating(what, _hint):
         found = material.measures(F)
-    except InputError:
-        raise
-    except Exception as e:  # a user's class and UFL may raise anything
-        if not checks.ordinary(e):
-            raise
-        raise InputError(f"{what} can't be evaluated: {type(e).__name__}: {e}{_hint(e)}") from e
     if not isinstance(found, tuple | list) or not all(isinstance(m, ufl.classes.Expr) for m in found):
         raise InputError(f"{what} are {checks.shown(found)}; a tuple of UFL expressions is needed")
     return tuple(found)

@@ -11,7 +11,8 @@ import math
 import operator
 import os
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from numbers import Real
 from pathlib import Path
 from typing import Any, TypeVar
@@ -44,6 +45,17 @@ def ordinary(error: Exception) -> bool:
     return type(error).__module__.split(".")[0] in ("builtins", "numpy", "ufl") and not isinstance(
         error, OSError
     )
+
+
+@contextmanager
+def evaluating(what: str, hint: Callable[[Exception], str] = lambda error: "") -> Iterator[None]:
+    """A call of a script's function: what a mistake in it raises becomes an InputError, with a hint."""
+    try:
+        yield
+    except Exception as e:  # a user's function and UFL may raise anything
+        if not ordinary(e):
+            raise
+        raise InputError(f"{what} can't be evaluated: {type(e).__name__}: {e}{hint(e)}") from e
 
 
 def refuse(name: str, value: Any, allowed: str) -> InputError:
@@ -242,11 +254,6 @@ def communicator(name: str, value: Any) -> MPI.Intracomm:
     if not isinstance(value, MPI.Intracomm) or value == MPI.COMM_NULL:
         raise refuse(name, value, "a communicator of mpi4py, such as MPI.COMM_WORLD, is needed")
     return value
-
-
-def require_finite(name: str, value: Any) -> None:
-    """Raise InputError unless `value` is a finite number."""
-    number(name, value)
 
 
 def put_numbers(owner: Any, *names: str) -> None:
