@@ -7,7 +7,7 @@ from typing import Any
 import ufl
 
 import polarmpm as pm
-from polarmpm.tools.checks import require, require_finite
+from polarmpm.tools.checks import put_numbers, require
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,7 @@ class MicropolarNeoHookean(pm.Material):
     isotropic = True  # W(R E R^T, R Gamma R^T) = W(E, Gamma): the cheaper frame is allowed
 
     def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            require_finite(name, value)
+        put_numbers(self, "lam", "mu", "kappa", "l")
         require(self.mu > 0, "mu", self.mu, "mu > 0")
         require(3 * self.lam + 2 * self.mu > 0, "lam", self.lam, f"lam > {-2 * self.mu / 3:g}")
         require(self.kappa >= 0, "kappa", self.kappa, "kappa >= 0")
