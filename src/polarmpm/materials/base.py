@@ -27,12 +27,15 @@ class Material:
         micropolar: whether points carry a microrotation; without it the scene has no rotation unknowns.
         isotropic: W(R E R^T, R Gamma R^T) = W(E, Gamma) for every rotation R. Allows a cheaper frame.
         plastic: the energy is that of the elastic part, and there is a yield function; see `plastic.Plastic`.
+        second_gradient: the energy depends on the second gradient of the motion, too: W(F, H) with
+            H_iJK = d^2 x_i / dX_J dX_K. Such a material is classical.
         stress_prediction: iterations predict the stress of the tangent's geometric part linearly, see
             `PointForm.iteration_tangent`. It takes fewer of them where strain measures turn with the body; a
             classical material of energy W(F) is left as it is.
     """
 
     plastic: ClassVar[bool] = False
+    second_gradient: bool = False
     stress_prediction: ClassVar[bool] = True
     units: ClassVar[Mapping[str, str]] = {}  # of parameters, for repr
 
@@ -61,22 +64,24 @@ class Material:
         return {}
 
     def energy(self, *strains_and_parameters: Any) -> Any:
-        """W(E, Gamma, p) of a micropolar material, W(F, p) of a classical one (W(*measures(F), p) if it has
-        measures of its own); p.name is a parameter.
+        """W(E, Gamma, p) of a micropolar material, W(F, p) of a classical one, W(F, H, p) of one with second
+        gradients (W(*measures(...), p) if it has measures of its own); p.name is a parameter.
 
-        E = Q^T F - I and Gamma are 3 x 3 UFL tensors, also in plane strain; W in Pa (J/m^3).
+        E = Q^T F - I and Gamma are 3 x 3 UFL tensors, H is a 3 x 3 x 3 one, also in plane strain; W in Pa
+        (J/m^3).
         """
         raise NotImplementedError(f"{type(self).__name__} has no energy")
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({numbers(self.parameters(), self.units)})"
 
-    def measures(self, F: Any) -> tuple[Any, ...]:
-        """Strain measures of a classical material, the arguments of its energy; F itself by default.
+    def measures(self, *deformation: Any) -> tuple[Any, ...]:
+        """Strain measures of a classical material, the arguments of its energy, as functions of F (of F and H
+        with second gradients); these themselves by default.
 
         Few scalars (invariants, say) make short code: UFL derives the energy by them first.
         """
-        return (F,)
+        return deformation
 
 
 def numbers(named: Mapping[str, float], units: Mapping[str, str]) -> str:
@@ -104,6 +109,8 @@ def check_material(material: Any) -> Material:
     kind = type(material).__name__
     checks.flag(f"material: {kind}.micropolar", material.micropolar)
     checks.flag(f"material: {kind}.isotropic", material.isotropic)
+    if checks.flag(f"material: {kind}.second_gradient", material.second_gradient) and material.micropolar:
+        raise InputError(f"material: {kind} is micropolar and has second gradients; write micropolar = False")
     checks.numbers_by_name(f"material: {kind}.parameters()", material.parameters())
     return material
 
@@ -139,15 +146,15 @@ def _hint(error: Exception) -> str:
     return "; write it in UFL, such as ufl.exp for np.exp" if foreign or "ufunc" in str(error) else ""
 
 
-def evaluate_measures(material: Material, F: Any) -> tuple[Any, ...]:
-    """Strain measures of a classical material.
+def evaluate_measures(material: Material, F: Any, H: Any = None) -> tuple[Any, ...]:
+    """Strain measures of a classical material at F, and at the second gradient H where it takes one.
 
     Raises:
         InputError: they raise an error, or aren't UFL expressions in a tuple.
     """
     what = f"material: the measures of {type(material).__name__}"
     with checks.evaluating(what, _hint):
-        found = material.measures(F)
+        found = material.measures(F, H) if material.second_gradient else material.measures(F)
     if not isinstance(found, tuple | list) or not all(isinstance(m, ufl.classes.Expr) for m in found):
         raise InputError(f"{what} are {checks.shown(found)}; a tuple of UFL expressions is needed")
     return tuple(found)
@@ -164,7 +171,7 @@ class UserEnergy(Material):
     """A user's energy as a function in UFL.
 
     Args:
-        function: W(E, Gamma, p) or, for `micropolar=False`, W(F, p).
+        function: W(E, Gamma, p) or, for `micropolar=False`, W(F, p), or, with `second_gradient`, W(F, H, p).
         values: the numbers p.name, so that changing them compiles nothing.
 
     Raises:
@@ -178,11 +185,14 @@ class UserEnergy(Material):
     values: Mapping[str, float] = field(default_factory=dict)
     micropolar: bool = True
     isotropic: bool = False
+    second_gradient: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("micropolar", "isotropic"):
+        for name in ("micropolar", "isotropic", "second_gradient"):
             object.__setattr__(self, name, checks.flag(name, getattr(self, name)))
-        takes = ("E", "Gamma", "p") if self.micropolar else ("F", "p")
+        takes: tuple[str, ...] = ("E", "Gamma", "p") if self.micropolar else ("F", "p")
+        if self.second_gradient:
+            takes = ("F", "H", "p")
         checks.function("function", self.function, "an energy in UFL is", takes=takes)
         object.__setattr__(self, "values", checks.numbers_by_name("values", self.values))
 
