@@ -48,6 +48,7 @@ from .tools import ends
 ends.install()
 
 if TYPE_CHECKING:
+    from .materials.clay import CamClay, Houlsby
     from .materials.cones import DruckerPrager, VonMises
     from .materials.plastic import Continuation, Plastic, UserPlasticity
     from .materials.pyramids import MohrCoulomb, Tresca
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
 _PLASTIC = {
     **dict.fromkeys(("DruckerPrager", "VonMises"), "cones"),
     **dict.fromkeys(("MohrCoulomb", "Tresca"), "pyramids"),
+    **dict.fromkeys(("CamClay", "Houlsby"), "clay"),
     **dict.fromkeys(("Continuation", "Plastic", "UserPlasticity"), "plastic"),
     **dict.fromkeys(("ConeApex", "Edge", "Region", "SmoothPart", "YieldSurface"), "regions"),
 }
@@ -74,6 +76,7 @@ __all__ = [
     "PUBLISHED",
     "Basis",
     "Boxes",
+    "CamClay",
     "ConeApex",
     "Continuation",
     "Controls",
@@ -88,6 +91,7 @@ __all__ = [
     "GhostPenalty",
     "Grid",
     "Hencky",
+    "Houlsby",
     "InputError",
     "KernelError",
     "Material",
