@@ -75,8 +75,8 @@ class Points(Selecting):
         steps: how often load steps have changed them, of whatever problem; the same on all ranks.
         plastic_F, plastic_wryness: Fp of F = Fe Fp and Gp (1/m) of Gamma = Ge + Gp (T 4.1), tensors; like the
             following two only in bodies with plastic materials.
-        grad_F: second gradient of the motion H_iJK = d^2 x_i / dX_J dX_K (1/m), (np, 3, 3, 3), symmetric in J and
-            K; only in bodies with second-gradient materials, and zero at points of others.
+        grad_F: second gradient of the motion H_iJK = d^2 x_i / dX_J dX_K (1/m), (np, 3, 3, 3), symmetric in
+            J and K; only in bodies with second-gradient materials, and zero at points of others.
         hardening: accumulated plastic strain chi, scalar.
         dissipation: plastic dissipation per reference volume so far (Pa), scalar.
         regions, surfaces: physical groups of the mesh that the points come from; see `region` and `surface`.

@@ -61,8 +61,8 @@ class Reference:
 
 @dataclass
 class Increments:
-    """Interpolated increments at the points: value (n, block), du/dx~ (n, d, d), dw/dx~ (n, r, d); in a body with
-    second gradients d^2u/dx~^2 (n, d, d, d), zero at points of other materials."""
+    """Interpolated increments at the points: value (n, block), du/dx~ (n, d, d), dw/dx~ (n, r, d); in a
+    body with second gradients d^2u/dx~^2 (n, d, d, d), zero at points of other materials."""
 
     value: np.ndarray
     gradient: np.ndarray

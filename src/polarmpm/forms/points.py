@@ -77,8 +77,8 @@ class PointForm:
         plastic: Sequence[np.ndarray],
         grad_F: np.ndarray | None = None,
     ) -> np.ndarray:
-        """States (n, state_size) of reference values at points; `plastic`: their `Points.plastic_state`, `grad_F`:
-        with second gradients."""
+        """States (n, state_size) of reference values at points; `plastic`: their `Points.plastic_state`,
+        `grad_F`: with second gradients."""
         if not self.material.isotropic or not self.material.micropolar:
             return self.layout.state().pack(F, wryness, q, grad_F)
         return self.packing(MPI.COMM_SELF)(F, q, wryness)

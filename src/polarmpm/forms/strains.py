@@ -29,8 +29,8 @@ def motion(layout: Layout, z: Any, state: Any, *, rotated: bool) -> Moved:
 
 
 def strain_measures(material: Material, stretch: Any, wryness: Any, grad_F: Any = None) -> tuple[Any, ...]:
-    """(E, Gamma) of U = Q^T F and Gamma; of a classical material, without a wryness, its measures of F, and of H
-    with second gradients."""
+    """(E, Gamma) of U = Q^T F and Gamma; of a classical material, without a wryness, its measures of F, and
+    of H with second gradients."""
     if wryness is None:
         return evaluate_measures(material, stretch, grad_F)
     return stretch - ufl.Identity(3), wryness

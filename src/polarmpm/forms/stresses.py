@@ -69,8 +69,8 @@ class PointState:
 
     @cached_property
     def stress(self) -> Any:
-        """Cauchy stress (Pa) sigma = Q B Fe^T / J, T 3.4, (4.26); with second gradients what does work on velocity
-        gradients, (dW/dF F^T + dW/dH : H^T) / J, which is symmetric, too."""
+        """Cauchy stress (Pa) sigma = Q B Fe^T / J, T 3.4, (4.26); with second gradients what does work on
+        velocity gradients, (dW/dF F^T + dW/dH : H^T) / J, which is symmetric, too."""
         forward = pushed(self._stresses[0], self.Q, self.Fe)
         if self.H is not None:
             i, j, k, l = ufl.indices(4)
@@ -79,8 +79,8 @@ class PointState:
 
     @cached_property
     def double_stress(self) -> Any:
-        """Cauchy double stress (N/m) tau_ijk = dW/dH_iJK F_jJ F_kK / J, which does work on second gradients of the
-        velocity; zero of a material without second gradients."""
+        """Cauchy double stress (N/m) tau_ijk = dW/dH_iJK F_jJ F_kK / J, which does work on second gradients
+        of the velocity; zero of a material without second gradients."""
         if self.H is None:
             return ufl.as_tensor(np.zeros((3, 3, 3)).tolist())
         i, j, k, l, m = ufl.indices(5)
@@ -164,8 +164,8 @@ MECHANICAL = tuple(TABLE[name] for name in ("energy", "stress", "couple_stress")
 
 
 class FieldForm:
-    """Fields of (F, Q, Gamma), of H with second gradients, and of a plastic material's state (Fp, Gp, chi), for
-    output.
+    """Fields of (F, Q, Gamma), of H with second gradients, and of a plastic material's state (Fp, Gp, chi),
+    for output.
 
     Args:
         fields: by default energy, stress and couple stress.
@@ -200,8 +200,8 @@ class FieldForm:
         return out
 
     def compile(self, comm: MPI.Comm) -> Kernel:
-        """Kernel (F, q, Gamma, H, plastic state, parameters) -> the fields, row by row; by default 19 numbers,
-        (W, sigma, mu). Collective."""
+        """Kernel (F, q, Gamma, H, plastic state, parameters) -> the fields, row by row; by default 19
+        numbers, (W, sigma, mu). Collective."""
         return compile_expressions(self.expressions, self.terminals, self.size, self.space.domain, comm)
 
     def split(self, rows: np.ndarray) -> dict[str, np.ndarray]:

@@ -1,7 +1,8 @@
 """The table of the values at a point: what stands where in its vector of unknowns and in its state.
 
 The unknowns of a material point are z = (du/dx, w, dw/dx), those of one with second gradients z = (du/dx,
-d^2u/dx^2). `POINT` and `SECOND` say so, and all that reads or writes z in Python asks a `Layout`; the sums over points in C ask `kernels/_layout.h`, which a test holds against it.
+d^2u/dx^2). `POINT` and `SECOND` say so, and all that reads or writes z in Python asks a `Layout`; the sums
+over points in C ask `kernels/_layout.h`, which a test holds against it.
 Another field, or another derivative, is another part of a table; it takes the weights that supply it.
 """
 
@@ -181,8 +182,8 @@ class Layout:
         return kin.plane_wryness([g[0, 0], g[0, 1]]) if field == "rotation" else kin.plane_gradient(g)
 
     def second_gradient(self, c: Any, start: int | None = None) -> Any:
-        """A displacement's second gradient in space, 3 x 3 x 3, of its different scalars: those of z, or those
-        that begin at `start` in another vector."""
+        """A displacement's second gradient in space, 3 x 3 x 3, of its different scalars: those of z, or
+        those that begin at `start` in another vector."""
         start = self.where("displacement", 2).start if start is None else start
         place = {axes: k for k, axes in enumerate(self.axes(2))}
 
@@ -206,8 +207,8 @@ class Layout:
 
 @dataclasses.dataclass(frozen=True)
 class StateLayout:
-    """A point's state: its frame, its second gradient, its rotation as a quaternion, its wryness, without entries
-    that are known.
+    """A point's state: its frame, its second gradient, its rotation as a quaternion, its wryness, without
+    entries that are known.
 
     The frame is F~, or V~ = F~ Q~^T with `rotated`, where the rotation needs no slots.
     """

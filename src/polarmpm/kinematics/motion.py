@@ -25,8 +25,8 @@ from .layout import Layout
 
 
 class State(Protocol):
-    """F (n, 3, 3), unit quaternions q (n, 4) and wryness (n, 3, 3) of points; with second gradients H (n, 3, 3,
-    3)."""
+    """F (n, 3, 3), unit quaternions q (n, 4) and wryness (n, 3, 3) of points; with second gradients H (n,
+    3, 3, 3)."""
 
     F: np.ndarray
     q: np.ndarray
@@ -35,7 +35,9 @@ class State(Protocol):
 
 
 class Increments(Protocol):
-    """At points: value (n, block), gradients (n, d, d) and (n, r, d), second gradients (n, d, d, d) or None."""
+    """At points: value (n, block), gradients (n, d, d) and (n, r, d), second gradients (n, d, d, d) or
+    None.
+    """
 
     value: np.ndarray
     gradient: np.ndarray
@@ -44,8 +46,8 @@ class Increments(Protocol):
 
 
 class Increment(NamedTuple):
-    """Increments at a point in UFL: G, w and Gw, the latter two None of classical materials, and h, None without
-    second gradients.
+    """Increments at a point in UFL: G, w and Gw, the latter two None of classical materials, and h, None
+    without second gradients.
 
     plane: the rotation is about the third axis; nothing else of w and Gw is looked at.
     """
@@ -68,8 +70,8 @@ class Increment(NamedTuple):
         return Increment(gradient, layout.value(z, "rotation"), turning, layout.dim == 2)
 
     def times(self, frame: Any, curved: Any = None) -> Increment:
-        """With gradients times a tensor, such as those by x~ times F~; `curved`: its own gradient, such as H~,
-        which second gradients need."""
+        """With gradients times a tensor, such as those by x~ times F~; `curved`: its own gradient, such as
+        H~, which second gradients need."""
         turning, second = self.rotation_gradient, self.second
         turning = None if turning is None else ufl.dot(turning, frame)
         if second is not None:
@@ -80,8 +82,8 @@ class Increment(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """State of a point in UFL: F, Q as the turn of the increments after a base (None: no rotation), Gamma, H (None
-    without second gradients)."""
+    """State of a point in UFL: F, Q as the turn of the increments after a base (None: no rotation), Gamma,
+    H (None without second gradients)."""
 
     F: Any
     turn: Any = None
@@ -104,8 +106,8 @@ class Moved(NamedTuple):
 
 
 def move(by: Increment, F: Any, base: Any = None, wryness: Any = None, grad_F: Any = None) -> Moved:
-    """Move (F~, Q~, Gamma~) on, or (F~, H~); Q~ and Gamma~ are None where there is no rotation, and no wryness,
-    before."""
+    """Move (F~, Q~, Gamma~) on, or (F~, H~); Q~ and Gamma~ are None where there is no rotation, and no
+    wryness, before."""
     F = F + by.gradient
     if by.rotation is None:
         return Moved(F, grad_F=None if by.second is None else grad_F + by.second)
@@ -155,8 +157,8 @@ class Motion:
         return [now.F, ufl.as_vector([c / length for c in turned]), now.wryness]
 
     def __call__(self, state: tuple[np.ndarray, ...], z: np.ndarray) -> tuple[np.ndarray, ...]:
-        """States (F, q, Gamma), of classical materials (F,), moved on by z = (du/dx, w, dw/dx) (n, nz); with second
-        gradients (F, different scalars of H), of which come (F, H)."""
+        """States (F, q, Gamma), of classical materials (F,), moved on by z = (du/dx, w, dw/dx) (n, nz);
+        with second gradients (F, different scalars of H), of which come (F, H)."""
         return self._full.unpack(self._kernel(*state, z))
 
     def move(self, points: State, before: State, inc: Increments) -> None:

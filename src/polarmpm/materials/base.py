@@ -196,7 +196,8 @@ class UserEnergy(Material):
             object.__setattr__(self, name, checks.flag(name, getattr(self, name)))
         if self.second_gradient and self.micropolar:
             raise InputError(
-                "micropolar = True: an energy W(F, H, p) of second gradients is classical; write micropolar=False"
+                "micropolar = True: an energy of second gradients W(F, H, p) is classical; "
+                "write micropolar=False"
             )
         takes: tuple[str, ...] = ("E", "Gamma", "p") if self.micropolar else ("F", "p")
         if self.second_gradient:

@@ -77,7 +77,9 @@ def _check_boxes(boxes: bool | None, basis: Basis) -> bool:
 
 
 def _check_second_gradients(points: Points, basis: Basis) -> None:
-    """Raise InputError unless the functions have the square integrable second derivatives that materials ask for."""
+    """Raise InputError unless the functions have the square integrable second derivatives that materials
+    ask for.
+    """
 
     def smooth(b: Basis) -> bool:
         return b.fills_boxes and b.degree > 1 and not b.gradients_jump
@@ -85,8 +87,8 @@ def _check_second_gradients(points: Points, basis: Basis) -> None:
     if points.second_gradient and not smooth(basis):
         kind = next(type(m).__name__ for m in points.materials if m.second_gradient)
         raise InputError(
-            f"basis = {basis.name!r}: the energy of {kind} takes second gradients, and these functions' gradients "
-            f"jump from cell to cell; allowed are {names(smooth)}"
+            f"basis = {basis.name!r}: the energy of {kind} takes second gradients, and these functions' "
+            f"gradients jump from cell to cell; allowed are {names(smooth)}"
         )
 
 

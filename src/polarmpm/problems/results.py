@@ -26,7 +26,8 @@ class Results(Releasable):
 
         Args:
             *names: any of energy (Pa), stress (Pa), couple_stress (N/m), mean_pressure (Pa) and, with
-                second-gradient materials, double_stress (N/m), or a `MaterialField`; default: energy and stresses.
+                second-gradient materials, double_stress (N/m), or a `MaterialField`; default: energy and
+                stresses.
 
         Returns:
             The fields by name; `.energy`, `.stress` and `.couple_stress` for short.
