@@ -97,6 +97,8 @@ def make_support(
                 if key.startswith("theta") and not layout.rotations
                 else ""
             )
+            if key.startswith("slope"):
+                hint = f"; slopes are slope, {', '.join(f'slope_{n[1:]}' for n in names[: layout.dim])}"
             raise InputError(
                 f"fix: unknown component {key!r}; allowed are u, theta, {', '.join(names)}{hint}"
             )

@@ -17,6 +17,8 @@ from ..materials.base import Material
 from ..tools import checks
 from ..tools.checks import shown
 
+_ZERO = "0 is allowed: slopes can be held, not prescribed"
+
 
 def take_slopes(where: Any, slope: Any, components: dict[str, Any], layout: Layout) -> dict[int, bool]:
     """The columns whose slopes are to vanish, of `fix`; what says so is taken out of the components.
@@ -30,9 +32,9 @@ def take_slopes(where: Any, slope: Any, components: dict[str, Any], layout: Layo
     for name, value in given.items():
         if value is None:
             continue
-        number = checks.number(f"fix: {name}", value, allowed="0 (slopes can be held, not prescribed)")
+        number = checks.number(f"fix: {name}", value, allowed=_ZERO)
         if number != 0.0:
-            raise checks.refuse(f"fix: {name}", value, "0 is allowed: slopes can be held, not prescribed")
+            raise checks.refuse(f"fix: {name}", value, _ZERO)
         if not isinstance(where, PlaneSpec):
             raise InputError(
                 f"fix: {name} = 0: a slope is held on a plane of the grid, such as plane(x=0.0); "
