@@ -18,7 +18,7 @@ from ..kernels.codegen import Scalariser
 from ..kernels.csource import write_c
 from ..kernels.kernel import Kernel, PointSpace, generator_version, matrix
 from ..kinematics import tensors as kin
-from ..kinematics.layout import SURFACE, Layout
+from ..kinematics.layout import SURFACE, Layout, Part
 from ..tools import compat
 
 
@@ -28,17 +28,19 @@ class SurfaceForm:
     Attributes:
         slots: of y.
         size: length of y.
+        parts: of y, in the words of `kinematics.layout`.
         data: numbers of each of the form's coefficients.
         symmetric: the derivative is symmetric.
     """
 
+    parts: tuple[Part, ...] = SURFACE
     data: tuple[int, ...]
     symmetric = True
 
     def __init__(self, layout: Layout, *data: int):
         self.layout, self.data = layout, data
         self.space = PointSpace(compat.point_domain())
-        self.slots = Layout(layout.dim, layout.rotations, SURFACE)
+        self.slots = Layout(layout.dim, layout.rotations, self.parts)
         self.size = self.slots.unknowns
         self.y = self.space.coefficient(self.size)
         self.coefficients = [self.space.coefficient(n) for n in data]

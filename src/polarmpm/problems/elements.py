@@ -148,6 +148,9 @@ class QuasiStaticFEM(Problem):
             where, "__name__", "predicate"
         )
 
+    def _surface_of(self, where: Any) -> Any:
+        return where if isinstance(where, Surface) else self.elements.surface(where)
+
     @property
     def surface_loads(self) -> tuple[SurfaceLoad, ...]:
         """Tractions, couple tractions and pressures on facets."""
