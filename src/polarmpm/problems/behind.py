@@ -21,8 +21,11 @@ from ..materials.base import Material
 from ..terms.nitsche import Behind
 from .state import Progress
 
+_CUT = 1e3  # the same of the symmetric method where cells are cut, down to a thousandth of them
 _SPRINGS = 1e3  # default of springs alone: a layer of a thousandth of a cell, of the body's stiffness
-_COERCIVE = 20.0  # the same beside the material's own tractions (docs/theory.md)
+_COERCIVE = (
+    20.0  # the same beside the material's own tractions, which keeps a support stable (docs/theory.md)
+)
 
 
 class Body(Protocol):
@@ -40,10 +43,17 @@ class Body(Protocol):
 
 @dataclass
 class Found:
-    """The body behind a surface, and why its tractions can't be told; "": they can."""
+    """The body behind a surface.
+
+    Attributes:
+        no_stress: why its tractions can't be told; "": they can.
+        fitted: the surface is made of faces of elements. One that cuts the cells of a grid leaves as little of
+            one inside as it happens to.
+    """
 
     behind: Behind
     no_stress: str
+    fitted: bool
 
 
 def find_behind(problem: Body, surface: Surface) -> Found:
@@ -62,13 +72,13 @@ def find_behind(problem: Body, surface: Surface) -> Found:
         q, wryness = found[:, 11:15], found[:, 15:].reshape(-1, 3, 3)
     if now:
         F = found[:, 2:11].reshape(-1, 3, 3)
-    beyond = 0.0
-    if not isinstance(surface, FacetSurface):
+    beyond, fitted = 0.0, isinstance(surface, FacetSurface)
+    if not fitted:
         ahead = surface.x + found[:, :1] * surface.normal
         distance, there = of_nearest(comm, place, values[:, :1], ahead)
         beyond = float(np.mean(distance < 0.9 * np.minimum(found[:, 0], there[:, 0])))
     behind = Behind(points.materials, material, F, q, wryness)
-    return Found(behind, _why_not(points.materials, material, beyond))
+    return Found(behind, _why_not(points.materials, material, beyond), fitted)
 
 
 def _why_not(materials: tuple[Material, ...], rows: np.ndarray, beyond: float) -> str:
@@ -90,7 +100,7 @@ def default_stiffness(
     problem: Body,
     surface: Surface,
     name: str,
-    behind: Behind,
+    found: Found,
     given: dict[str, float | None],
     method: str,
 ) -> dict[str, Any]:
@@ -102,12 +112,17 @@ def default_stiffness(
     """
     out: dict[str, Any] = {"stiffness": 0.0, "rotation_stiffness": 0.0}
     own: dict[str, Any] = {}
-    if any(value is None for value in given.values()):
-        own = _springs(problem) if method == "penalty" else _beside_tractions(problem, surface, behind)
+    if all(value is not None for value in given.values()):
+        own = given
+    elif method == "penalty":
+        own = _springs(problem, name)
+    else:
+        times = _CUT if method == "nitsche" and not found.fitted else _COERCIVE
+        own = _beside_tractions(problem, surface, found.behind, times)
     for key, value in given.items():
         out[key] = own[key] if value is None else value
         if value is None and not np.all(out[key] > 0.0):
-            kinds = ", ".join(dict.fromkeys(type(m).__name__ for m in behind.materials))
+            kinds = ", ".join(dict.fromkeys(type(m).__name__ for m in found.behind.materials))
             raise InputError(
                 f"{name}: {key}: {kinds} has no stiffness in the undeformed state from which to take it; "
                 f"give {key}"
@@ -115,13 +130,16 @@ def default_stiffness(
     return out
 
 
-def _springs(problem: Body) -> dict[str, float]:
+def _springs(problem: Body, name: str) -> dict[str, float]:
     """A thousand times the stiffest material over a cell: the clamp gives way like a thousandth of it."""
     size, dim, own = problem.cell_size, problem.layout.dim, np.zeros(2)
     for material in problem.points.materials:
         p = material.moduli("lam", "mu", "gamma")
         if len(p) == 3 or (len(p) == 2 and not material.micropolar):
             found = p["lam"] + 2 * p["mu"], p.get("gamma", 0.0) / size + p["mu"] * size
+        elif material.second_gradient:
+            kind = type(material).__name__
+            raise InputError(f"{name}: stiffness: {kind} has no parameters named lam and mu; give stiffness")
         else:
             stretched, bent = stiffness_across(material, dim, np.eye(dim), problem.comm)
             found = stretched.max(), bent.max() / size + stretched.max() * size
@@ -129,13 +147,12 @@ def _springs(problem: Body) -> dict[str, float]:
     return {"stiffness": own[0] / size, "rotation_stiffness": own[1]}
 
 
-def _beside_tractions(problem: Body, surface: Surface, behind: Behind) -> dict[str, np.ndarray]:
-    """What keeps the potential of a support positive, with a margin: the material's stiffness against
-    gradients across the surface over a cell, (n,)."""
+def _beside_tractions(problem: Body, surface: Surface, behind: Behind, times: float) -> dict[str, np.ndarray]:
+    """A multiple of the material's stiffness against gradients across the surface over a cell, (n,)."""
     own = np.zeros((2, len(surface)))
     for row in np.unique(behind.material):
         rows = behind.material == row
         normal = surface.normal[rows]
         own[:, rows] = stiffness_across(behind.materials[row], problem.layout.dim, normal, problem.comm)
-    own *= _COERCIVE / problem.cell_size
+    own *= times / problem.cell_size
     return {"stiffness": own[0], "rotation_stiffness": own[1]}

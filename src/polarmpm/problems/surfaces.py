@@ -18,7 +18,7 @@ from ..tools import checks
 from .behind import Found, default_stiffness, find_behind
 from .state import Progress
 
-METHODS = ("nitsche", "nitsche-unsymmetric", "penalty")  # the first one is the default where it can be
+METHODS = ("nitsche", "nitsche-unsymmetric", "penalty")
 
 
 class Loaded(Protocol):
@@ -103,7 +103,9 @@ def add_support(
     given = {"stiffness": stiffness}
     if _turns(support, layout):
         given["rotation_stiffness"] = rotation_stiffness
-    beside = method is not None and method != METHODS[-1]  # the material's tractions hold without springs, too
+    beside = (
+        method is not None and method != METHODS[-1]
+    )  # the material's tractions hold without springs, too
     for key, value in given.items():
         if value is not None:
             limit = {"least" if beside else "above": 0.0}
@@ -111,9 +113,11 @@ def add_support(
     if surface.dim != layout.dim:
         raise InputError(f"{name}: the surface has {surface.dim} dimensions, the body has {layout.dim}")
     found = find_behind(problem, surface)
-    method = _choose(name, method, found, [*(k for k, v in given.items() if v is not None), *["augment"] * augment])
+    method = _choose(
+        name, method, found, [*(k for k, v in given.items() if v is not None), *["augment"] * augment]
+    )
     options: dict[str, Any] = {"support": support, "normal": normal, "augment": augment}
-    options |= default_stiffness(problem, surface, name, found.behind, given, method)
+    options |= default_stiffness(problem, surface, name, found, given, method)
     made = SurfaceSupport(name, surface, **options)
     if method != "penalty":
         symmetric = method == "nitsche"
@@ -125,7 +129,9 @@ def add_support(
 def _choose(name: str, method: str | None, found: Found, given: list[str]) -> str:
     """The method that is meant, `given` what asks for springs."""
     if method is None:
-        return METHODS[-1] if given or found.no_stress else METHODS[0]
+        if given or found.no_stress:
+            return METHODS[2]
+        return METHODS[0] if found.fitted else METHODS[1]
     method = checks.choice(f"{name}: method", method, METHODS)
     if method != "penalty" and "augment" in given:
         raise InputError(

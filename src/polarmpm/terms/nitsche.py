@@ -59,9 +59,7 @@ class ConsistentSupport(SurfaceSupport):
 
     def attach(self, layout: Layout, comm: MPI.Comm) -> None:
         self.wryness: np.ndarray = self._behind.wryness
-        self._forms = [
-            ConsistentForm(layout, m, symmetric=self._symmetric) for m in self._behind.materials
-        ]
+        self._forms = [ConsistentForm(layout, m, symmetric=self._symmetric) for m in self._behind.materials]
         self._kernels: list[Kernel] = []
         super().attach(layout, comm)
         self._held = self._on_held(1.0, 1.0)

@@ -28,6 +28,7 @@ from ..kinematics.layout import Layout
 from ..tools import checks
 from .base import Carried, Piece, Setting, Term
 
+
 class SurfacePiece(Piece):
     """Forces of a surface's points on this rank between two resets."""
 
