@@ -152,6 +152,9 @@ class QuasiStaticFEM(Problem):
     def _tie(self, where: Any, support: Support, even: dict[int, bool]) -> None:
         slopes.check_elements(support, even, self.elements.points.materials)
 
+    def _surface_of(self, where: Any) -> Any:
+        return where if isinstance(where, Surface) else self.elements.surface(where)
+
     @property
     def surface_loads(self) -> tuple[SurfaceLoad, ...]:
         """Tractions, couple tractions and pressures on facets."""

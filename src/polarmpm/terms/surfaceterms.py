@@ -28,8 +28,6 @@ from ..kinematics.layout import Layout
 from ..tools import checks
 from .base import Carried, Piece, Setting, Term
 
-_STATE = ("u", "F", "theta", "q")
-
 
 class SurfacePiece(Piece):
     """Forces of a surface's points on this rank between two resets."""
@@ -85,6 +83,7 @@ class SurfaceCondition(Term):
 
     linear: bool = True
     external: bool = True
+    moved: tuple[str, ...] = ("u", "F", "theta", "q")  # what a converged step moves on
     form: SurfaceForm
     u: np.ndarray
     F: np.ndarray
@@ -117,7 +116,7 @@ class SurfaceCondition(Term):
         n, d = len(surface), layout.dim
         self.u, self.F = np.zeros((n, d)), np.tile(np.eye(d), (n, 1, 1))
         self.theta, self.q = np.zeros((n, layout.rotations)), rotations.identity(n)
-        self._at = {name: getattr(self, name).copy() for name in _STATE}
+        self._at = {name: getattr(self, name).copy() for name in self.moved}
 
     def start_from(self, u: np.ndarray, F: np.ndarray) -> None:
         """The body has carried the surface already when it is added: displacements (n, d) (m), deformation
@@ -203,7 +202,7 @@ class SurfaceCondition(Term):
 
     # restart ------------------------------------------------------------------------------------------
     def state(self) -> dict[str, np.ndarray]:
-        now = {name: getattr(self, name) for name in _STATE}
+        now = {name: getattr(self, name) for name in self.moved}
         return {**now, **{f"{name}_at": a for name, a in self._at.items()}}
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
@@ -213,7 +212,7 @@ class SurfaceCondition(Term):
                 raise InputError(
                     f"{self.name}: the saved {name} has the shape {found}; {old.shape} is needed"
                 )
-        for name in _STATE:
+        for name in self.moved:
             setattr(self, name, np.array(arrays[name], dtype=float))
             self._at[name] = np.array(arrays[f"{name}_at"], dtype=float)
 
@@ -277,13 +276,8 @@ class SurfaceTerm(SurfaceCondition):
         if conservative == (kind.virtual_work is not SurfaceTerm.virtual_work):
             raise InputError(f"{self.name}: {kind.__name__} needs one of energy and virtual_work")
         function = self.energy if conservative else self.virtual_work
-        try:
+        with checks.evaluating(f"{self.name}: {kind.__name__}.{function.__name__}"):
             return SurfaceEnergyForm(self.layout, function, list(self.numbers), conservative)
-        except InputError:
-            raise
-        except Exception as e:  # a user's function and UFL may raise anything
-            what = f"{kind.__name__}.{function.__name__}"
-            raise InputError(f"{self.name}: {what} can't be evaluated: {type(e).__name__}: {e}") from e
 
     def values(self, factor: float) -> list[np.ndarray]:
         n = len(self.surface)
