@@ -71,7 +71,7 @@ class OnGrid(Problem):
 
     def _beside(self, where: PlaneSpec) -> PlaneSpec:
         self.basis.check_plane(where, self.initial_grid)
-        return slopes.beside(where, self.initial_grid, self.points)
+        return slopes.beside(where, self.initial_grid, self.points, self.grid)
 
     def _tie(self, where: Any, support: Support, even: dict[int, bool]) -> None:
         if all(even.values()):
