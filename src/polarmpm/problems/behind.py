@@ -47,8 +47,8 @@ class Found:
 
     Attributes:
         no_stress: why its tractions can't be told; "": they can.
-        fitted: the surface is made of faces of elements. One that cuts the cells of a grid leaves as little of
-            one inside as it happens to.
+        fitted: the surface is made of faces of elements. One that cuts cells of a grid may leave slivers of
+            them.
     """
 
     behind: Behind
@@ -132,7 +132,8 @@ def default_stiffness(
 
 def _springs(problem: Body, name: str) -> dict[str, float]:
     """A thousand times the stiffest material over a cell: the clamp gives way like a thousandth of it."""
-    size, dim, own = problem.cell_size, problem.layout.dim, np.zeros(2)
+    size, dim = problem.cell_size, problem.layout.dim
+    own: np.ndarray = np.zeros(2)
     for material in problem.points.materials:
         p = material.moduli("lam", "mu", "gamma")
         if len(p) == 3 or (len(p) == 2 and not material.micropolar):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+from mpi4py import MPI
+
 import numpy as np
 
 from ..bodies.points import Points
@@ -24,6 +26,7 @@ METHODS = ("nitsche", "nitsche-unsymmetric", "penalty")
 class Loaded(Protocol):
     """The problem to which surfaces belong."""
 
+    comm: MPI.Comm
     layout: Layout
     points: Points
     progress: Progress
@@ -108,8 +111,8 @@ def add_support(
     )  # the material's tractions hold without springs, too
     for key, value in given.items():
         if value is not None:
-            limit = {"least" if beside else "above": 0.0}
-            given[key] = checks.number(f"{name}: {key}", value, **limit)
+            least, above = (0.0, -np.inf) if beside else (-np.inf, 0.0)
+            given[key] = checks.number(f"{name}: {key}", value, least=least, above=above)
     if surface.dim != layout.dim:
         raise InputError(f"{name}: the surface has {surface.dim} dimensions, the body has {layout.dim}")
     found = find_behind(problem, surface)

@@ -91,11 +91,8 @@ class ConsistentSupport(SurfaceSupport):
         d, behind = self.layout.dim, self._behind
         F = np.tile(np.eye(3), (len(self.surface), 1, 1))
         F[:, :d, :d] = self._at["F"]
-        return F @ behind.F, rotations.multiply(self._at["q"], behind.q), self._at_wryness
-
-    @property
-    def _at_wryness(self) -> np.ndarray:
-        return self._at["wryness"] if "wryness" in self._at else self.wryness
+        wryness = self._at.get("wryness", self.wryness)
+        return F @ behind.F, rotations.multiply(self._at["q"], behind.q), wryness
 
     def values(self, factor: float) -> list[np.ndarray]:
         springs, target, force = super().values(factor)
