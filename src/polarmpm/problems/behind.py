@@ -74,11 +74,18 @@ def find_behind(problem: Body, surface: Surface) -> Found:
         F = found[:, 2:11].reshape(-1, 3, 3)
     beyond, fitted = 0.0, isinstance(surface, FacetSurface)
     if not fitted:
-        ahead = surface.x + found[:, :1] * surface.normal
-        distance, there = of_nearest(comm, place, values[:, :1], ahead)
-        beyond = float(np.mean(distance < 0.9 * np.minimum(found[:, 0], there[:, 0])))
+        beyond = _share_inside(comm, place, surface, found[:, :1])
     behind = Behind(points.materials, material, F, q, wryness)
     return Found(behind, _why_not(points.materials, material, beyond), fitted)
+
+
+def _share_inside(comm: MPI.Comm, place: np.ndarray, surface: Surface, size: np.ndarray) -> float:
+    """Share of a surface's points that have the body on the side of their normals, too: of its points,
+    spaced by a size (n, 1) (m), the next one on that side is ahead. Collective."""
+    ahead = surface.x + 0.75 * size * surface.normal
+    distance, nearest = of_nearest(comm, place, place, ahead)
+    along = np.sum((nearest - surface.x) * surface.normal, axis=1)
+    return float(np.mean((along > 0.2 * size[:, 0]) & (distance < size[:, 0])))
 
 
 def _why_not(materials: tuple[Material, ...], rows: np.ndarray, beyond: float) -> str:
