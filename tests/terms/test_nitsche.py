@@ -21,7 +21,7 @@ from tests.assembly.test_system import residual_at, tangent_at
 from tests.conftest import COMM, MICROPOLAR, NEO_HOOKEAN, beam, by_id, derivative_error, rotation
 from tests.helpers.bodies import box
 from tests.helpers.ranks import on_ranks
-from tests.terms.test_surfaces import LINE, block, face
+from tests.terms.test_surfaces import block, face
 
 E_MODULUS, NU = 1e6, 0.3
 LAME = {"lam": E_MODULUS * NU / (1 + NU) / (1 - 2 * NU), "mu": E_MODULUS / 2 / (1 + NU)}
@@ -119,9 +119,10 @@ def test_elements_in_space(material):
         problem.traction(pm.plane(x=2.0), force=(0.0, 3e3, 2e3))
         list(problem.march(2, progress=False))
         tips.append(problem.elements.mean_displacement(problem.elements.facets(pm.plane(x=2.0))))
-        assert max(problem.balance().residue) < 1e-9
+        # nodes' spins are no rigid motion of interpolated rotation vectors, by nodes held either
+        assert max(problem.balance().residue) < (1e-8 if material.micropolar else 1e-9)
         np.testing.assert_allclose(problem.reaction(support).force, (0, -3e3, -2e3), atol=1e-5)
-    assert np.linalg.norm(tips[0]) > 0.1
+    assert np.linalg.norm(tips[0]) > 0.05
     np.testing.assert_allclose(tips[1], tips[2], rtol=1e-9)  # the default of elements
     for tip in tips[1:]:
         np.testing.assert_allclose(tip, tips[0], atol=0.01 * np.linalg.norm(tips[0]))
@@ -292,7 +293,7 @@ def test_moving_components_and_rollers():
     far = problem.fix(
         face(low, high, 0, 1), ux=lambda f, x: 0.1 * f * (x[:, 0] - 0.3), method="nitsche-unsymmetric"
     )
-    list(problem.march(2, progress=False))
+    list(problem.march(1, progress=False))
     F = problem.points.F[:, :2, :2]
     assert np.abs(F[:, 0, 0] - 1.1).max(initial=0.0) < 1e-7
     assert (
@@ -322,21 +323,27 @@ def test_bodies_of_two_materials():
 
 
 def test_release_and_mid_run():
-    """Taken over by dead forces, the body stays; a support that is added to a loaded body holds it where it
-    is."""
+    """A support that is added to a loaded body holds it where it is, when the load is gone, too; released
+    over load factors, the body goes back."""
     problem, support, pulled = clamped(None, POLAR, turn=0.3)
     list(problem.march(2, to=0.5, progress=False))
     held, before = tip(pulled).copy(), by_id(problem.points, problem.points.x)
-    surface = pm.Surface(support.surface.x + support.u, support.surface.area, support.surface.normal)
-    second = problem.fix(surface, u=0, theta=0, method="nitsche-unsymmetric")
-    problem.release(pulled, until=0.6)
-    list(problem.march(1, to=0.501, progress=False))
-    assert np.abs(by_id(problem.points, problem.points.x) - before).max() < 0.01 * np.linalg.norm(held)
-    problem.release(support, until=0.7)
+    n, normal = len(pulled.surface), np.einsum("nji,nj->ni", np.linalg.inv(pulled.F), pulled.surface.normal)
+    size = np.linalg.norm(normal, axis=1) * np.linalg.det(pulled.F)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    now = pm.Surface(pulled.surface.x + pulled.u, pulled.surface.area * size, normal)
+    second = problem.fix(now, u=0, theta=0, method="nitsche-unsymmetric")
+    problem.release(pulled)
+    list(problem.march(1, to=0.6, progress=False))
+    assert np.abs(by_id(problem.points, problem.points.x) - before).max() < 0.02 * np.linalg.norm(held)
+    assert problem.reaction(second).force == pytest.approx(-problem.reaction(support).force, abs=1e-6)
+    assert np.linalg.norm(problem.reaction(second).force) == pytest.approx(1000.0, rel=0.05)
+    problem.release(second, until=0.7)
     list(problem.march(4, progress=False))
-    assert problem.progress.factor == 1.0
-    assert np.linalg.norm(problem.reaction(second).force) < 1e-5
-    assert np.linalg.norm(tip(pulled)) < 0.1 * np.linalg.norm(held)
+    assert np.linalg.norm(problem.reaction(support).force) < 1e-5
+    p = problem.points
+    assert np.abs(by_id(p, p.x) - by_id(p, p.X)).max() < 0.02 * np.linalg.norm(held)
+    assert n > 1
 
 
 @pytest.mark.parametrize("material", [SOLID, POLAR])
@@ -361,13 +368,13 @@ def test_restart(tmp_path, reset, material):
 def test_arc_length():
     """It takes a support that holds still, and refuses one that moves."""
     problem, _, pulled = clamped(None, turn=0.2)
-    list(problem.march_arc_length(0.5, until=1.0, progress=False))
+    list(problem.march_arc_length(0.5, to=1.0, progress=False))
     other, _, same = clamped(None, turn=0.2)
     list(other.march(2, progress=False))
     np.testing.assert_allclose(tip(pulled), tip(same), rtol=1e-6)
     moving, _, _ = clamped(None, support={"u": (0.1, 0.0)})
     with pytest.raises(pm.InputError, match="surface support 1: the arc-length method takes terms only"):
-        list(moving.march_arc_length(0.5, until=1.0, progress=False))
+        list(moving.march_arc_length(0.5, to=1.0, progress=False))
 
 
 # convergence --------------------------------------------------------------------------------------
@@ -437,9 +444,9 @@ def test_order_of_points():
 @pytest.mark.parametrize(
     ("act", "message"),
     [
-        (lambda p: p.fix(LINE, u=0, method="nitsche"), "the body is on the side of the normals, too"),
+        (lambda p: p.fix(MIDDLE, u=0, method="nitsche"), "the body is on the side of the normals, too"),
         (
-            lambda p: p.fix(LINE, u=0, method="lagrange"),
+            lambda p: p.fix(END, u=0, method="lagrange"),
             "method = 'lagrange': one of 'nitsche', 'nitsche-uns",
         ),
         (lambda p: p.fix(END, u=0, method="nitsche", augment=True), "augment belongs to method='penalty'"),
@@ -455,12 +462,13 @@ def test_bad_input(act, message):
     assert not problem.surfaces
 
 
-END = pm.Surface.line((0.0, 1.0), (0.0, 0.0), 3)
+END = pm.Surface.line((0.0, 1.3), (0.0, 0.3), 3)
+MIDDLE = pm.Surface.line((0.5, 0.8), (2.5, 0.8), 4)
 
 
 def test_inside_of_a_body_springs_hold():
     """The tractions are those of a boundary with normals outward: elsewhere springs hold by default."""
-    kinds = [type(beam(2).fix(surface, u=0)).__name__ for surface in (LINE, END, inverted(END))]
+    kinds = [type(beam(2).fix(surface, u=0)).__name__ for surface in (MIDDLE, END, inverted(END))]
     assert kinds == ["SurfaceSupport", "ConsistentSupport", "SurfaceSupport"]
 
 

@@ -63,6 +63,9 @@ class ConsistentSupport(SurfaceSupport):
         self._kernels: list[Kernel] = []
         super().attach(layout, comm)
         self._held = self._on_held(1.0, 1.0)
+        self._before: np.ndarray = np.zeros(
+            (len(self.surface), self.form.size)
+        )  # y of the last converged state
 
     def begin_at(self, factor: float, counts: str | None) -> None:
         super().begin_at(factor, counts)
@@ -82,9 +85,16 @@ class ConsistentSupport(SurfaceSupport):
         return super().pieces(setting)
 
     # between two resets -------------------------------------------------------------------------------
+    def begin(self) -> None:
+        super().begin()
+        self._before = np.zeros_like(self._before)
+
     def rebase_rotations(self) -> None:
         super().rebase_rotations()
         self._at["wryness"] = self.wryness.copy()
+        self._before = self._before.copy()
+        self._before[:, self.form.slots.where("rotation")] = 0.0
+        self._before[:, self.form.slots.where("rotation", 1)] = 0.0
 
     def _state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(F, q, wryness) of the material when increments began to count, in space."""
@@ -109,6 +119,19 @@ class ConsistentSupport(SurfaceSupport):
     def _aim(self) -> np.ndarray:
         return self._data[4]
 
+    def moduli(self, y: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """At the start of a step, without what stresses would do on the gap that prescribed values open: the
+        first correction closes it."""
+        if not np.array_equal(y, self._before[rows]):
+            return super().moduli(y, rows)
+        slots, data = self.form.slots, self._data
+        closed = np.hstack([slots.part(self._before, field) for field in ("displacement", "rotation")])
+        self._data = [*data[:4], closed, *data[5:]]
+        try:
+            return super().moduli(y, rows)
+        finally:
+            self._data = data
+
     def evaluate(self, y: np.ndarray, rows: np.ndarray) -> np.ndarray:
         out, material = np.zeros((len(rows), self._outputs)), self._behind.material[rows]
         for k in np.unique(material):
@@ -118,6 +141,7 @@ class ConsistentSupport(SurfaceSupport):
         return out
 
     def converged(self, y: np.ndarray) -> None:
+        self._before = y
         if "wryness" in self.moved:
             slots, n = self.form.slots, len(y)
             parts = [("displacement", 1), ("rotation", 0), ("rotation", 1)]
