@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,15 +58,28 @@ class ConsistentSupport(SurfaceSupport):
         if behind.materials[0].micropolar:
             self.moved = (*self.moved, "wryness")
 
+    @property
+    def faded(self) -> bool:
+        """It has been released, and forces fade in its place."""
+        return self._faded is not None
+
+    def also_held(self, x: np.ndarray, columns: Collection[int], *, now: bool) -> bool:
+        """Whether it holds one of these components of a surface, with points (n, d) (m) as they are now or in
+        the undeformed body."""
+        own = set(range(self.layout.dim)) if self._normal is not None else set(self._columns)
+        here = self.surface.x + self.u * now
+        return bool(own & set(columns)) and here.shape == x.shape and bool(np.allclose(here, x))
+
     def attach(self, layout: Layout, comm: MPI.Comm) -> None:
         self.wryness: np.ndarray = self._behind.wryness
         self._forms = [ConsistentForm(layout, m, symmetric=self._symmetric) for m in self._behind.materials]
         self._kernels: list[Kernel] = []
         super().attach(layout, comm)
         self._held = self._on_held(1.0, 1.0)
-        self._before: np.ndarray = np.zeros(
-            (len(self.surface), self.form.size)
-        )  # y of the last converged state
+        n = len(self.surface)
+        # y of the last converged state since increments count, and by how much it had missed its aim
+        self._before: np.ndarray = np.zeros((n, self.form.size))
+        self._miss: np.ndarray = np.zeros((n, layout.block))
 
     def begin_at(self, factor: float, counts: str | None) -> None:
         super().begin_at(factor, counts)
@@ -122,15 +136,20 @@ class ConsistentSupport(SurfaceSupport):
     def moduli(self, y: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """At the start of a step, without what stresses would do on the gap that prescribed values open: the
         first correction closes it."""
-        if not np.array_equal(y, self._before[rows]):
+        data, closed = self._data, self._values(self._before)
+        opened = np.abs(closed - self._aim - self._miss).max() > np.abs(self._miss).max()
+        if not opened or not np.array_equal(y, self._before[rows]):
             return super().moduli(y, rows)
-        slots, data = self.form.slots, self._data
-        closed = np.hstack([slots.part(self._before, field) for field in ("displacement", "rotation")])
         self._data = [*data[:4], closed, *data[5:]]
         try:
             return super().moduli(y, rows)
         finally:
             self._data = data
+
+    def _values(self, y: np.ndarray) -> np.ndarray:
+        """Displacements and rotations (n, b) of y."""
+        slots = self.form.slots
+        return np.hstack([slots.part(y, field) for field in ("displacement", "rotation")])
 
     def evaluate(self, y: np.ndarray, rows: np.ndarray) -> np.ndarray:
         out, material = np.zeros((len(rows), self._outputs)), self._behind.material[rows]
@@ -141,7 +160,7 @@ class ConsistentSupport(SurfaceSupport):
         return out
 
     def converged(self, y: np.ndarray) -> None:
-        self._before = y
+        self._before, self._miss = y, self._values(y) - self._aim
         if "wryness" in self.moved:
             slots, n = self.form.slots, len(y)
             parts = [("displacement", 1), ("rotation", 0), ("rotation", 1)]
@@ -160,11 +179,12 @@ class ConsistentSupport(SurfaceSupport):
     # restart ------------------------------------------------------------------------------------------
     def state(self) -> dict[str, np.ndarray]:
         b = self._behind
-        of_body = {"behind": np.hstack([b.F.reshape(-1, 9), b.q, b.material[:, None]])}
-        return {**super().state(), **of_body}
+        of_body = np.hstack([b.F.reshape(-1, 9), b.q, b.material[:, None]])
+        return {**super().state(), "behind": of_body, "before": self._before, "miss": self._miss}
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         super().restore(arrays)
+        self._before, self._miss = (np.array(arrays[name], dtype=float) for name in ("before", "miss"))
         row = np.array(arrays["behind"], dtype=float)
         b = self._behind
         b.F, b.q, b.material = row[:, :9].reshape(-1, 3, 3), row[:, 9:13], row[:, 13].astype(np.int64)
