@@ -50,7 +50,8 @@ def _within(points: np.ndarray, x: np.ndarray, reach: float) -> tuple[np.ndarray
     shape = tuple(int(n) + 1 for n in np.ceil((high - low) / reach))
 
     def code(index: np.ndarray) -> np.ndarray:
-        return np.ravel_multi_index(tuple(index.T), shape)
+        numbers: np.ndarray = np.ravel_multi_index(tuple(index.T), shape)
+        return numbers
 
     codes = code(np.floor((points - low) / reach).astype(np.int64))
     order = np.argsort(codes, kind="stable")

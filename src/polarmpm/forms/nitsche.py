@@ -27,8 +27,8 @@ from .surfaces import SurfaceForm
 class ConsistentForm(SurfaceForm):
     """A support that does the work of the stresses on its gap.
 
-    Data: state of the point (F~, q~, Gamma~); F~^-T N; held part of a gap, b x b; stiffness, b x b; prescribed
-    increments b; a given force b; the material's numbers.
+    Data: state of the point (F~, q~, Gamma~); F~^-T N; held part of a gap, b x b; stiffness, b x b;
+    prescribed increments b; a given force b; the material's numbers.
 
     Args:
         material: whose stresses act at the point.

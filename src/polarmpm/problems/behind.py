@@ -47,8 +47,8 @@ class Found:
 
     Attributes:
         no_stress: why its tractions can't be told; "": they can.
-        fitted: the surface is made of faces of elements. One that cuts the cells of a grid leaves as little of
-            one inside as it happens to.
+        fitted: the surface is made of faces of elements. One that cuts cells of a grid may leave slivers of
+            them.
     """
 
     behind: Behind
@@ -74,11 +74,18 @@ def find_behind(problem: Body, surface: Surface) -> Found:
         F = found[:, 2:11].reshape(-1, 3, 3)
     beyond, fitted = 0.0, isinstance(surface, FacetSurface)
     if not fitted:
-        ahead = surface.x + found[:, :1] * surface.normal
-        distance, there = of_nearest(comm, place, values[:, :1], ahead)
-        beyond = float(np.mean(distance < 0.9 * np.minimum(found[:, 0], there[:, 0])))
+        beyond = _share_inside(comm, place, surface, found[:, :1])
     behind = Behind(points.materials, material, F, q, wryness)
     return Found(behind, _why_not(points.materials, material, beyond), fitted)
+
+
+def _share_inside(comm: MPI.Comm, place: np.ndarray, surface: Surface, size: np.ndarray) -> float:
+    """Share of a surface's points that have the body on the side of their normals, too: of its points,
+    spaced by a size (n, 1) (m), the next one on that side is ahead. Collective."""
+    ahead = surface.x + 0.75 * size * surface.normal
+    distance, nearest = of_nearest(comm, place, place, ahead)
+    along = np.sum((nearest - surface.x) * surface.normal, axis=1)
+    return float(np.mean((along > 0.2 * size[:, 0]) & (distance < size[:, 0])))
 
 
 def _why_not(materials: tuple[Material, ...], rows: np.ndarray, beyond: float) -> str:
@@ -132,7 +139,8 @@ def default_stiffness(
 
 def _springs(problem: Body, name: str) -> dict[str, float]:
     """A thousand times the stiffest material over a cell: the clamp gives way like a thousandth of it."""
-    size, dim, own = problem.cell_size, problem.layout.dim, np.zeros(2)
+    size, dim = problem.cell_size, problem.layout.dim
+    own: np.ndarray = np.zeros(2)
     for material in problem.points.materials:
         p = material.moduli("lam", "mu", "gamma")
         if len(p) == 3 or (len(p) == 2 and not material.micropolar):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+from mpi4py import MPI
+
 import numpy as np
 
 from ..bodies.points import Points
@@ -14,6 +16,7 @@ from ..kinematics.layout import Layout
 from ..terms.base import Term
 from ..terms.nitsche import ConsistentSupport
 from ..terms.surfaces import Pressure, SurfaceSupport, Traction
+from ..terms.surfaceterms import SurfaceCondition
 from ..tools import checks
 from .behind import Found, default_stiffness, find_behind
 from .state import Progress
@@ -24,10 +27,14 @@ METHODS = ("nitsche", "nitsche-unsymmetric", "penalty")
 class Loaded(Protocol):
     """The problem to which surfaces belong."""
 
+    comm: MPI.Comm
     layout: Layout
     points: Points
     progress: Progress
     knows_undeformed: bool
+
+    @property
+    def surfaces(self) -> list[SurfaceCondition]: ...
 
     def surface_name(self, kind: str) -> str: ...
 
@@ -108,11 +115,16 @@ def add_support(
     )  # the material's tractions hold without springs, too
     for key, value in given.items():
         if value is not None:
-            limit = {"least" if beside else "above": 0.0}
-            given[key] = checks.number(f"{name}: {key}", value, **limit)
+            least, above = (0.0, -np.inf) if beside else (-np.inf, 0.0)
+            given[key] = checks.number(f"{name}: {key}", value, least=least, above=above)
     if surface.dim != layout.dim:
         raise InputError(f"{name}: the surface has {surface.dim} dimensions, the body has {layout.dim}")
     found = find_behind(problem, surface)
+    columns = range(layout.dim) if support is None else support.columns
+    now = late and not problem.knows_undeformed
+    twice = [c.name for c in problem.surfaces if _holds_too(c, surface, columns, now=now)]
+    if twice and not found.no_stress:
+        found.no_stress = f"{twice[0]} does the work of the tractions there already"
     method = _choose(
         name, method, found, [*(k for k, v in given.items() if v is not None), *["augment"] * augment]
     )
@@ -124,6 +136,14 @@ def add_support(
         made = ConsistentSupport(name, surface, behind=found.behind, symmetric=symmetric, **options)
     problem.add(made, counts=counts or ("from now" if late else "total"))
     return made
+
+
+def _holds_too(condition: Any, surface: Surface, columns: Any, now: bool) -> bool:
+    """Whether a support by tractions holds some of these components of a surface, which is given where it is
+    `now`, or in the undeformed body."""
+    if not isinstance(condition, ConsistentSupport) or condition.faded:
+        return False
+    return condition.also_held(surface.x, columns, now=now)
 
 
 def _choose(name: str, method: str | None, found: Found, given: list[str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,12 +58,28 @@ class ConsistentSupport(SurfaceSupport):
         if behind.materials[0].micropolar:
             self.moved = (*self.moved, "wryness")
 
+    @property
+    def faded(self) -> bool:
+        """It has been released, and forces fade in its place."""
+        return self._faded is not None
+
+    def also_held(self, x: np.ndarray, columns: Collection[int], *, now: bool) -> bool:
+        """Whether it holds one of these components of a surface, with points (n, d) (m) as they are now or in
+        the undeformed body."""
+        own = set(range(self.layout.dim)) if self._normal is not None else set(self._columns)
+        here = self.surface.x + self.u * now
+        return bool(own & set(columns)) and here.shape == x.shape and bool(np.allclose(here, x))
+
     def attach(self, layout: Layout, comm: MPI.Comm) -> None:
         self.wryness: np.ndarray = self._behind.wryness
         self._forms = [ConsistentForm(layout, m, symmetric=self._symmetric) for m in self._behind.materials]
         self._kernels: list[Kernel] = []
         super().attach(layout, comm)
         self._held = self._on_held(1.0, 1.0)
+        n = len(self.surface)
+        # y of the last converged state since increments count, and by how much it had missed its aim
+        self._before: np.ndarray = np.zeros((n, self.form.size))
+        self._miss: np.ndarray = np.zeros((n, layout.block))
 
     def begin_at(self, factor: float, counts: str | None) -> None:
         super().begin_at(factor, counts)
@@ -82,20 +99,24 @@ class ConsistentSupport(SurfaceSupport):
         return super().pieces(setting)
 
     # between two resets -------------------------------------------------------------------------------
+    def begin(self) -> None:
+        super().begin()
+        self._before = np.zeros_like(self._before)
+
     def rebase_rotations(self) -> None:
         super().rebase_rotations()
         self._at["wryness"] = self.wryness.copy()
+        self._before = self._before.copy()
+        self._before[:, self.form.slots.where("rotation")] = 0.0
+        self._before[:, self.form.slots.where("rotation", 1)] = 0.0
 
     def _state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(F, q, wryness) of the material when increments began to count, in space."""
         d, behind = self.layout.dim, self._behind
         F = np.tile(np.eye(3), (len(self.surface), 1, 1))
         F[:, :d, :d] = self._at["F"]
-        return F @ behind.F, rotations.multiply(self._at["q"], behind.q), self._at_wryness
-
-    @property
-    def _at_wryness(self) -> np.ndarray:
-        return self._at["wryness"] if "wryness" in self._at else self.wryness
+        wryness = self._at.get("wryness", self.wryness)
+        return F @ behind.F, rotations.multiply(self._at["q"], behind.q), wryness
 
     def values(self, factor: float) -> list[np.ndarray]:
         springs, target, force = super().values(factor)
@@ -112,6 +133,24 @@ class ConsistentSupport(SurfaceSupport):
     def _aim(self) -> np.ndarray:
         return self._data[4]
 
+    def moduli(self, y: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """At the start of a step, without what stresses would do on the gap that prescribed values open: the
+        first correction closes it."""
+        data, closed = self._data, self._values(self._before)
+        opened = np.abs(closed - self._aim - self._miss).max() > np.abs(self._miss).max()
+        if not opened or not np.array_equal(y, self._before[rows]):
+            return super().moduli(y, rows)
+        self._data = [*data[:4], closed, *data[5:]]
+        try:
+            return super().moduli(y, rows)
+        finally:
+            self._data = data
+
+    def _values(self, y: np.ndarray) -> np.ndarray:
+        """Displacements and rotations (n, b) of y."""
+        slots = self.form.slots
+        return np.hstack([slots.part(y, field) for field in ("displacement", "rotation")])
+
     def evaluate(self, y: np.ndarray, rows: np.ndarray) -> np.ndarray:
         out, material = np.zeros((len(rows), self._outputs)), self._behind.material[rows]
         for k in np.unique(material):
@@ -121,6 +160,7 @@ class ConsistentSupport(SurfaceSupport):
         return out
 
     def converged(self, y: np.ndarray) -> None:
+        self._before, self._miss = y, self._values(y) - self._aim
         if "wryness" in self.moved:
             slots, n = self.form.slots, len(y)
             parts = [("displacement", 1), ("rotation", 0), ("rotation", 1)]
@@ -139,11 +179,12 @@ class ConsistentSupport(SurfaceSupport):
     # restart ------------------------------------------------------------------------------------------
     def state(self) -> dict[str, np.ndarray]:
         b = self._behind
-        of_body = {"behind": np.hstack([b.F.reshape(-1, 9), b.q, b.material[:, None]])}
-        return {**super().state(), **of_body}
+        of_body = np.hstack([b.F.reshape(-1, 9), b.q, b.material[:, None]])
+        return {**super().state(), "behind": of_body, "before": self._before, "miss": self._miss}
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         super().restore(arrays)
+        self._before, self._miss = (np.array(arrays[name], dtype=float) for name in ("before", "miss"))
         row = np.array(arrays["behind"], dtype=float)
         b = self._behind
         b.F, b.q, b.material = row[:, :9].reshape(-1, 3, 3), row[:, 9:13], row[:, 13].astype(np.int64)

@@ -50,19 +50,17 @@ class SurfacePiece(Piece):
         y: np.ndarray = np.einsum("myk,mk->my", self._map, x.reshape(len(x), self._map.shape[2]))
         return y
 
-    def _values(self, x: np.ndarray) -> np.ndarray:
-        values: np.ndarray = self.term.evaluate(self._y(x), self.rows) * self._area[:, None]
-        return values
-
     def forces(self, x: np.ndarray) -> np.ndarray:
-        residual = self._values(x)[:, : self._map.shape[1]]
+        values = self.term.evaluate(self._y(x), self.rows)
+        residual = values[:, : self._map.shape[1]] * self._area[:, None]
         forces: np.ndarray = np.einsum("myk,my->mk", self._map, residual).reshape(x.shape)
         return forces
 
     def matrices(self, x: np.ndarray) -> np.ndarray:
         m, n, b = x.shape
         size = self._map.shape[1]
-        moduli = self._values(x)[:, size:].reshape(m, size, size)
+        moduli = self.term.moduli(self._y(x), self.rows).reshape(m, size, size)
+        moduli = moduli * self._area[:, None, None]
         dense = np.swapaxes(self._map, 1, 2) @ moduli @ self._map
         blocks: np.ndarray = dense.reshape(m, n, b, n, b).transpose(0, 1, 3, 2, 4).reshape(m, n, n, b * b)
         return blocks
@@ -176,6 +174,10 @@ class SurfaceCondition(Term):
         """Residual and tangent (m, size + size^2) per area of points `rows`."""
         assert self._kernel is not None
         return self._kernel(y, *(d[rows] for d in self._data)) if len(rows) else np.zeros((0, self._outputs))
+
+    def moduli(self, y: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """What iterations take for the tangent (m, size^2) per area of points `rows`."""
+        return self.evaluate(y, rows)[:, self.form.size :]
 
     @property
     def _outputs(self) -> int:
