@@ -147,7 +147,7 @@ class PointForm:
 
     @property
     def _waist(self) -> int:
-        """A mean over a micro-space has many strains of many unknowns: with bundles half the code, or less."""
+        """Means over a micro-space have many strains of many unknowns: bundles halve the code."""
         return 3 if self.material.second_gradient else 0
 
     def _source(self) -> str:
