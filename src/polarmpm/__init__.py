@@ -32,7 +32,17 @@ from .geometry.surfaces import Surface
 from .io import Field, Recorder, Table
 from .io.restart import load as load_restart
 from .io.restart import save as save_restart
-from .materials import Hencky, Material, MicropolarElastic, NeoHookean, UserEnergy
+from .materials import (
+    ArrudaBoyce,
+    GradientElastic,
+    Hencky,
+    Material,
+    MicropolarElastic,
+    NeoHookean,
+    OrientedMicropolar,
+    SaintVenantKirchhoff,
+    UserEnergy,
+)
 from .problems.elements import QuasiStaticFEM
 from .problems.observer import Observer
 from .problems.points import PUBLISHED, QuasiStatic
@@ -74,6 +84,7 @@ __version__ = "0.1.0"  # the one place that states it; read without an import wh
 
 __all__ = [
     "PUBLISHED",
+    "ArrudaBoyce",
     "Basis",
     "Boxes",
     "CamClay",
@@ -89,6 +100,7 @@ __all__ = [
     "Field",
     "Finding",
     "GhostPenalty",
+    "GradientElastic",
     "Grid",
     "Hencky",
     "Houlsby",
@@ -103,6 +115,7 @@ __all__ = [
     "NotConserved",
     "NotConverged",
     "Observer",
+    "OrientedMicropolar",
     "OutputError",
     "Piece",
     "Plastic",
@@ -114,6 +127,7 @@ __all__ = [
     "RanksApart",
     "Recorder",
     "Region",
+    "SaintVenantKirchhoff",
     "Selection",
     "SmoothPart",
     "Step",
