@@ -189,8 +189,8 @@ def _print_rows(name: str, rows: Mapping[str, float | Sequence[float]]) -> None:
 
 
 def output_folder(args: argparse.Namespace, comm: MPI.Comm) -> Path:
-    """Make the output folder, before any work is done, and see that the file for JSON can be written; an error
-    is raised on every rank. Collective."""
+    """Make the output folder, before any work is done, and see that the file for JSON can be written. Errors
+    are raised on every rank. Collective."""
     if isinstance(args.json, Path):
         check_output(comm, args.json)
     return check_output(comm, args.output / "files").parent

@@ -1,0 +1,90 @@
+"""The demos of generalised continua: a follower load, size effects, oriented sheets, excavations."""
+
+import json
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+from polarmpm.study.exact import pressed_cantilever
+from tests.helpers.demos import demo_module
+
+COMM = MPI.COMM_WORLD
+
+
+@pytest.fixture
+def run(folder):
+    """A function that runs a demo with options and returns its result, as the JSON file has it."""
+
+    def of(name, *options):
+        file = folder / f"{name}.json"
+        given = demo_module(name).main([*options, "--json", str(file), "--output", str(folder)])
+        COMM.barrier()
+        found = json.loads(file.read_text())
+        assert found["case"] == given["case"] == name
+        assert list(folder.glob("*.png"))
+        assert list(folder.glob("*.pvd"))
+        return found["result"]
+
+    return of
+
+
+# follower cantilever ----------------------------------------------------------------------------
+def test_pressed_cantilever_is_the_elastica_by_points_and_by_elements(run):
+    result = run("follower_cantilever", "--steps", "4", "--load", "8", "--points-per-cell", "2")
+    exact = pressed_cantilever(8)[-1] - (1, 0)
+    np.testing.assert_allclose(result["elastica"], exact)
+    for name in ("elements", "micropolar", "points"):
+        assert np.linalg.norm(result[name] - exact) < 0.2 * 0.02  # of the height
+    np.testing.assert_allclose(result["points"], result["elements"], atol=0.01 * 0.02)
+
+
+@pytest.mark.slow
+def test_a_thinner_pressed_cantilever_is_nearer_to_the_elastica(run):
+    thick = run("follower_cantilever")
+    thin = run("follower_cantilever", "--height", "0.01", "--elements", "100")
+    for name in ("elements", "micropolar", "points"):
+        assert thick[f"distance_{name}"][-1] < 0.017
+        assert thin[f"distance_{name}"][-1] < 0.5 * thick[f"distance_{name}"][-1]
+    np.testing.assert_allclose(thick["path_points"], thick["path_elements"], atol=0.02 * 0.02)
+
+
+# oriented sheets --------------------------------------------------------------------------------
+RATIOS = {"20": (1.3877, 1.7717), "10": (2.5628, 4.0870), "4": (10.93, 20.29), "2": (41.0, 78.2)}  # e_1, both
+
+
+def test_linear_stiffness_of_oriented_sheets_is_that_of_the_series():
+    sheet = demo_module("oriented_sheet")
+    for h, (one, two) in RATIOS.items():
+        assert sheet.navier("e_1", 300 * float(h)) == pytest.approx(one, rel=1e-3)
+        assert sheet.navier("e_2", 300 * float(h)) == pytest.approx(one, rel=1e-3)
+        assert sheet.navier("both", 300 * float(h)) == pytest.approx(two, rel=1e-3)
+
+
+def test_oriented_sheets_are_mirror_images(run):
+    result = run("oriented_sheet", "--elements", "2", "--sides", "6000", "600", "--steps", "10")
+    one, other, both, plain = (result[name] for name in ("e_1", "e_2", "both", "classical"))
+    np.testing.assert_allclose(
+        [other[k] for k in ("middle", "B", "A")], [one[k] for k in ("middle", "A", "B")], rtol=1e-9
+    )
+    assert both["A"] == pytest.approx(both["B"], rel=1e-9)
+    assert plain["A"] == pytest.approx(plain["B"], rel=1e-9)
+    assert one["A"] < one["B"]
+    assert both["middle"] < one["middle"]
+    for h in ("20", "2"):
+        first, second = (result["linear_ratio"][name][h] for name in ("e_1", "e_2"))
+        assert first[0] == pytest.approx(second[0], rel=1e-7)
+        assert first[0] == pytest.approx(first[1], rel=0.1)
+
+
+@pytest.mark.slow
+def test_large_deflection_of_oriented_sheets(run):
+    result = run("oriented_sheet", "--sides", "6000", "3000", "1200", "600")
+    for of_sides in result["linear_ratio"].values():
+        assert sorted(of_sides) == sorted(RATIOS)
+        for found, series in of_sides.values():
+            assert found == pytest.approx(series, rel=0.02)
+    one, both = result["e_1"], result["both"]
+    found = [one["A"], one["B"], one["middle"], both["A"], both["B"], both["middle"]]
+    np.testing.assert_allclose(found, [0.0682, 0.1827, 0.2142, 0.0414, 0.0414, 0.1649], rtol=0.03)
