@@ -1,5 +1,6 @@
 """The demos of generalised continua: a follower load, size effects, oriented sheets, excavations."""
 
+import argparse
 import json
 
 from mpi4py import MPI
@@ -88,3 +89,43 @@ def test_large_deflection_of_oriented_sheets(run):
     one, both = result["e_1"], result["both"]
     found = [one["A"], one["B"], one["middle"], both["A"], both["B"], both["middle"]]
     np.testing.assert_allclose(found, [0.0682, 0.1827, 0.2142, 0.0414, 0.0414, 0.1649], rtol=0.03)
+
+
+# size effects -----------------------------------------------------------------------------------
+def test_thin_beams_bars_and_sheets_are_stiffer(run):
+    result = run("size_effects", "--points-per-cell", "2", "--bar-cells", "2", "--sheet-cells", "2")
+    beams, bars, sheets = (result[name] for name in ("beams", "bars", "sheets"))
+    np.testing.assert_allclose(
+        beams["micropolar, closed, nu = 0"], [1.0473, 1.1111, 1.4328, 2.5625], atol=6e-5
+    )
+    for nu, bound in (("0", 3e-3), ("0.3", 5e-3)):
+        for method in ("elements", "points"):
+            found, closed = (beams[f"micropolar, {how}, nu = {nu}"] for how in (method, "closed"))
+            np.testing.assert_allclose(found, closed, rtol=bound)
+    np.testing.assert_allclose(bars["micropolar, elements"], bars["micropolar, Ritz"], rtol=0.01)
+    free, held = (np.array(sheets[f"micropolar, elements, rotations {how}"]) for how in ("free", "held"))
+    assert np.all(held > free)
+    assert np.all(np.diff(held / free) > 0)  # the more so the thinner the sheet
+    np.testing.assert_allclose(held, sheets["micropolar, closed"], rtol=0.1)
+
+
+@pytest.mark.slow
+def test_size_effects_are_those_of_the_closed_forms(run):
+    result = run("size_effects", "--scenes", "bars", "sheets")
+    found, ritz = (result["bars"][f"micropolar, {how}"] for how in ("elements", "Ritz"))
+    np.testing.assert_allclose(found, ritz, rtol=3e-3)
+    held, closed = (result["sheets"][f"micropolar, {k}"] for k in ("elements, rotations held", "closed"))
+    np.testing.assert_allclose(held, closed, rtol=0.03)
+
+
+def test_size_effects_do_not_depend_on_the_unit_of_length():
+    """Beams in metres and pascals: h and l in m, the modulus in Pa."""
+    scene = demo_module("size_effects")
+    args = argparse.Namespace(cells=2, points_per_cell=2)
+    ratios = []
+    for unit, pascal in ((1.0, 1.0), (1e-6, 1e6)):
+        scene.YOUNG = 1550.0 * pascal
+        for make in (scene.beam_of_elements, scene.beam_of_points):
+            plain = make(20.0 * unit, scene.classical(0.3), args)[1]
+            ratios.append(plain / make(20.0 * unit, scene.micropolar(0.3, 25.0 * unit), args)[1])
+    np.testing.assert_allclose(ratios[2:], ratios[:2], rtol=1e-7)

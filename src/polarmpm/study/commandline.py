@@ -64,6 +64,17 @@ def element_arguments(
     return _parse(parser, output, more, argv)
 
 
+def scene_arguments(
+    description: str,
+    *,
+    output: str,
+    argv: Sequence[str] | None = None,
+    more: Mapping[str, Mapping[str, Any]] | None = None,
+) -> argparse.Namespace:
+    """As `arguments`, of a demo of several scenes, which has no options but its own."""
+    return _parse(_parser(description), output, more, argv)
+
+
 def count(text: str) -> int:
     """A positive whole number of the command line."""
     try:
@@ -182,8 +193,11 @@ def _print_text(summary: Mapping[str, Any], output: Path) -> None:
     print(f"  files in {output}")
 
 
-def _print_rows(name: str, rows: Mapping[str, float | Sequence[float]]) -> None:
+def _print_rows(name: str, rows: Mapping[str, Any]) -> None:
     for key, values in rows.items():
+        if isinstance(values, dict):
+            _print_rows(f"{name}, {key}", values)
+            continue
         numbers = values if isinstance(values, Sequence) else [values]
         print(f"  {name}, {key}:", "  ".join(f"{v:.5g}" for v in numbers))
 

@@ -1,0 +1,260 @@
+"""Size effects: beams, bars in torsion and clamped sheets, the thinner the stiffer. Micrometres, MPa.
+
+S 5.7, 6.3. Epoxy cantilevers (Lam et al. 2003 measured a rigidity of 1 + (24 um / h)^2), square bars of bone
+in torsion, clamped sheets, in the range of small displacements, by elements of degree 2 and, for the beams,
+by material points with splines. The micropolar material is the mean over a micro-space of the length l. Every
+row is a stiffness over the classical one, beside a closed form or Ritz' numbers.
+"""
+
+from mpi4py import MPI
+
+import numpy as np
+import ufl
+from dolfinx import mesh
+
+import polarmpm as pm
+from polarmpm.study import commandline as demo
+
+YOUNG = 1550.0  # MPa
+HEIGHTS = (115.0, 75.0, 38.0, 20.0)  # um, of the beams; they are ten times as long
+EPOXY = 25.0  # um, internal length of the beams
+SHEETS, SHEET_LENGTH = (20.0, 10.0, 4.0, 2.0), 21.0  # um, thickness and internal length of the sheets
+BARS = (5000.0, 2000.0, 1000.0, 500.0)  # um, side of the bars
+BONE = 250.0  # um, internal length of the bars
+SQUARE = 0.1405770  # J of a square over the side^4
+RITZ = {5000.0: 1.00578, 2000.0: 1.03489, 1000.0: 1.13216, 500.0: 1.48386}
+
+
+def moduli(nu):
+    return {"lam": YOUNG * nu / ((1 + nu) * (1 - 2 * nu)), "mu": YOUNG / (2 * (1 + nu))}
+
+
+def saint_venant(F, p):
+    strain = (ufl.dot(F.T, F) - ufl.Identity(3)) / 2
+    return p.lam / 2 * ufl.tr(strain) ** 2 + p.mu * ufl.inner(strain, strain)
+
+
+def classical(nu):
+    return pm.UserEnergy(saint_venant, moduli(nu), micropolar=False, isotropic=True)
+
+
+def micropolar(nu, length):
+    """W = psi(E) + l^2/12 psi(Gamma)."""
+    p, area = moduli(nu), length**2 / 12
+    lam, mu = p["lam"], p["mu"]
+    return pm.MicropolarElastic(lam=lam, mu=mu, kappa=mu, alpha=area * lam, beta=area * mu, gamma=area * mu)
+
+
+def once(problem):
+    """One load step, in the range of small displacements."""
+    for _ in problem.march(1, progress=False):
+        pass
+    return problem
+
+
+def clamp(material, held):
+    return {"u": 0, "theta": 0} if material.micropolar and held else {"u": 0}
+
+
+# beams ------------------------------------------------------------------------------------------
+def force(h):
+    """End force (MPa um) that bends a classical beam by about h / 1000."""
+    return 1e-3 * h * YOUNG * (h / (10 * h)) ** 3 / 4
+
+
+def beam_of_elements(h, material, args, held=True):
+    """Plane strain: the problem after its step, and the deflection of the end (um)."""
+    cells = mesh.create_rectangle(
+        MPI.COMM_WORLD, [(0, 0), (10 * h, h)], [10 * args.cells, args.cells], mesh.CellType.quadrilateral
+    )
+    body = pm.Elements(cells, material=material, degree=2)
+    problem = pm.QuasiStaticFEM(body)
+    problem.fix(pm.plane(x=0.0), **clamp(material, held))
+    tip = body.farthest((1, 0))
+    problem.load(tip, force=(0, force(h)))
+    return once(problem), float(body.mean_displacement(tip)[1])
+
+
+def beam_of_points(h, material, args, held=True):
+    """The same with material points; the deflection is that of the last column of them."""
+    cell = h / args.cells
+    grid = pm.Grid.box((0, -h), (12 * h, 2 * h), cell)
+    bounds = ((0, 0), (10 * h, h))
+    points = pm.seed(grid, bounds=bounds, material=material, points_per_cell=args.points_per_cell)
+    problem = pm.QuasiStatic(grid, points, reset=None)
+    problem.fix(pm.plane(x=0.0), **clamp(material, held))
+    tip = points.farthest((1, 0))
+    problem.load(tip, force=(0, force(h)))
+    return once(problem), float(points.mean_displacement(tip)[1])
+
+
+def beams(args, folder):
+    """Rows of stiffness over the classical one by method and material; and the last problem."""
+    rows, problem = {}, None
+    rows["Lam et al. 2003, fit"] = [1 + (24 / h) ** 2 for h in HEIGHTS]
+    for nu in (0.0, 0.3):
+        rows[f"micropolar, closed, nu = {nu:g}"] = [1 + (1 - nu) * (EPOXY / h) ** 2 for h in HEIGHTS]
+        for name, make in {"elements": beam_of_elements, "points": beam_of_points}.items():
+            row = rows[f"micropolar, {name}, nu = {nu:g}"] = []
+            for h in HEIGHTS:
+                plain = make(h, classical(nu), args)[1]
+                problem, deflection = make(h, micropolar(nu, EPOXY), args)
+                row.append(plain / deflection)
+            with pm.Recorder(folder / f"beam_{name}_{nu:g}.pvd", problem) as record:
+                record(problem.steps[-1])
+    return rows, problem
+
+
+# bars -------------------------------------------------------------------------------------------
+def bar(a, material, args):
+    """Torsional stiffness over the classical one of a square bar, from its middle third.
+
+    The ends are turned in their planes, and may warp; the moment is that of the work that it does."""
+    half, twist = a / 2, 1e-3 / (3 * a)
+    corners = [np.array((0.0, -half, -half)), np.array((3 * a, half, half))]
+    cells = mesh.create_box(
+        MPI.COMM_WORLD, corners, [6, args.bar_cells, args.bar_cells], mesh.CellType.hexahedron
+    )
+    body = pm.Elements(cells, material=material, degree=2)
+    problem = pm.QuasiStaticFEM(body)
+    problem.fix(pm.plane(x=0.0), uy=0, uz=0)
+    turned = {
+        "uy": lambda t, x: -3 * a * twist * t * x[:, 2],
+        "uz": lambda t, x: 3 * a * twist * t * x[:, 1],
+    }
+    problem.fix(pm.plane(x=3 * a), **turned)
+    problem.fix(lambda x: np.linalg.norm(x, axis=1) < 1e-6 * a, ux=0)
+    once(problem)
+    x, u, own = body.nodes.position, body.displacement, np.arange(len(body.nodes)) < body.nodes.owned
+    angles = []
+    for section in (a, 2 * a):
+        on = own & (np.abs(x[:, 0] - section) < 1e-6 * a)
+        y, z = x[on, 1:].T
+        turn = np.array([(y * u[on, 2] - z * u[on, 1]).sum(), (y**2 + z**2).sum()])
+        turn = problem.comm.allreduce(turn)
+        angles.append(turn[0] / turn[1])
+    moment = 2 * problem.energy() / (3 * a * twist)
+    return problem, float(moment / ((angles[1] - angles[0]) / a) / (SQUARE * moduli(0.3)["mu"] * a**4))
+
+
+def bars(args, folder):
+    rows, problem = {"micropolar, Ritz": [RITZ[a] for a in BARS]}, None
+    plain = bar(BARS[0], classical(0.3), args)[1]  # the mesh's own error
+    row = rows["micropolar, elements"] = []
+    for a in BARS:
+        problem, ratio = bar(a, micropolar(0.3, BONE), args)
+        row.append(ratio / plain)
+    with pm.Recorder(folder / "bar.pvd", problem) as record:
+        record(problem.steps[-1])
+    return rows, problem
+
+
+# sheets -----------------------------------------------------------------------------------------
+def sheet(h, material, args, held):
+    """The deflection (um) of the middle of a clamped square sheet of 300 h, by a quarter."""
+    half, load = 150 * h, 1e-3 * h / (0.00126532 * (300 * h) ** 4 * 12 * (1 - 0.3**2) / (YOUNG * h**3))
+    n = args.sheet_cells
+    cells = mesh.create_box(
+        MPI.COMM_WORLD,
+        [np.array((0.0, 0.0, -h / 2)), np.array((half, half, h / 2))],
+        [n, n, 1],
+        mesh.CellType.hexahedron,
+    )
+    flat = cells.geometry.x[:, :2] / half
+    cells.geometry.x[:, :2] = half * (1 - (1 - flat) ** 1.5)  # graded to the clamp
+    body = pm.Elements(cells, material=material, degree=2)
+    problem = pm.QuasiStaticFEM(body)
+    mirrors = ({"theta_y": 0, "theta_z": 0}, {"theta_x": 0, "theta_z": 0})
+    for axis, kept in zip("xy", mirrors, strict=True):
+        rotations = kept if material.micropolar else {}
+        problem.fix(pm.plane(**{axis: 0.0}), **{f"u{axis}": 0}, **rotations)
+        problem.fix(pm.plane(**{axis: half}), **clamp(material, held))
+    problem.body_load(force=(0, 0, load / h))
+    once(problem)
+    middle = (np.linalg.norm(body.nodes.position, axis=1) < 1e-6 * h) & (
+        np.arange(len(body.nodes)) < body.nodes.owned
+    )
+    return problem, float(problem.comm.allreduce(body.displacement[middle, 2].sum()))
+
+
+def sheets(args, folder):
+    rows, problem = {"micropolar, closed": [1 + 0.7 * (SHEET_LENGTH / h) ** 2 for h in SHEETS]}, None
+    plain = [sheet(h, classical(0.3), args, True)[1] for h in SHEETS]
+    for held in (False, True):
+        row = rows[f"micropolar, elements, rotations {'held' if held else 'free'}"] = []
+        for h, deflection in zip(SHEETS, plain, strict=True):
+            problem, found = sheet(h, micropolar(0.3, SHEET_LENGTH), args, held)
+            row.append(deflection / found)
+    with pm.Recorder(folder / "sheet.pvd", problem) as record:
+        record(problem.steps[-1])
+    return rows, problem
+
+
+SCENES = {  # what makes the rows, sizes (um), names of both axes
+    "beams": (beams, HEIGHTS, "height of the beam (µm)", "bending stiffness / classical (-)"),
+    "bars": (bars, BARS, "side of the bar (µm)", "torsional stiffness / classical (-)"),
+    "sheets": (sheets, SHEETS, "thickness of the sheet (µm)", "bending stiffness / classical (-)"),
+}
+
+
+def main(argv=None):
+    parser_options = {
+        "--scenes": {"nargs": "+", "choices": tuple(SCENES), "default": list(SCENES)},
+        "--cells": {"type": demo.count, "default": 2, "help": "across a beam, of elements and of points"},
+        "--points-per-cell": {"type": demo.count, "default": 3, "help": "in each direction"},
+        "--bar-cells": {"type": demo.count, "default": 3, "help": "elements across a bar"},
+        "--sheet-cells": {"type": demo.count, "default": 6, "help": "elements along half of a sheet"},
+    }
+    args = demo.scene_arguments(
+        __doc__.splitlines()[0], output="size_effects", argv=argv, more=parser_options
+    )
+    folder = demo.output_folder(args, MPI.COMM_WORLD)
+    result, problem = {}, None
+    for name in args.scenes:
+        make, sizes, *_ = SCENES[name]
+        rows, problem = make(args, folder)
+        result[name] = {"size": list(sizes), **rows}
+    draw(result, folder / "size_effects.png")
+    return demo.report(args, "size_effects", problem, result, scenes=args.scenes)
+
+
+def draw(result, file):
+    """Stiffness over the classical one, less one, over the size: lines are closed forms, marks computed."""
+    from polarmpm.plot import figures as plot
+
+    figure, axes = plot.subplots(1, len(result), figsize=(5.2 * len(result), 4.4), squeeze=False)
+    for ax, (name, rows) in zip(axes.flat, result.items(), strict=True):
+        if MPI.COMM_WORLD.rank:
+            continue
+        draw_rows(ax, rows)
+        ax.set_xlabel(SCENES[name][2])
+        ax.set_ylabel(SCENES[name][3].replace("(-)", "− 1 (-)"))
+    plot.save(figure, file, comm=MPI.COMM_WORLD)
+
+
+def draw_rows(ax, rows):
+    from matplotlib.ticker import FuncFormatter, NullLocator
+
+    sizes = np.array(rows["size"])
+    lines = [name for name in rows if any(word in name for word in ("closed", "Ritz", "fit"))]
+    for name in rows:
+        ratio = np.array(rows[name]) - 1
+        if name in lines:
+            style = (":", "-", "--", "-.")[lines.index(name) % 4]
+            ax.loglog(sizes, ratio, style, color="0.35", lw=1.2, label=name.replace("nu", "ν"))
+        elif name != "size":
+            k = [n for n in rows if n not in lines].index(name) - 1
+            style = {"color": f"C{k}", "marker": "osD^v<>P"[k % 8], "markersize": 9 - k}
+            ax.loglog(sizes, ratio, ls="none", markerfacecolor="none", label=name.replace("nu", "ν"), **style)
+    ax.xaxis.set_minor_locator(NullLocator())
+    ax.set_xticks(sizes, [f"{size:g}" for size in sizes])
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.grid(True, which="major", color="0.88", linewidth=0.8)
+    ax.set_axisbelow(True)
+    ax.legend(frameon=False, fontsize=7)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+
+
+if __name__ == "__main__":
+    main()
