@@ -185,11 +185,12 @@ class SlopeForms:
 
 def _in_space(h: Any, dim: int) -> Any:
     """A second gradient with three components and directions."""
+    n = range(dim)
+    known = [[[h[i, min(j, k), max(j, k)] for k in n] for j in n] for i in n]  # half of them: shorter code
     if dim == 3:
-        return h
-    zero = [[0] * 3] * 3
-    plane = [[[h[i, j, k] for k in range(2)] + [0] for j in range(2)] + [[0] * 3] for i in range(2)]
-    return ufl.as_tensor([*plane, zero])
+        return ufl.as_tensor(known)
+    plane = [[[*row, 0] for row in rows] + [[0] * 3] for rows in known]
+    return ufl.as_tensor([*plane, [[0] * 3] * 3])
 
 
 def _rows_of_cells(elements: Elements) -> Any:
