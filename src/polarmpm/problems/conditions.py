@@ -16,7 +16,7 @@ from ..conditions.amplitudes import Amplitude, check_counts
 from ..conditions.loads import AnyLoad, Applied, HandedOver, Load, make_loads
 from ..conditions.supports import Support, make_support
 from ..errors import InputError
-from ..geometry.planes import Plane
+from ..geometry.planes import Plane, PlaneSpec
 from ..geometry.surfaces import Surface
 from ..kinematics.layout import Layout
 from ..terms.base import Term
@@ -26,7 +26,7 @@ from ..tools import checks
 from ..tools.checks import shown
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
-from . import surfaces
+from . import slopes, surfaces
 from .given import Given, Present, Register
 from .state import Progress
 from .turns import Turns
@@ -111,6 +111,7 @@ class Conditions(Whole, Turns):
         rotation_stiffness: float | None = None,
         augment: bool = False,
         normal: Any = None,
+        slope: float | None = None,
         counts: str | None = None,
         **components: Any,
     ) -> Support | SurfaceSupport:
@@ -139,6 +140,10 @@ class Conditions(Whole, Turns):
             augment: keep the springs' forces after each converged step and let the springs start anew, so
                 that what they give way under a load that stays vanishes over steps (augmented Lagrange
                 method).
+            slope: 0 holds the slope du/dn of the displacement across a plane, as a clamp of a second-gradient
+                body may ask for; slope_x, slope_y, slope_z that of one component. It says nothing of the
+                displacement itself: `fix(plane(x=0.0), u=0, slope=0)` clamps both. On walls of the grid, with
+                splines (docs/conventions.md).
             normal: displacement along a surface's undeformed normals (m): rollers. Not together with other
                 displacements.
 
@@ -147,13 +152,14 @@ class Conditions(Whole, Turns):
             the prescribed displacements were missed in the last step.
 
         Raises:
-            InputError: unknown component or none, plane without nodes, value that isn't finite; of a surface,
-                a stiffness that isn't positive, materials that don't name their moduli; springs elsewhere.
+            InputError: unknown component or none, plane without nodes, value that isn't finite; a slope that
+                isn't 0, that isn't on a plane, or where the body's functions have none; of a surface, a
+                stiffness that isn't positive, materials that don't name their moduli; springs elsewhere.
                 When the next step begins, a support at whose nodes there is nothing of the body.
         """
         self._check_outside("fix")
         check_counts("fix", counts)
-        where = self._named(where)
+        where, even = self._named(where), slopes.take_slopes(where, slope, components, self.layout)
         springs = {"stiffness": stiffness, "rotation_stiffness": rotation_stiffness, "normal": normal}
         if isinstance(where, Surface):
             return surfaces.add_support(self, where, components, augment=augment, counts=counts, **springs)
@@ -161,26 +167,75 @@ class Conditions(Whole, Turns):
         given += ["augment"] * checks.flag("fix: augment", augment)
         if given:
             raise InputError(f"fix: {given[0]} belongs to springs on a Surface; where = {shown(where)}")
-        return self._fix_nodes(where, components, counts)
+        return self._fix_nodes(where, components, counts, even)
 
-    def _fix_nodes(self, where: Any, components: dict[str, Any], counts: str | None) -> Support:
+    @collective("symmetry", compare=True)
+    def symmetry(self, where: PlaneSpec) -> Support:
+        """Let a plane be one of symmetry, so that the body is the half of a symmetric one.
+
+        On it the displacement along its normal vanishes, and the slope of the others across it; of
+        microrotations those about axes in the plane vanish (in plane strain theta), and the slope of the one
+        about its normal. Functions and points of the half are then those of the whole body, to rounding. In
+        mid-run all of it counts from now on.
+
+        Args:
+            where: such as `plane(x=0.0)`; with splines a wall of the grid.
+
+        Returns:
+            The support, for `reaction` and `release`.
+
+        Raises:
+            InputError: not a plane, not one on which the body's basis can prescribe values, or one with the
+                body on both sides; second-gradient bodies of finite elements.
+        """
+        self._check_outside("symmetry")
+        zero, even = slopes.symmetric(where, self.layout)
+        return self._fix_nodes(where, zero, None, even)
+
+    def _fix_nodes(
+        self,
+        where: Any,
+        components: dict[str, Any],
+        counts: str | None,
+        even: dict[int, bool],
+    ) -> Support:
         self.check_open()
-        predicate, label = self._place(where)
+        mirrored = not all(even.values())
+        predicate, label = self._place(self._beside(where) if mirrored else where)
+        if mirrored:
+            label = f"symmetry, {label}"
         total = not self.progress.step if counts is None else counts == "total"
         number = self.given.next("support")
-        support = make_support(predicate, label, components, self.layout, number, total)
+        support = make_support(predicate, label, components, self.layout, number, total, bool(even))
         turned = [c for c in support.columns if c >= self.layout.dim]
         if total and self.progress.step and 0 < len(turned) < self.layout.rotations:
             raise InputError(
                 f"{support.name}: counts = 'total': in space single components of a rotation have no total; "
                 "give theta, or counts='from now'"
             )
+        if even:
+            if total and self.progress.step:
+                raise InputError(f"{support.name}: counts = 'total': a slope has no total in mid-run")
+            self._tie(support, even)
         self._admit(where, support)
         self._supports.append(support)
         self._unasked += [amplitude for amplitude, _ in support.columns.values()]
         self.given.add(Given(support.name, support, self.progress.factor, counts), "support")
         self._stale = True
         return support
+
+    def _beside(self, where: PlaneSpec) -> PlaneSpec:
+        """A plane of symmetry, once it is known to be one. Collective."""
+        return where
+
+    @abstractmethod
+    def _tie(self, support: Support, even: dict[int, bool]) -> None:
+        """Let a support on a plane hold slopes there, or refuse it.
+
+        Args:
+            even: of columns of unknowns: their slope vanishes; False: they are odd across a plane of
+                symmetry.
+        """
 
     def _admit(self, where: Any, support: Support) -> None:
         """Take note of a support that the user has put on `where`, or refuse it."""

@@ -38,6 +38,7 @@ from ..terms.ghost import Ghost, GhostPenalty, make_penalty
 from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks, values_by_number
+from . import slopes
 from .balancing import BalancedResets
 from .boxes import BoxRecord
 from .conservation import Conservation
@@ -218,6 +219,15 @@ class QuasiStatic(OnGrid):
         return checks.function("fix: where", where, what, takes=("positions",)), getattr(
             where, "__name__", "predicate"
         )
+
+    def _beside(self, where: PlaneSpec) -> PlaneSpec:
+        self.basis.check_plane(where, self.initial_grid)
+        return slopes.beside(where, self.initial_grid, self.points)
+
+    def _tie(self, support: Support, even: dict[int, bool]) -> None:
+        if all(even.values()):
+            slopes.check_slopes(self.basis)
+        slopes.tie(support, even, self.basis, self.grid)
 
     def _named(self, where: Any) -> Any:
         named = isinstance(where, str | int | np.integer) and not isinstance(where, bool)

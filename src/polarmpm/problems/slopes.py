@@ -1,0 +1,107 @@
+"""What a script says of slopes on planes: slopes that are held, and planes of symmetry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from ..basis.base import Basis
+from ..basis.registry import names
+from ..conditions.supports import Mirror, Support
+from ..errors import InputError
+from ..geometry.grid import Grid
+from ..geometry.planes import Plane, PlaneSpec
+from ..kinematics.layout import Layout
+from ..materials.base import Material
+from ..tools import checks
+from ..tools.checks import shown
+
+
+def take_slopes(where: Any, slope: Any, components: dict[str, Any], layout: Layout) -> dict[int, bool]:
+    """The columns whose slopes are to vanish, of `fix`; what says so is taken out of the components.
+
+    Raises:
+        InputError: a slope that isn't zero, or not on a plane.
+    """
+    axes = "xyz"[: layout.dim]
+    found: dict[int, bool] = {}
+    given = {"slope": slope} | {f"slope_{a}": components.pop(f"slope_{a}", None) for a in axes}
+    for name, value in given.items():
+        if value is None:
+            continue
+        number = checks.number(f"fix: {name}", value, allowed="0 (slopes can be held, not prescribed)")
+        if number != 0.0:
+            raise checks.refuse(f"fix: {name}", value, "0 is allowed: slopes can be held, not prescribed")
+        if not isinstance(where, PlaneSpec):
+            raise InputError(
+                f"fix: {name} = 0: a slope is held on a plane of the grid, such as plane(x=0.0); "
+                f"where = {shown(where)}"
+            )
+        found |= dict.fromkeys(range(layout.dim) if name == "slope" else [axes.index(name[-1])], True)
+    return found
+
+
+def symmetric(where: Any, layout: Layout) -> tuple[dict[str, Any], dict[int, bool]]:
+    """Components that vanish on a plane of symmetry, and which columns are even across it.
+
+    A displacement is mirrored as a vector; a rotation, an axial one, the other way round.
+
+    Raises:
+        InputError: not a plane.
+    """
+    if not isinstance(where, PlaneSpec):
+        raise checks.refuse("symmetry: where", where, "a plane, such as plane(x=0.0), is needed")
+    if where.axis >= layout.dim:
+        raise InputError(f"symmetry: plane {where.name}: the body has {layout.dim} dimensions")
+    axes, d = "xyz"[: layout.dim], layout.dim
+    even = {column: column != where.axis for column in range(d)}
+    if layout.rotations == 1:
+        even[d] = False
+    elif layout.rotations:
+        even |= {d + column: column == where.axis for column in range(d)}
+    zero = {f"u{axes[where.axis]}": 0}
+    zero |= {"theta" if layout.rotations == 1 else f"theta_{axes[c - d]}": 0
+             for c, same in even.items() if c >= d and not same}  # fmt: skip
+    return zero, even
+
+
+def check_slopes(basis: Basis) -> None:
+    """Raise InputError for a basis that can't hold slopes on planes."""
+    if basis.no_slope:
+        allowed = names(lambda b: not b.no_slope)
+        raise InputError(f"slope = 0: basis = {basis.name!r}, allowed is {allowed}: {basis.no_slope}")
+
+
+def tie(support: Support, even: dict[int, bool], basis: Basis, grid: Grid) -> None:
+    """Let a support on a plane of a grid tie what is mirrored there."""
+    where = support.where
+    assert isinstance(where, Plane)
+    support.mirror = Mirror(basis, where.axis, where.index, where.side, even)
+    odd = [c for c in support.columns if not even.get(c, True)]
+    if odd and basis.mirror(grid, where.axis, where.index, where.side, False):
+        support.where = replace(where, side=0)  # beyond the plane nodes follow
+
+
+def beside(where: PlaneSpec, grid: Grid, points: Any) -> PlaneSpec:
+    """A plane of symmetry, with the side on which the body isn't. Collective.
+
+    Raises:
+        InputError: the body is on both.
+    """
+    spec = replace(where, beyond="auto")
+    if not spec.resolve(grid, points).side:
+        raise InputError(
+            f"symmetry: plane {where.name}: the body has points on both sides of it; of a symmetric body the "
+            "half on one side is computed"
+        )
+    return spec
+
+
+def check_elements(support: Support, even: dict[int, bool], materials: Sequence[Material]) -> None:
+    """Raise InputError where finite elements would have to hold a slope, which no node has."""
+    if all(even.values()) or any(material.second_gradient for material in materials):
+        raise InputError(
+            f"{support.name}: nodes of finite elements have no slope that could be held; material points "
+            f"hold it with basis = {names(lambda b: not b.no_slope)}"
+        )
