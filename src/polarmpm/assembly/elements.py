@@ -47,8 +47,8 @@ class ElementSystem(NodalSystem):
         super().__init__(e.nodes, forms.layout, prescribed, length, e.comm, timer, pieces)
         self.forms, self._dead, self._varying = forms, dead, varying
         with timer("compile"):
-            self._residual = forms.residual
-            tangents = [forms.tangent, *(v.tangent for v in varying)]
+            self._residuals = forms.residuals
+            tangents = [*forms.tangents, *(v.tangent for v in varying)]
         with timer("pattern"):
             self.matrix = FormMatrix(
                 tangents,
@@ -144,7 +144,7 @@ class ElementSystem(NodalSystem):
     def assemble(self, tangent: bool, lift: np.ndarray | None = None) -> Assembled:
         self._put(self.x, self.before if tangent else None)
         self.forms.update(tangent)
-        internal = self._sum([self._residual])
+        internal = self._sum(self._residuals)
         loads = self.external = self._body_loads()
         if len(self.terms):
             internal += self.term_forces()

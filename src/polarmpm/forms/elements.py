@@ -128,6 +128,16 @@ class ElementForms:
     def tangent(self) -> Any:
         return compat.compile_form(self.tangent_form)
 
+    @property
+    def residuals(self) -> list[Any]:
+        """Compiled forms whose sum is the residual."""
+        return [self.residual]
+
+    @property
+    def tangents(self) -> list[Any]:
+        """Compiled forms whose sum is the tangent; the first has the whole pattern."""
+        return [self.tangent]
+
     @cached_property
     def point_values(self) -> compat.Evaluator:
         """(Du, Dw) and their gradients with respect to X at the quadrature points."""

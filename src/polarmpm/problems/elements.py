@@ -48,6 +48,10 @@ from .whole import Changing
 
 
 def _make_forms(elements: Elements) -> ElementForms:
+    if any(m.second_gradient for m in elements.points.materials):
+        from ..forms.interiorpenalty import GradientForms  # lazy import: others need none of it
+
+        return GradientForms(elements)
     if not elements.points.plastic:
         return ElementForms(elements)
     from ..forms.plasticelements import PlasticElementForms  # lazy import: elastic scenes need no plasticity

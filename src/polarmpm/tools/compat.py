@@ -263,6 +263,13 @@ def function_space(mesh: Any, size: int, degree: int) -> Any:
     return _space(mesh, element)
 
 
+def cellwise_space(mesh: Any) -> Any:
+    """Space of functions that are constant on each cell."""
+    if _HAS_BASIX_ELEMENTS:
+        return _space(mesh, _basix_ufl.element("DG", cell_name(mesh), 0))
+    return _space(mesh, ufl.FiniteElement("DG", mesh.ufl_cell(), 0))
+
+
 def quadrature_space(mesh: Any, size: int, degree: int) -> Any:
     """Space of `size` values at every quadrature point."""
     return _space(mesh, quadrature_element(cell_name(mesh), size, degree))
