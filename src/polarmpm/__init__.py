@@ -32,7 +32,17 @@ from .geometry.surfaces import Surface
 from .io import Field, Recorder, Table
 from .io.restart import load as load_restart
 from .io.restart import save as save_restart
-from .materials import Hencky, Material, MicropolarElastic, NeoHookean, UserEnergy
+from .materials import (
+    ArrudaBoyce,
+    GradientElastic,
+    Hencky,
+    Material,
+    MicropolarElastic,
+    NeoHookean,
+    OrientedMicropolar,
+    SaintVenantKirchhoff,
+    UserEnergy,
+)
 from .problems.elements import QuasiStaticFEM
 from .problems.observer import Observer
 from .problems.points import PUBLISHED, QuasiStatic
@@ -72,6 +82,7 @@ __version__ = "0.1.0"  # the one place that states it; read without an import wh
 
 __all__ = [
     "PUBLISHED",
+    "ArrudaBoyce",
     "Basis",
     "Boxes",
     "ConeApex",
@@ -86,6 +97,7 @@ __all__ = [
     "Field",
     "Finding",
     "GhostPenalty",
+    "GradientElastic",
     "Grid",
     "Hencky",
     "InputError",
@@ -99,6 +111,7 @@ __all__ = [
     "NotConserved",
     "NotConverged",
     "Observer",
+    "OrientedMicropolar",
     "OutputError",
     "Piece",
     "Plastic",
@@ -110,6 +123,7 @@ __all__ = [
     "RanksApart",
     "Recorder",
     "Region",
+    "SaintVenantKirchhoff",
     "Selection",
     "SmoothPart",
     "Step",

@@ -127,6 +127,7 @@ class Points(Selecting):
         self.materials: tuple[Material, ...] = (check_material(material),)
         with errors_on_all_ranks(comm):
             self._put_positions(x, volume, half_length, half_axes)
+            material.check_dimension(self.dim)
             first_id = checks.whole("first_id", first_id, least=0, most=2**61)
         n = len(self.x)
         sizes = np.array(comm.allgather((n, self.dim)))
@@ -342,7 +343,7 @@ class Points(Selecting):
         Raises:
             InputError: no material, one with another number of unknowns, or an empty selection.
         """
-        check_material(material)
+        check_material(material, self.dim)
         self.check(selection)
         if len(selection) == 0:
             raise InputError("selection: contains no point")

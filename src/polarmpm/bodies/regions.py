@@ -23,13 +23,13 @@ def materials_of(body: BodyMesh, material: Any) -> tuple[tuple[Material, ...], n
     """
     own = len(body.owned_cells)
     if not isinstance(material, Mapping):
-        return (check_material(material),), np.zeros(own, dtype=np.int32)
+        return (check_material(material, body.dim),), np.zeros(own, dtype=np.int32)
     if not material:
         raise InputError("material: no region is given")
     of_cell: np.ndarray = np.full(own, -1, dtype=np.int32)
     tags: dict[int, Any] = {}
     for row, (region, one) in enumerate(material.items()):
-        check_material(one)
+        check_material(one, body.dim)
         tag = body.group(region, body.dim)
         if tag in tags:
             raise InputError(f"material: {tags[tag]!r} and {region!r} are the same region")

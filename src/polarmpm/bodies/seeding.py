@@ -67,7 +67,7 @@ def seed(
             `ErrorOnAnotherRank` on the others.
     """
     checks.instance("grid", grid, Grid, "a background grid, such as Grid.box makes it, is")
-    check_material(material)
+    check_material(material, grid.dim)
     per_cell = _points_per_cell(points_per_cell, grid.dim)
     xi, share = _cell_layout(layout, per_cell)
     if inside is not None:

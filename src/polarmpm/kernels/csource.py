@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from .graph import Graph
 
 LANES = 8  # points in one kernel call; one AVX-512 register, two of AVX2
+_LONG = 24000  # statements from which a function is divided
+_PART = 4000  # statements of each part
 
 
 def _used(graph: Graph, outputs: Sequence[int]) -> list[int]:
@@ -69,19 +71,85 @@ def _helpers(functions: set[str]) -> str:
     return "\n".join(lines)
 
 
+def _is_mask(graph: Graph, i: int) -> bool:
+    node = graph.nodes[i]
+    return node[0] == "call" and (node[1] in _COMPARE or node[1] in ("&", "|", "!"))
+
+
 def write_c(graph: Graph, functions: dict[str, Sequence[int]]) -> str:
     """C code of the named functions; each writes its list of graph nodes to `out`."""
     bodies, called = [], set()
     for name, outputs in functions.items():
         used = _used(graph, outputs)
-        lines = [_statement(graph, i) for i in used if graph.nodes[i][0] != "const"]
         for i in used:
             node = graph.nodes[i]
-            if node[0] == "call" and node[1] not in _COMPARE and node[1] not in ("&", "|", "!"):
+            if node[0] == "call" and not _is_mask(graph, i):
                 called.add(node[1])
-        for k, i in enumerate(outputs):
-            value = graph.value(i)
-            lines.append(f"out[{k}] = " + (f"t{i};" if value is None else f"splat({value!r});"))
-        body = "\n  ".join(lines)
-        bodies.append(f"void {name}(const v *restrict in, v *restrict out)\n{{\n  {body}\n}}\n")
+        steps = [i for i in used if graph.nodes[i][0] != "const"]
+        if len(steps) > _LONG:
+            bodies.append(_in_parts(graph, name, steps, outputs))
+            continue
+        lines = [_statement(graph, i) for i in steps] + [_output(graph, k, i) for k, i in enumerate(outputs)]
+        bodies.append(_function(f"void {name}(const v *restrict in, v *restrict out)", lines))
     return _PRELUDE + _helpers(called) + "\n" + "\n".join(bodies)
+
+
+def _output(graph: Graph, k: int, i: int) -> str:
+    value = graph.value(i)
+    return f"out[{k}] = " + (f"t{i};" if value is None else f"splat({value!r});")
+
+
+def _function(head: str, lines: Sequence[str]) -> str:
+    body = "\n  ".join(lines)
+    return f"{head}\n{{\n  {body}\n}}\n"
+
+
+def _in_parts(graph: Graph, name: str, steps: Sequence[int], outputs: Sequence[int]) -> str:
+    """A long function as several, one after the other; what later ones need is handed on in memory.
+
+    The time that GCC takes to give values their registers goes with the square of a function's length.
+    """
+    parts = [steps[k : k + _PART] for k in range(0, len(steps), _PART)]
+    ends = _last_parts(graph, parts)
+    written: dict[int, list[int]] = {}
+    for k, i in enumerate(outputs):
+        written.setdefault(i, []).append(k)
+    slots: dict[int, int] = {}  # of what is handed on
+    free: list[int] = []
+    size, pieces = 0, []
+    for p, part in enumerate(parts):
+        own, before, after = set(part), [], []
+        for i in sorted({a for j in part for a in _operands(graph, j)} - own):
+            if graph.nodes[i][0] == "in":
+                before.append(_statement(graph, i))
+            else:
+                kind = "m" if _is_mask(graph, i) else "v"
+                before.append(f"{kind} t{i} = ({kind})kept[{slots[i]}];")
+        for i in [i for i in slots if ends[i] == p]:
+            free.append(slots.pop(i))
+        for i in part:
+            after += [_output(graph, k, i) for k in written.get(i, ())]
+            if ends.get(i, p) > p and graph.nodes[i][0] != "in":
+                if not free:
+                    free, size = [size], size + 1
+                slots[i] = free.pop()
+                after.append(f"kept[{slots[i]}] = (v)t{i};")
+        lines = before + [_statement(graph, i) for i in part] + after
+        head = f"static __attribute__((noinline)) void {name}_{p}"
+        pieces.append(_function(f"{head}(const v *restrict in, v *restrict out, v *restrict kept)", lines))
+    constants = [_output(graph, k, i) for k, i in enumerate(outputs) if graph.value(i) is not None]
+    calls = [f"v kept[{max(size, 1)}];", *(f"{name}_{p}(in, out, kept);" for p in range(len(parts)))]
+    whole = _function(f"void {name}(const v *restrict in, v *restrict out)", calls + constants)
+    return "\n".join([*pieces, whole])
+
+
+def _operands(graph: Graph, i: int) -> list[int]:
+    """Nodes that a statement reads, but constants."""
+    node = graph.nodes[i]
+    arguments = () if node[0] in ("const", "in") else node[1:]
+    return [a for a in arguments if isinstance(a, int) and graph.value(a) is None]
+
+
+def _last_parts(graph: Graph, parts: Sequence[Sequence[int]]) -> dict[int, int]:
+    """The last part that reads each node."""
+    return {a: p for p, part in enumerate(parts) for i in part for a in _operands(graph, i)}

@@ -42,7 +42,11 @@ _WEIGHTS = [
 
 def strain_invariants(F: Any) -> tuple[Any, Any, Any]:
     """tr X, tr(X^2) and det X of X = F^T F - I, for a 3 x 3 deformation gradient in UFL."""
-    x = ufl.dot(ufl.transpose(F), F) - ufl.Identity(3)
+    return tensor_invariants(ufl.dot(ufl.transpose(F), F) - ufl.Identity(3))
+
+
+def tensor_invariants(x: Any) -> tuple[Any, Any, Any]:
+    """tr X, tr(X^2) and det X of a symmetric tensor."""
     return ufl.tr(x), ufl.inner(x, x), ufl.det(x)
 
 

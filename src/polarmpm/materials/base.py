@@ -75,6 +75,9 @@ class Material:
     def __repr__(self) -> str:
         return f"{type(self).__name__}({numbers(self.parameters(), self.units)})"
 
+    def check_dimension(self, dim: int) -> None:
+        """Raise InputError where the material makes no sense in so many dimensions."""
+
     def measures(self, *deformation: Any) -> tuple[Any, ...]:
         """Strain measures of a classical material, the arguments of its energy, as functions of F (of F and H
         with second gradients); these themselves by default.
@@ -83,14 +86,19 @@ class Material:
         """
         return deformation
 
+    def measures_of(self, C: Any) -> tuple[Any, ...] | None:
+        """`measures` of a classical material as functions of C = F^T F, for what has a C but no F, such as
+        the places in a micro-space; None of an energy that isn't written so."""
+        return None
+
 
 def numbers(named: Mapping[str, float], units: Mapping[str, str]) -> str:
     """Numbers by name with their units, for repr."""
     return ", ".join(f"{name} = {value:.6g} {units.get(name, '')}".rstrip() for name, value in named.items())
 
 
-def check_material(material: Any) -> Material:
-    """Raise InputError unless `material` has an energy."""
+def check_material(material: Any, dim: int | None = None) -> Material:
+    """Raise InputError unless `material` has an energy, and, where `dim` is known, one in its dimensions."""
     if not isinstance(material, Material):
         made = isinstance(material, type) and issubclass(material, Material)
         raise InputError(
@@ -116,6 +124,8 @@ def check_material(material: Any) -> Material:
             f"material: {kind} is plastic, and its elastic part has second gradients; none yields yet"
         )
     checks.numbers_by_name(f"material: {kind}.parameters()", material.parameters())
+    if dim is not None:
+        material.check_dimension(dim)
     return material
 
 

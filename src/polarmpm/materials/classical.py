@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import ufl
 
-from ..kinematics.spectral import squared_log_strain, strain_invariants
+from ..kinematics.spectral import squared_log_strain, strain_invariants, tensor_invariants
 from ..tools.checks import put_numbers, require
 from .base import Material
 from .moduli import check_bulk, lame
@@ -37,13 +37,33 @@ class _Classical(Material):
     def parameters(self) -> dict[str, float]:
         return asdict(self)
 
+    def measures(self, F: Any) -> tuple[Any, ...]:
+        found = self.measures_of(ufl.dot(ufl.transpose(F), F))
+        assert found is not None
+        return found
+
+
+@dataclass(frozen=True, repr=False)
+class SaintVenantKirchhoff(_Classical):
+    """W = lambda/2 (tr E)^2 + mu E : E with Green's strain E = (F^T F - I)/2; lam, mu in Pa.
+
+    For large rotations and moderate strains: it softens under compression, and a bar shortened to 58 % of its
+    length has lost its stiffness.
+    """
+
+    def measures_of(self, C: Any) -> tuple[Any, ...]:
+        return ((C - ufl.Identity(3)) / 2,)
+
+    def energy(self, E: Any, p: Any) -> Any:
+        return p.lam / 2 * ufl.tr(E) ** 2 + p.mu * ufl.inner(E, E)
+
 
 @dataclass(frozen=True, repr=False)
 class NeoHookean(_Classical):
     """W = mu/2 (tr C - 3 - 2 ln J) + lambda/2 (ln J)^2 with C = F^T F; Lame's constants lam, mu in Pa."""
 
-    def measures(self, F: Any) -> tuple[Any, ...]:
-        return (ufl.dot(ufl.transpose(F), F),)
+    def measures_of(self, C: Any) -> tuple[Any, ...]:
+        return (C,)
 
     def energy(self, C: Any, p: Any) -> Any:
         log_j = ufl.ln(ufl.det(C)) / 2
@@ -61,6 +81,9 @@ class Hencky(_Classical):
 
     def measures(self, F: Any) -> tuple[Any, ...]:
         return (*strain_invariants(F), ufl.det(F))
+
+    def measures_of(self, C: Any) -> tuple[Any, ...]:
+        return (*tensor_invariants(C - ufl.Identity(3)), ufl.sqrt(ufl.det(C)))
 
     def energy(self, first: Any, square: Any, third: Any, J: Any, p: Any) -> Any:
         return p.mu * squared_log_strain(first, square, third) + p.lam / 2 * ufl.ln(J) ** 2

@@ -98,6 +98,24 @@ class MicropolarElastic(Material):
         check_computed(f"mu = {mu:g}, l_b = {l_b:g}", gamma)
         return cls(lam=lam, mu=mu, kappa=kappa, alpha=-2 / 3 * gamma, beta=0.0, gamma=gamma)
 
+    @classmethod
+    def from_microspace(cls, *, E: float, nu: float, l: float) -> MicropolarElastic:
+        """W = psi(E) + l^2/12 psi(Gamma), psi(A) = lam/2 (tr A)^2 + mu A : A for all of A:
+        kappa = mu, alpha = l^2 lam / 12, beta = gamma = l^2 mu / 12. See docs/generalised.md.
+
+        Args:
+            E: Young's modulus (Pa), > 0.
+            nu: Poisson's ratio, -1 < nu < 1/2.
+            l: extent of the micro-space (m), >= 0.
+        """
+        lam, mu = lame(E, nu)
+        l = number("l", l)
+        require(l >= 0, "l", l, "l >= 0")
+        share = l * l / 12
+        alpha, gamma = share * lam, share * mu
+        check_computed(f"E = {E:g}, nu = {nu:.17g}, l = {l:g}", alpha, gamma)
+        return cls(lam=lam, mu=mu, kappa=mu, alpha=alpha, beta=gamma, gamma=gamma)
+
     def engineering(self) -> dict[str, float]:
         """E, nu, n, l_b, l_t, psi (psi is nan without couple stress)."""
         lam, mu, gamma = self.lam, self.mu, self.gamma
