@@ -278,7 +278,7 @@ def test_given_in_mid_run_it_counts_from_now(reset):
     system = problem.system
     if reset is None:
         ties, moved = system.prescribed.ties, system.x - begin
-        assert np.any(ties.tied[:, 1])
+        assert COMM.allreduce(int(ties.tied[:, 1].sum())) > 0
         rows = np.flatnonzero(ties.tied[:, 1])
         np.testing.assert_allclose(moved[rows, 1], moved[ties.master[rows, 1], 1], atol=1e-15)
 
@@ -317,15 +317,15 @@ def test_a_step_that_fails_is_diagnosed():
     problem.release(problem.supports[1])
     with pytest.raises(pm.NotConverged) as caught:
         list(problem.march(1, progress=False))
-    assert "along y" in str(caught.value)
-    assert "turn" not in str(caught.value).split("free to")[1].split(";")[0]
+    assert "the body can move along y: of it the supports hold" in str(caught.value)
+    assert "symmetry, x = 0): ux, slopes" in str(caught.value)
 
 
 # ranks ------------------------------------------------------------------------------------------------
 def _case(name: str) -> dict[str, Any]:
     basis, dim = name.split()
     halved = "xyz"[: int(dim)]
-    problem, supports = bar(MICROPOLAR, halved, basis=basis, dim=int(dim), reset=1, rebalance=1.0)
+    problem, supports = bar(MICROPOLAR, halved, basis=basis, dim=int(dim), reset=1, rebalance=1.01)
     list(problem.march(2, progress=False))
     reactions = [problem.reaction(s) for s in supports]
     found = {
@@ -339,7 +339,7 @@ def _case(name: str) -> dict[str, Any]:
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("case", ["bspline 2", "bspline3 2", "bspline 3"])
+@pytest.mark.parametrize("case", ["bspline3 2", "bspline 3"])
 def test_ranks(case):
     expected = on_ranks(1, case, __file__)[0]
     for ranks in (2, 3):

@@ -98,7 +98,8 @@ def make_support(
                 else ""
             )
             if key.startswith("slope"):
-                hint = f"; slopes are slope, {', '.join(f'slope_{n[1:]}' for n in names[: layout.dim])}"
+                single = ", ".join(f"slope_{name[1:]}" for name in names[: layout.dim])
+                hint = f"; slopes of nodes on a plane are slope, {single}"
             raise InputError(
                 f"fix: unknown component {key!r}; allowed are u, theta, {', '.join(names)}{hint}"
             )

@@ -153,7 +153,7 @@ class QuasiStaticFEM(Problem):
             where, "__name__", "predicate"
         )
 
-    def _tie(self, support: Support, even: dict[int, bool]) -> None:
+    def _tie(self, where: Any, support: Support, even: dict[int, bool]) -> None:
         slopes.check_elements(support, even, self.elements.points.materials)
 
     @property

@@ -20,52 +20,65 @@ from ..tools.checks import shown
 _ZERO = "0 is allowed: slopes can be held, not prescribed"
 
 
-def take_slopes(where: Any, slope: Any, components: dict[str, Any], layout: Layout) -> dict[int, bool]:
-    """The columns whose slopes are to vanish, of `fix`; what says so is taken out of the components.
+def take_slopes(
+    where: Any, components: dict[str, Any], layout: Layout, on_facets: bool = False
+) -> tuple[dict[int, bool], dict[str, Any]]:
+    """The columns whose slopes are to vanish, of `fix`, and its other components.
 
     Raises:
         InputError: a slope that isn't zero, or not on a plane.
     """
     axes = "xyz"[: layout.dim]
     found: dict[int, bool] = {}
-    given = {"slope": slope} | {f"slope_{a}": components.pop(f"slope_{a}", None) for a in axes}
-    for name, value in given.items():
-        if value is None:
+    of_slopes = {"slope": list(range(layout.dim))} | {f"slope_{a}": [k] for k, a in enumerate(axes)}
+    for name, value in components.items():
+        if name not in of_slopes:
             continue
-        number = checks.number(f"fix: {name}", value, allowed=_ZERO)
-        if number != 0.0:
+        if checks.number(f"fix: {name}", value, allowed=_ZERO) != 0.0:
             raise checks.refuse(f"fix: {name}", value, _ZERO)
-        if not isinstance(where, PlaneSpec):
+        if not on_facets and not isinstance(where, PlaneSpec):
             raise InputError(
                 f"fix: {name} = 0: a slope is held on a plane of the grid, such as plane(x=0.0); "
                 f"where = {shown(where)}"
             )
-        found |= dict.fromkeys(range(layout.dim) if name == "slope" else [axes.index(name[-1])], True)
-    return found
+        found |= dict.fromkeys(of_slopes[name], True)
+    return found, {name: value for name, value in components.items() if name not in of_slopes}
 
 
-def symmetric(where: Any, layout: Layout) -> tuple[dict[str, Any], dict[int, bool]]:
+def symmetric(axis: int, where: Any, layout: Layout) -> tuple[dict[str, Any], dict[int, bool]]:
     """Components that vanish on a plane of symmetry, and which columns are even across it.
 
     A displacement is mirrored as a vector; a rotation, an axial one, the other way round.
+
+    Args:
+        axis: normal to it.
+
+    Raises:
+        InputError: it is beside the plane strain body's own plane.
+    """
+    if axis >= layout.dim:
+        raise InputError(f"symmetry: plane {where.name}: the body has {layout.dim} dimensions")
+    axes, d = "xyz"[: layout.dim], layout.dim
+    even = {column: column != axis for column in range(d)}
+    if layout.rotations == 1:
+        even[d] = False
+    elif layout.rotations:
+        even |= {d + column: column == axis for column in range(d)}
+    zero = {f"u{axes[axis]}": 0}
+    zero |= {"theta" if layout.rotations == 1 else f"theta_{axes[c - d]}": 0
+             for c, same in even.items() if c >= d and not same}  # fmt: skip
+    return zero, even
+
+
+def axis_of_plane(where: Any) -> int:
+    """The axis across a plane of the grid.
 
     Raises:
         InputError: not a plane.
     """
     if not isinstance(where, PlaneSpec):
         raise checks.refuse("symmetry: where", where, "a plane, such as plane(x=0.0), is needed")
-    if where.axis >= layout.dim:
-        raise InputError(f"symmetry: plane {where.name}: the body has {layout.dim} dimensions")
-    axes, d = "xyz"[: layout.dim], layout.dim
-    even = {column: column != where.axis for column in range(d)}
-    if layout.rotations == 1:
-        even[d] = False
-    elif layout.rotations:
-        even |= {d + column: column == where.axis for column in range(d)}
-    zero = {f"u{axes[where.axis]}": 0}
-    zero |= {"theta" if layout.rotations == 1 else f"theta_{axes[c - d]}": 0
-             for c, same in even.items() if c >= d and not same}  # fmt: skip
-    return zero, even
+    return where.axis
 
 
 def check_slopes(basis: Basis) -> None:
