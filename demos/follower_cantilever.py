@@ -9,7 +9,6 @@ on its axis; the beam is as thick as it is, so that distances of the order of it
 from mpi4py import MPI
 
 import numpy as np
-import ufl
 from dolfinx import mesh
 
 import polarmpm as pm
@@ -20,24 +19,15 @@ LENGTH = 1.0
 YOUNG, POISSON = 1e6, 0.3
 
 
-def saint_venant(F, p):
-    """W = lambda/2 (tr E)^2 + mu |E|^2 with Green's strain E."""
-    strain = (ufl.dot(F.T, F) - ufl.Identity(3)) / 2
-    return p.lam / 2 * ufl.tr(strain) ** 2 + p.mu * ufl.inner(strain, strain)
-
-
 def pressure(args):
     """p for the load c, with the EI of plane strain."""
     return args.load * YOUNG / (1 - POISSON**2) * args.height**3 / 12 / LENGTH**3
 
 
 def material(kind, height):
-    lam = YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
-    mu = YOUNG / (2 * (1 + POISSON))
     if kind == "classical":
-        return pm.UserEnergy(saint_venant, {"lam": lam, "mu": mu}, micropolar=False, isotropic=True)
-    area = (height / 30) ** 2 / 12  # the mean of zeta^2 over a micro-space of this length
-    return pm.MicropolarElastic(lam=lam, mu=mu, kappa=mu, alpha=area * lam, beta=area * mu, gamma=area * mu)
+        return pm.SaintVenantKirchhoff.from_engineering(E=YOUNG, nu=POISSON)
+    return pm.MicropolarElastic.from_microspace(E=YOUNG, nu=POISSON, l=height / 30)
 
 
 def of_elements(kind, args):

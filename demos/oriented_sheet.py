@@ -10,7 +10,6 @@ which its equations don't give: see `docs/benchmarks.md`.
 from mpi4py import MPI
 
 import numpy as np
-import ufl
 from dolfinx import mesh
 
 import polarmpm as pm
@@ -30,19 +29,9 @@ TITLES = {
 }
 
 
-def energy(E, G, p):
-    """psi(E) + sum l_a^2/24 (lam (G_cb - G_bc)^2 + 2 mu (|G|^2 - |row a of G|^2)), (a, b, c) cyclic."""
-    w = p.lam / 2 * ufl.tr(E) ** 2 + p.mu * ufl.inner(E, E)
-    for a, length in enumerate((p.l_1, p.l_2)):
-        b, c = (a + 1) % 3, (a + 2) % 3
-        rows = ufl.inner(G, G) - sum(G[a, j] ** 2 for j in range(3))
-        w += length**2 / 24 * (p.lam * (G[c, b] - G[b, c]) ** 2 + 2 * p.mu * rows)
-    return w
-
-
 def material(name):
-    first, second = (LENGTH * k for k in DIRECTORS[name])
-    return pm.UserEnergy(energy, {"lam": LAM, "mu": MU, "l_1": first, "l_2": second})
+    lengths = (*(LENGTH * k for k in DIRECTORS[name]), 0.0)
+    return pm.OrientedMicropolar(lam=LAM, mu=MU, lengths=lengths)
 
 
 def quarter(side, elements):

@@ -9,7 +9,6 @@ row is a stiffness over the classical one, beside a closed form or Ritz' numbers
 from mpi4py import MPI
 
 import numpy as np
-import ufl
 from dolfinx import mesh
 
 import polarmpm as pm
@@ -25,24 +24,12 @@ SQUARE = 0.1405770  # J of a square over the side^4
 RITZ = {5000.0: 1.00578, 2000.0: 1.03489, 1000.0: 1.13216, 500.0: 1.48386}
 
 
-def moduli(nu):
-    return {"lam": YOUNG * nu / ((1 + nu) * (1 - 2 * nu)), "mu": YOUNG / (2 * (1 + nu))}
-
-
-def saint_venant(F, p):
-    strain = (ufl.dot(F.T, F) - ufl.Identity(3)) / 2
-    return p.lam / 2 * ufl.tr(strain) ** 2 + p.mu * ufl.inner(strain, strain)
-
-
 def classical(nu):
-    return pm.UserEnergy(saint_venant, moduli(nu), micropolar=False, isotropic=True)
+    return pm.SaintVenantKirchhoff.from_engineering(E=YOUNG, nu=nu)
 
 
 def micropolar(nu, length):
-    """W = psi(E) + l^2/12 psi(Gamma)."""
-    p, area = moduli(nu), length**2 / 12
-    lam, mu = p["lam"], p["mu"]
-    return pm.MicropolarElastic(lam=lam, mu=mu, kappa=mu, alpha=area * lam, beta=area * mu, gamma=area * mu)
+    return pm.MicropolarElastic.from_microspace(E=YOUNG, nu=nu, l=length)
 
 
 def once(problem):
@@ -134,7 +121,7 @@ def bar(a, material, args):
         turn = problem.comm.allreduce(turn)
         angles.append(turn[0] / turn[1])
     moment = 2 * problem.energy() / (3 * a * twist)
-    return problem, float(moment / ((angles[1] - angles[0]) / a) / (SQUARE * moduli(0.3)["mu"] * a**4))
+    return problem, float(moment / ((angles[1] - angles[0]) / a) / (SQUARE * YOUNG / (2 * (1 + 0.3)) * a**4))
 
 
 def bars(args, folder):

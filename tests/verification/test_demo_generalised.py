@@ -129,3 +129,47 @@ def test_size_effects_do_not_depend_on_the_unit_of_length():
             plain = make(20.0 * unit, scene.classical(0.3), args)[1]
             ratios.append(plain / make(20.0 * unit, scene.micropolar(0.3, 25.0 * unit), args)[1])
     np.testing.assert_allclose(ratios[2:], ratios[:2], rtol=1e-7)
+
+
+# excavations ------------------------------------------------------------------------------------
+def test_round_excavation_is_that_of_the_closed_form_all_around(run):
+    result = run("excavation", "--shapes", "round", "--cells", "0.5", "0.25", "--points-per-cell", "2")
+    exact = {"hoop": 94.91, "radial": 49.99, "displacement": 9.4913}
+    for name, value in exact.items():
+        assert result["wall"][name] == pytest.approx(value, rel=3e-3)
+        assert result["wall_spread"][name] < 3e-3 * value
+        assert result["exact"][name] == pytest.approx(value, rel=1e-4)
+    assert result["error"]["0.25"] < 1e-4
+    assert result["classical_wall"]["hoop"] == pytest.approx(128.62, rel=0.01)
+    assert result["classical_wall"]["displacement"] == pytest.approx(12.8616, rel=1e-3)
+
+
+def test_round_excavation_without_the_slopes_of_symmetry_is_another_problem(run):
+    options = ("--shapes", "round", "--cells", "0.5", "--points-per-cell", "2", "--symmetry", "displacement")
+    result = run("excavation", *options)
+    assert result["wall"]["displacement"] > 1.04 * 9.4913
+    assert result["wall_spread"]["displacement"] > 0.04  # mm
+    # a classical body has no such slopes
+    assert result["classical_wall"]["displacement"] == pytest.approx(12.8616, rel=1e-3)
+
+
+def test_corner_of_a_square_excavation_has_a_stress_with_second_gradients_only(run):
+    result = run("excavation", "--shapes", "square", "--cells", "0.5", "0.25")
+    assert result["corner_peak"]["0.5"] == pytest.approx(118.0, abs=0.1)
+    assert result["corner_peak"]["0.25"] == pytest.approx(120.3, abs=0.5)
+    assert result["classical_corner_peak"]["0.5"] == pytest.approx(249.5, abs=0.5)
+    assert result["classical_corner_growth"] == [pytest.approx(1.38, abs=0.02)]
+
+
+@pytest.mark.slow
+def test_excavations_converge(run):
+    result = run("excavation")
+    assert min(result["order"]) > 1.7
+    assert [result["corner_peak"][cell] for cell in ("0.25", "0.125")] == pytest.approx([120.3] * 2, abs=0.5)
+    assert result["corner_shear"]["0.125"] < result["classical_corner_shear"]["0.125"] / 6.5
+    for growth in result["classical_corner_growth"]:
+        assert growth == pytest.approx(1.38, abs=0.02)
+    by_rings = run("excavation", "--shapes", "round", "--seeding", "mesh", "--cells", "0.25")
+    for name, value in by_rings["exact"].items():
+        assert by_rings["wall"][name] == pytest.approx(value, rel=1e-3)
+        assert by_rings["wall_spread"][name] < (1e-3 if name == "displacement" else 6e-3) * value
