@@ -20,8 +20,13 @@ EPOXY = 25.0  # um, internal length of the beams
 SHEETS, SHEET_LENGTH = (20.0, 10.0, 4.0, 2.0), 21.0  # um, thickness and internal length of the sheets
 BARS = (5000.0, 2000.0, 1000.0, 500.0)  # um, side of the bars
 BONE = 250.0  # um, internal length of the bars
+LAYOUT = "gauss"  # bodies that fit the grid; second gradients aren't integrated over uniform points' boxes
 SQUARE = 0.1405770  # J of a square over the side^4
-RITZ = {5000.0: 1.00578, 2000.0: 1.03489, 1000.0: 1.13216, 500.0: 1.48386}
+RITZ = {
+    "micropolar": {5000.0: 1.00578, 2000.0: 1.03489, 1000.0: 1.13216, 500.0: 1.48386},
+    "second gradient": {5000.0: 1.0056, 2000.0: 1.0328, 1000.0: 1.1175, 500.0: 1.3953},
+}
+FITTED = 24.0  # um, internal length of second-gradient beams, which is that of the experiment
 
 
 def classical(nu):
@@ -30,6 +35,11 @@ def classical(nu):
 
 def micropolar(nu, length):
     return pm.MicropolarElastic.from_microspace(E=YOUNG, nu=nu, l=length)
+
+
+def gradient(nu, lengths):
+    """W = psi(E) + sum l_a^2/12 psi(E,a), one length for each of the first axes."""
+    return pm.GradientElastic(classical(nu), lengths)
 
 
 def once(problem):
@@ -67,7 +77,9 @@ def beam_of_points(h, material, args, held=True):
     cell = h / args.cells
     grid = pm.Grid.box((0, -h), (12 * h, 2 * h), cell)
     bounds = ((0, 0), (10 * h, h))
-    points = pm.seed(grid, bounds=bounds, material=material, points_per_cell=args.points_per_cell)
+    points = pm.seed(
+        grid, bounds=bounds, material=material, points_per_cell=args.points_per_cell, layout=LAYOUT
+    )
     problem = pm.QuasiStatic(grid, points, reset=None)
     problem.fix(pm.plane(x=0.0), **clamp(material, held))
     tip = points.farthest((1, 0))
@@ -89,50 +101,79 @@ def beams(args, folder):
                 row.append(plain / deflection)
             with pm.Recorder(folder / f"beam_{name}_{nu:g}.pvd", problem) as record:
                 record(problem.steps[-1])
+    rows["second gradient, closed"] = [1 + (FITTED / h) ** 2 for h in HEIGHTS]
+    row = rows["second gradient, points, nu = 0.3"] = []
+    for h in HEIGHTS:
+        plain = beam_of_points(h, classical(0.3), args)[1]
+        problem, deflection = beam_of_points(h, gradient(0.3, (0.0, FITTED)), args)
+        row.append(plain / deflection)
+    with pm.Recorder(folder / "beam_gradient.pvd", problem) as record:
+        record(problem.steps[-1])
     return rows, problem
 
 
 # bars -------------------------------------------------------------------------------------------
-def bar(a, material, args):
-    """Torsional stiffness over the classical one of a square bar, from its middle third.
-
-    The ends are turned in their planes, and may warp; the moment is that of the work that it does."""
-    half, twist = a / 2, 1e-3 / (3 * a)
+def bar_of_elements(a, material, args):
+    """The problem of a square bar and the positions and displacements of its own nodes."""
+    half, n = a / 2, args.bar_cells
     corners = [np.array((0.0, -half, -half)), np.array((3 * a, half, half))]
-    cells = mesh.create_box(
-        MPI.COMM_WORLD, corners, [6, args.bar_cells, args.bar_cells], mesh.CellType.hexahedron
-    )
+    cells = mesh.create_box(MPI.COMM_WORLD, corners, [6, n, n], mesh.CellType.hexahedron)
     body = pm.Elements(cells, material=material, degree=2)
-    problem = pm.QuasiStaticFEM(body)
+    problem = twist(pm.QuasiStaticFEM(body), a)
+    own = np.arange(len(body.nodes)) < body.nodes.owned
+    return problem, body.nodes.position[own], body.displacement[own]
+
+
+def bar_of_points(a, material, args):
+    """The same with material points, which fill their grid from end to end."""
+    half, cell = a / 2, a / 4
+    grid = pm.Grid.box(
+        (0, -half - 2 * cell, -half - 2 * cell), (3 * a, half + 2 * cell, half + 2 * cell), cell
+    )
+    bounds = ((0, -half, -half), (3 * a, half, half))
+    points = pm.seed(grid, bounds=bounds, material=material, points_per_cell=2, layout=LAYOUT)
+    problem = twist(pm.QuasiStatic(grid, points, reset=None), a)
+    return problem, points.X, points.displacement
+
+
+def twist(problem, a):
+    """Turn the ends in their planes, in which they may warp, by a thousandth in all."""
     problem.fix(pm.plane(x=0.0), uy=0, uz=0)
-    turned = {
-        "uy": lambda t, x: -3 * a * twist * t * x[:, 2],
-        "uz": lambda t, x: 3 * a * twist * t * x[:, 1],
-    }
+    turned = {"uy": lambda t, x: -1e-3 * t * x[:, 2], "uz": lambda t, x: 1e-3 * t * x[:, 1]}
     problem.fix(pm.plane(x=3 * a), **turned)
-    problem.fix(lambda x: np.linalg.norm(x, axis=1) < 1e-6 * a, ux=0)
-    once(problem)
-    x, u, own = body.nodes.position, body.displacement, np.arange(len(body.nodes)) < body.nodes.owned
-    angles = []
-    for section in (a, 2 * a):
-        on = own & (np.abs(x[:, 0] - section) < 1e-6 * a)
-        y, z = x[on, 1:].T
-        turn = np.array([(y * u[on, 2] - z * u[on, 1]).sum(), (y**2 + z**2).sum()])
-        turn = problem.comm.allreduce(turn)
-        angles.append(turn[0] / turn[1])
-    moment = 2 * problem.energy() / (3 * a * twist)
-    return problem, float(moment / ((angles[1] - angles[0]) / a) / (SQUARE * YOUNG / (2 * (1 + 0.3)) * a**4))
+    problem.fix(lambda x: np.linalg.norm(x, axis=1) < 0.2 * a, ux=0)
+    return once(problem)
+
+
+def torsion(a, make, material, args):
+    """Torsional stiffness over the classical one of a square bar, from its middle third."""
+    problem, x, u = make(a, material, args)
+    middle = np.abs(x[:, 0] - 1.5 * a) < 0.51 * a
+    (along, y, z), (_, v, w) = x[middle].T, u[middle].T
+    # the angle of a section is (y w - z v) / (y^2 + z^2): a line over x is fitted to it
+    square, turn, along = y**2 + z**2, y * w - z * v, along / a - 1.5
+    sums = [square.sum(), (square * along).sum(), (square * along**2).sum(), turn.sum(), (turn * along).sum()]
+    n, first, second, t, t_along = problem.comm.allreduce(np.array(sums))
+    rate = (n * t_along - first * t) / (n * second - first**2) / a
+    moment = 2 * problem.energy() / 1e-3
+    return problem, float(moment / rate / (SQUARE * YOUNG / (2 * (1 + 0.3)) * a**4))
 
 
 def bars(args, folder):
-    rows, problem = {"micropolar, Ritz": [RITZ[a] for a in BARS]}, None
-    plain = bar(BARS[0], classical(0.3), args)[1]  # the mesh's own error
-    row = rows["micropolar, elements"] = []
-    for a in BARS:
-        problem, ratio = bar(a, micropolar(0.3, BONE), args)
-        row.append(ratio / plain)
-    with pm.Recorder(folder / "bar.pvd", problem) as record:
-        record(problem.steps[-1])
+    rows, problem = {}, None
+    scenes = {
+        ("micropolar", "elements"): (bar_of_elements, micropolar(0.3, BONE)),
+        ("second gradient", "points"): (bar_of_points, gradient(0.3, (0.0, BONE, BONE))),
+    }
+    for (kind, method), (make, material) in scenes.items():
+        rows[f"{kind}, Ritz"] = [RITZ[kind][a] for a in BARS]
+        plain = torsion(BARS[0], make, classical(0.3), args)[1]  # the mesh's or grid's own error
+        row = rows[f"{kind}, {method}"] = []
+        for a in BARS:
+            problem, ratio = torsion(a, make, material, args)
+            row.append(ratio / plain)
+        with pm.Recorder(folder / f"bar_{method}.pvd", problem) as record:
+            record(problem.steps[-1])
     return rows, problem
 
 

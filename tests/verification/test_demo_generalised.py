@@ -102,7 +102,12 @@ def test_thin_beams_bars_and_sheets_are_stiffer(run):
         for method in ("elements", "points"):
             found, closed = (beams[f"micropolar, {how}, nu = {nu}"] for how in (method, "closed"))
             np.testing.assert_allclose(found, closed, rtol=bound)
+    np.testing.assert_allclose(beams["second gradient, closed"], beams["Lam et al. 2003, fit"])
+    np.testing.assert_allclose(
+        beams["second gradient, points, nu = 0.3"], beams["second gradient, closed"], rtol=0.01
+    )
     np.testing.assert_allclose(bars["micropolar, elements"], bars["micropolar, Ritz"], rtol=0.01)
+    np.testing.assert_allclose(bars["second gradient, points"], bars["second gradient, Ritz"], rtol=0.01)
     free, held = (np.array(sheets[f"micropolar, elements, rotations {how}"]) for how in ("free", "held"))
     assert np.all(held > free)
     assert np.all(np.diff(held / free) > 0)  # the more so the thinner the sheet
