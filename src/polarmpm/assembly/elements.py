@@ -151,6 +151,11 @@ class ElementSystem(NodalSystem):
         lifted = self.matrix.assemble(lift, self._dense_terms()) if tangent else None
         return Assembled(internal - loads, lifted)
 
+    def slope_forces(self) -> dict[int, np.ndarray]:
+        held = self.forms.held
+        number = {support: k for k, support in enumerate(self.prescribed.supports)}
+        return {number[support]: -self._sum([one.residual]) for support, one in held.items()}
+
     def _dense_terms(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Global numbers of the nodes of each of the terms' sets, and its tangent."""
         for rows, matrix in self.terms.dense(self.x):

@@ -13,6 +13,7 @@ against second gradients a N N, h the height of the cell over the face.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -31,8 +32,6 @@ from .elements import ElementForms
 from .slopestiffness import slope_stiffness
 from .strains import motion, stresses
 
-PENALTY = 20.0  # eta; coercive on all cells of degree 2, see docs/theory.md
-
 
 class GradientForms(ElementForms):
     """As `ElementForms`, for bodies in which a material has second gradients.
@@ -43,7 +42,7 @@ class GradientForms(ElementForms):
         penalty: eta.
     """
 
-    def __init__(self, elements: Elements, penalty: float = PENALTY):
+    def __init__(self, elements: Elements, penalty: float):
         from dolfinx import fem
 
         super().__init__(elements)
@@ -126,9 +125,8 @@ class GradientForms(ElementForms):
         return form + ufl.derivative(ufl.derivative(self._faces, self.x, self.test), self.x, self.trial)
 
     # supports -------------------------------------------------------------------------------------
-    def slopes(self, facets: Facets, tangential: bool) -> SlopeForms:
-        """Forms that hold du/dN on facets of the boundary, or its part in the face with `tangential`.
-        Collective.
+    def slopes(self, facets: Facets, columns: Sequence[int]) -> SlopeForms:
+        """Forms that hold du/dN of some components on facets of the boundary. Collective.
 
         Raises:
             InputError: no cell at these facets has second gradients.
@@ -150,20 +148,19 @@ class GradientForms(ElementForms):
             "ds", domain=e.mesh, subdomain_data=tags, metadata={"quadrature_degree": e.quadrature_degree}
         )
         base = fem.Function(e.space)
-        parts = [self._held_face(row, base, tangential) * ds(int(row) + 1) for row in used]
+        parts = [self._held_face(row, base, columns) * ds(int(row) + 1) for row in used]
         potential = sum(parts[1:], parts[0])
         residual = ufl.derivative(potential, self.x, self.test)
         return SlopeForms(base, potential, residual, ufl.derivative(residual, self.x, self.trial))
 
-    def _held_face(self, row: int, base: Any, tangential: bool) -> Any:
+    def _held_face(self, number: int, base: Any, columns: Sequence[int]) -> Any:
         """The potential per area of a face of a material where the slope is held at that of `base`."""
         (F, H, n, height), d = self._state(None), self.layout.dim
         held = ufl.grad(base)
-        gap = ufl.as_vector([sum((F[i, j] - (i == j) - held[i, j]) * n[j] for j in range(d)) for i in range(d)])
-        if tangential:
-            gap = gap - ufl.dot(gap, n) * n
-        penalty = 0.5 * self._penalties[row] / height * ufl.dot(gap, gap)
-        return penalty - self._double_work(row, F, H, n, gap)
+        rows = [sum((F[i, j] - (i == j) - held[i, j]) * n[j] for j in range(d)) for i in range(d)]
+        gap = ufl.as_vector([row if i in columns else 0.0 for i, row in enumerate(rows)])
+        penalty = 0.5 * self._penalties[number] / height * ufl.dot(gap, gap)
+        return penalty - self._double_work(number, F, H, n, gap)
 
 
 class SlopeForms:
@@ -177,6 +174,10 @@ class SlopeForms:
         self.base = base
         self._potential = potential
         self.residual, self.tangent = compat.compile_form(residual), compat.compile_form(tangent)
+
+    def count_from(self, displacement: np.ndarray) -> None:
+        """Hold the slopes that a displacement (nodes, d) has."""
+        self.base.x.array[:] = displacement.ravel()
 
     @cached_property
     def potential(self) -> Any:

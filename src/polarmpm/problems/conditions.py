@@ -43,6 +43,7 @@ class Conditions(Whole, Turns):
         progress: load factor and number of steps of the last converged state.
     """
 
+    holds_on_facets = False  # slopes; else on planes of the grid
     knows_undeformed = False  # where a surface that is added in mid-run was in the undeformed body
 
     def __init__(self, comm: MPI.Comm, points: Points, dim: int):
@@ -159,7 +160,7 @@ class Conditions(Whole, Turns):
         """
         self._check_outside("fix")
         check_counts("fix", counts)
-        where, even = self._named(where), slopes.take_slopes(where, slope, components, self.layout)
+        where, even = self._named(where), slopes.take_slopes(where, slope, components, self.layout, self.holds_on_facets)
         springs = {"stiffness": stiffness, "rotation_stiffness": rotation_stiffness, "normal": normal}
         if isinstance(where, Surface):
             return surfaces.add_support(self, where, components, augment=augment, counts=counts, **springs)
@@ -189,7 +190,7 @@ class Conditions(Whole, Turns):
                 body on both sides; second-gradient bodies of finite elements.
         """
         self._check_outside("symmetry")
-        zero, even = slopes.symmetric(where, self.layout)
+        zero, even = slopes.symmetric(self._normal_axis(where), where, self.layout)
         return self._fix_nodes(where, zero, None, even)
 
     def _fix_nodes(
@@ -216,7 +217,7 @@ class Conditions(Whole, Turns):
         if even:
             if total and self.progress.step:
                 raise InputError(f"{support.name}: counts = 'total': a slope has no total in mid-run")
-            self._tie(support, even)
+            self._tie(where, support, even)
         self._admit(where, support)
         self._supports.append(support)
         self._unasked += [amplitude for amplitude, _ in support.columns.values()]
@@ -224,12 +225,16 @@ class Conditions(Whole, Turns):
         self._stale = True
         return support
 
+    def _normal_axis(self, where: Any) -> int:
+        """The axis across a plane of symmetry."""
+        return slopes.axis_of_plane(where)
+
     def _beside(self, where: PlaneSpec) -> PlaneSpec:
         """A plane of symmetry, once it is known to be one. Collective."""
         return where
 
     @abstractmethod
-    def _tie(self, support: Support, even: dict[int, bool]) -> None:
+    def _tie(self, where: Any, support: Support, even: dict[int, bool]) -> None:
         """Let a support on a plane hold slopes there, or refuse it.
 
         Args:

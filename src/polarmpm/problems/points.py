@@ -224,7 +224,7 @@ class QuasiStatic(OnGrid):
         self.basis.check_plane(where, self.initial_grid)
         return slopes.beside(where, self.initial_grid, self.points)
 
-    def _tie(self, support: Support, even: dict[int, bool]) -> None:
+    def _tie(self, where: Any, support: Support, even: dict[int, bool]) -> None:
         if all(even.values()):
             slopes.check_slopes(self.basis)
         slopes.tie(support, even, self.basis, self.grid)

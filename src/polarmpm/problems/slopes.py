@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,12 +12,13 @@ from ..errors import InputError
 from ..geometry.grid import Grid
 from ..geometry.planes import Plane, PlaneSpec
 from ..kinematics.layout import Layout
-from ..materials.base import Material
 from ..tools import checks
 from ..tools.checks import shown
 
 
-def take_slopes(where: Any, slope: Any, components: dict[str, Any], layout: Layout) -> dict[int, bool]:
+def take_slopes(
+    where: Any, slope: Any, components: dict[str, Any], layout: Layout, on_facets: bool = False
+) -> dict[int, bool]:
     """The columns whose slopes are to vanish, of `fix`; what says so is taken out of the components.
 
     Raises:
@@ -33,7 +33,7 @@ def take_slopes(where: Any, slope: Any, components: dict[str, Any], layout: Layo
         number = checks.number(f"fix: {name}", value, allowed="0 (slopes can be held, not prescribed)")
         if number != 0.0:
             raise checks.refuse(f"fix: {name}", value, "0 is allowed: slopes can be held, not prescribed")
-        if not isinstance(where, PlaneSpec):
+        if not on_facets and not isinstance(where, PlaneSpec):
             raise InputError(
                 f"fix: {name} = 0: a slope is held on a plane of the grid, such as plane(x=0.0); "
                 f"where = {shown(where)}"
@@ -42,28 +42,40 @@ def take_slopes(where: Any, slope: Any, components: dict[str, Any], layout: Layo
     return found
 
 
-def symmetric(where: Any, layout: Layout) -> tuple[dict[str, Any], dict[int, bool]]:
+def symmetric(axis: int, where: Any, layout: Layout) -> tuple[dict[str, Any], dict[int, bool]]:
     """Components that vanish on a plane of symmetry, and which columns are even across it.
 
     A displacement is mirrored as a vector; a rotation, an axial one, the other way round.
+
+    Args:
+        axis: normal to it.
+
+    Raises:
+        InputError: it is beside the plane strain body's own plane.
+    """
+    if axis >= layout.dim:
+        raise InputError(f"symmetry: plane {where.name}: the body has {layout.dim} dimensions")
+    axes, d = "xyz"[: layout.dim], layout.dim
+    even = {column: column != axis for column in range(d)}
+    if layout.rotations == 1:
+        even[d] = False
+    elif layout.rotations:
+        even |= {d + column: column == axis for column in range(d)}
+    zero = {f"u{axes[axis]}": 0}
+    zero |= {"theta" if layout.rotations == 1 else f"theta_{axes[c - d]}": 0
+             for c, same in even.items() if c >= d and not same}  # fmt: skip
+    return zero, even
+
+
+def axis_of_plane(where: Any) -> int:
+    """The axis across a plane of the grid.
 
     Raises:
         InputError: not a plane.
     """
     if not isinstance(where, PlaneSpec):
         raise checks.refuse("symmetry: where", where, "a plane, such as plane(x=0.0), is needed")
-    if where.axis >= layout.dim:
-        raise InputError(f"symmetry: plane {where.name}: the body has {layout.dim} dimensions")
-    axes, d = "xyz"[: layout.dim], layout.dim
-    even = {column: column != where.axis for column in range(d)}
-    if layout.rotations == 1:
-        even[d] = False
-    elif layout.rotations:
-        even |= {d + column: column == where.axis for column in range(d)}
-    zero = {f"u{axes[where.axis]}": 0}
-    zero |= {"theta" if layout.rotations == 1 else f"theta_{axes[c - d]}": 0
-             for c, same in even.items() if c >= d and not same}  # fmt: skip
-    return zero, even
+    return where.axis
 
 
 def check_slopes(basis: Basis) -> None:
@@ -96,12 +108,3 @@ def beside(where: PlaneSpec, grid: Grid, points: Any) -> PlaneSpec:
             "half on one side is computed"
         )
     return spec
-
-
-def check_elements(support: Support, even: dict[int, bool], materials: Sequence[Material]) -> None:
-    """Raise InputError where finite elements would have to hold a slope, which no node has."""
-    if all(even.values()) or any(material.second_gradient for material in materials):
-        raise InputError(
-            f"{support.name}: nodes of finite elements have no slope that could be held; material points "
-            f"hold it with basis = {names(lambda b: not b.no_slope)}"
-        )
