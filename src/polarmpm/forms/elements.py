@@ -136,13 +136,25 @@ class ElementForms:
 
     @property
     def residuals(self) -> list[Any]:
-        """Compiled forms whose sum is the residual."""
-        return [self.residual, *(one.residual for one in self.held.values())]
+        """Compiled forms whose sum is the residual, but for `own_forces`."""
+        return [self.residual]
 
     @property
     def tangents(self) -> list[Any]:
-        """Compiled forms whose sum is the tangent; the first has the whole pattern."""
-        return [self.tangent, *(one.tangent for one in self.held.values())]
+        """Compiled forms whose sum is the tangent, but for `dense`; the first has the whole pattern."""
+        return [self.tangent]
+
+    def own_forces(self) -> np.ndarray | None:
+        """Internal forces (nodes, block) that aren't those of forms, on this rank. Collective."""
+        return None
+
+    def dense(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Local nodes (n,) and parts (n block, n block) of the tangent that isn't that of forms."""
+        return iter(())
+
+    def held_forces(self, held: Any) -> np.ndarray:
+        """Forces (nodes, block) of what holds slopes, on this rank."""
+        raise NotImplementedError("no slopes without second gradients")
 
     @cached_property
     def point_values(self) -> compat.Evaluator:

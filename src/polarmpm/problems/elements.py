@@ -49,7 +49,7 @@ from .whole import Changing
 
 def _make_forms(elements: Elements, slope_penalty: float) -> ElementForms:
     if any(m.second_gradient for m in elements.points.materials):
-        from ..forms.interiorpenalty import GradientForms  # lazy import: others need none of it
+        from ..forms.gradientelements import GradientForms  # lazy import: others need none of it
 
         return GradientForms(elements, slope_penalty)
     if not elements.points.plastic:

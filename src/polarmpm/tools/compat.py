@@ -204,6 +204,16 @@ def tabulate(cell: str, degree: int, xi: np.ndarray) -> np.ndarray:
     return np.asarray(element.tabulate(1, xi))[:, :, :, 0]
 
 
+def tabulate_second(cell: str, degree: int, xi: np.ndarray) -> np.ndarray:
+    """Second derivatives of Lagrange functions (d (d + 1) / 2, q, nodes) at positions (q, d) of the reference
+    cell: by xx, xy, (xz,) yy, (yz, zz)."""
+    import basix
+
+    kind = getattr(basix.CellType, cell)
+    element = basix.create_element(basix.ElementFamily.P, kind, degree, basix.LagrangeVariant.equispaced)
+    return np.asarray(element.tabulate(2, xi))[1 + xi.shape[1] :, :, :, 0]
+
+
 def cell_geometry(mesh: Any) -> np.ndarray:
     """Rows of `mesh.geometry.x` of this rank's cells, ghosts included, (cells, nodes)."""
     listed = mesh.geometry.dofmap
