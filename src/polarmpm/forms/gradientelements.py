@@ -176,7 +176,7 @@ class GradientForms(ElementForms):
                 shape = table.weight.shape
                 data = np.zeros((*shape, 3 * d + 2))
                 data[:, :, :d], data[:, :, d : 2 * d], data[:, :, 3 * d] = table.normal, mask, share
-                data[:, :, 3 * d + 1] = share * self._penalties[row] / table.height
+                data[:, :, 3 * d + 1] = share * self._penalties[row] / _length(table, d)
                 found.append(self._patch(table, row, data))
         return [p for p in found if len(p.table.nodes)]
 
@@ -281,6 +281,14 @@ class GradientForms(ElementForms):
         dS = ufl.Measure("dS", domain=mesh, subdomain_data=tags, metadata=one)
         faces = self._zero * (u[0]("+") * v[0]("-") + u[0]("-") * v[0]("+")) * dS(1)
         return self._zero * u[0] * v[0] * ufl.Measure("dx", domain=mesh, metadata=one) + faces
+
+
+def _length(table: Table, dim: int) -> np.ndarray:
+    """h of the penalty (m, q): the size of the face, not less than the height of the cell over it, nor more
+    than four times that, by which the penalty stays large enough."""
+    size = table.weight.sum(axis=1, keepdims=True) ** (1 / (dim - 1))
+    found: np.ndarray = np.clip(size, table.height, 4 * table.height)
+    return found
 
 
 def _rows_of_cells(elements: Elements) -> np.ndarray:

@@ -8,7 +8,7 @@ C0 interior penalty (Engel et al. 2002; Hansbo, Larson 2002) from one potential,
 
 with the jump [.] and the mean {.} of the two sides. Faces of the boundary where the slope is held have the
 same with du/dN less what it is held at in the place of the jump. k is the largest stiffness of the material at
-rest against second gradients a N N (`slopestiffness`), h the height of the cell over the face.
+rest against second gradients a N N (`slopestiffness`), h the size of the face.
 
 A kernel's unknowns are those of one side, y = (du/dX, d2u/dX2, jump): the rows of a table of derivatives, each
 with all components of the displacement u.
