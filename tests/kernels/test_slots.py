@@ -5,25 +5,23 @@ from __future__ import annotations
 import pytest
 
 from polarmpm.kernels import native, structures
-from polarmpm.kinematics.layout import Layout
+from polarmpm.kinematics.layout import SECOND, Layout
 
-LAYOUTS = [Layout(2, 0), Layout(3, 0), Layout(2, 1), Layout(3, 3)]
+LAYOUTS = [Layout(2, 0), Layout(3, 0), Layout(2, 1), Layout(3, 3), Layout(2, 0, SECOND), Layout(3, 0, SECOND)]
 
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=str)
 def test_every_slot_is_where_c_has_it(layout):
-    lib, d, r = native.library(), layout.dim, layout.rotations
-    assert lib.polarmpm_unknowns(d, r) == layout.unknowns
+    lib, d, r, second = native.library(), layout.dim, layout.rotations, int(layout.second)
+    assert lib.polarmpm_unknowns(d, r, second) == layout.unknowns
+    derivatives = [(), *layout.axes(1), *layout.axes(2)]
     in_c = {
-        lib.polarmpm_slot(d, r, component, axis): (component, axis)
+        lib.polarmpm_slot(d, r, second, component, number): (component, axes)
         for component in range(layout.block)
-        for axis in range(-1, d)
+        for number, axes in enumerate(derivatives, -1)
     }
     in_c.pop(-1)
-    in_python = {
-        k: (layout.rows(s.field)[s.component], s.axes[0] if s.axes else -1)
-        for k, s in enumerate(layout.slots)
-    }
+    in_python = {k: (layout.rows(s.field)[s.component], s.axes) for k, s in enumerate(layout.slots)}
     assert in_c == in_python
 
 

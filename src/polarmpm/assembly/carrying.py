@@ -38,18 +38,21 @@ class Moduli:
 
     def __init__(self, system: LoadedPoints, k: int):
         self._batch = batch = system.interpolation.batches[k]
-        self._layout = layout = system.layout
+        self._layout = layout = batch.form.layout
         n, nz = len(batch.rows), layout.unknowns
         inputs, still = system.interpolation.kernel_inputs(batch, np.zeros_like(system.x)), np.zeros((n, nz))
         before = (still,) if system.interpolation.forms[k].predicts else ()
         of_material = system.kernels[k][1](inputs, *before)
         assert system.initial is not None
-        kernels, frame = system.initial.kernels, batch.batch.frames
+        kernels, frame = system.initial.kernels[k], batch.batch.frames
         stress = self.stresses(of_material[:, :nz])
         geometric = kernels.blocks(still, frame, kernels.form.pack(stress, frame))
         self.blocks: np.ndarray = np.zeros((n, nz + nz * nz))
         a, upper = self._matrices, np.triu_indices(nz)
         a[:, upper[0], upper[1]] = a[:, upper[1], upper[0]] = (of_material - geometric)[:, nz:]
+        if layout.second:  # an initial stress does no work on second gradients
+            at = layout.where("displacement", 2)
+            a[:, at], a[:, :, at] = 0.0, 0.0
         diagonal = np.einsum("nii->ni", a)
         self._shift = _SOFTEST * np.abs(diagonal)
         of_gradient = layout.where("displacement", 1)
@@ -112,7 +115,7 @@ def _stresses(system: LoadedPoints, moduli: Sequence[Moduli], w: np.ndarray) -> 
     i = system.interpolation
     out = np.zeros_like(i.reference.initial_stress)
     for b, a in zip(i.batches, moduli, strict=True):
-        out[b.rows] = a.times(i.kernel_inputs(b, w)[:, : system.layout.unknowns])
+        out[b.rows] = a.times(i.kernel_inputs(b, w)[:, : b.form.layout.unknowns])
     return out
 
 

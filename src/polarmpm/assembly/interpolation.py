@@ -8,7 +8,7 @@ state when rotations get a new base.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -52,11 +52,11 @@ class Interpolation:
         forms: point form of each of the points' materials.
         reference: state at the last reset; default: the points' current state, which makes it a reset.
         terms: contributions to the nodal system besides the points' stresses.
-        boxes: the points integrate over their own boxes.
+        boxes: the points integrate over their own boxes; those with second gradients never do.
 
     Attributes:
         pieces: what the terms have made of this reset.
-        boxes: of each batch; None: points stand for themselves alone.
+        boxes: of each batch, None of one with second gradients; None: points stand for themselves alone.
     """
 
     def __init__(
@@ -70,13 +70,14 @@ class Interpolation:
         boxes: bool = False,
     ):
         self.grid, self.points, self.basis, self.forms = grid, points, basis, forms
-        self.layout: Layout = forms[0].layout
+        self.layout: Layout = forms[0].layout.with_second(False)
         self.reference = r = reference or Reference.of(points, self.layout.block)
         cells = basis.supporting_cells(grid, r.x) if basis.sliver else None
         half = basis.domains(r.F, points.half_length0) if basis.uses_domains else None
-        filled = boxes and has_boxes(points)
+        second = any(form.layout.second for form in forms)
+        filled = boxes and not all(form.layout.second for form in forms) and has_boxes(points)
         with errors_on_all_ranks(grid.comm):
-            w = basis.weights(grid, r.x, half, cells, 3 if filled else 2)
+            w = basis.weights(grid, r.x, half, cells, 3 if filled or second else 2)
             checks.instance(f"basis {basis.name!r}: weights", w, Weights, "Weights are")
         order, groups = group_points(points.material, w)
         reached = partial(reached_cells, grid, groups, basis)
@@ -98,9 +99,12 @@ class Interpolation:
         ]
         sides = [int(groups.count.max(initial=2)), *(max(b.count) for b in of_pieces)]
         self.reach = int(grid.comm.allreduce(max(sides) - 1, op=MPI.MAX))
-        self.boxes: list[PointBoxes] | None = None
+        self.boxes: list[PointBoxes | None] | None = None
         if filled:
-            self.boxes = [PointBoxes(b.batch, self.layout, points, b.rows, r) for b in self.batches]
+            self.boxes = [
+                None if b.form.layout.second else PointBoxes(b.batch, self.layout, points, b.rows, r)
+                for b in self.batches
+            ]
         self.pack()
 
     def _batch(
@@ -123,6 +127,7 @@ class Interpolation:
             batch,
             dim=self.layout.dim,
             rot=self.layout.rotations,
+            second=int(form.layout.second),
             slots=w.table.shape[-1],
             orders=w.table.shape[-2],
             nstate=form.state_size,
@@ -144,16 +149,22 @@ class Interpolation:
         """Write the reference state into the kernels' input, see `forms.points`."""
         r, p = self.reference, self.points
         for b in self.batches:
-            state = b.form.pack(r.F[b.rows], r.q[b.rows], r.wryness[b.rows], p.plastic_state(b.rows))
+            second = r.grad_F[b.rows] if b.form.layout.second else None
+            plastic = p.plastic_state(b.rows)
+            state = b.form.pack(r.F[b.rows], r.q[b.rows], r.wryness[b.rows], plastic, second)
             native.fill(b.batch, state=np.ascontiguousarray(state))
-        for boxes in self.boxes or ():
+        for boxes in self._boxed():
             boxes.pack(r)
+
+    def _boxed(self) -> Iterator[PointBoxes]:
+        """Boxes of the batches that have some."""
+        return (boxes for boxes in self.boxes or () if boxes is not None)
 
     def rebase_rotations(self, x: np.ndarray) -> None:
         """Count rotation increments from the points' current rotations on, at nodal increments x (nodes,
         block); weights and F stay."""
         self.reference.side_gradients = self.reference.side_gradients.copy()
-        for boxes in self.boxes or ():
+        for boxes in self._boxed():
             boxes.rebase_rotations(self.reference, x)
         self.reference.rebase_rotations(self.points)
         self.pack()
@@ -161,7 +172,7 @@ class Interpolation:
     def kernel_inputs(self, batch: PointBatch, x: np.ndarray) -> np.ndarray:
         """Inputs (n, form.inputs) of the residual's kernel at nodal increments x (nodes, block)."""
         form, b = batch.form, batch.batch
-        nz, ns = self.layout.unknowns, form.state_size
+        nz, ns = form.layout.unknowns, form.state_size
         out = np.empty((len(batch.rows), form.inputs))
         z = np.empty((len(batch.rows), nz))
         _gather(b, x, 1, z, None)
@@ -171,13 +182,18 @@ class Interpolation:
     # between nodes and points ---------------------------------------------------------------------
     def gather(self, x: np.ndarray) -> Increments:
         """Increments at this rank's points from nodal values (nodes, block)."""
-        layout, n = self.layout, len(self.points)
+        layout, n, second = self.layout, len(self.points), None
         z, value = np.zeros((n, layout.unknowns)), np.zeros((n, layout.block))
+        if any(b.form.layout.second for b in self.batches):
+            second = np.zeros((n, *[layout.dim] * 3))
         for b in self.batches:
-            zb, vb = np.empty((len(b.rows), z.shape[1])), np.empty((len(b.rows), value.shape[1]))
+            own = b.form.layout
+            zb, vb = np.empty((len(b.rows), own.unknowns)), np.empty((len(b.rows), value.shape[1]))
             _gather(b.batch, x, 0, zb, vb)
-            z[b.rows], value[b.rows] = zb, vb
-        return Increments(value, layout.part(z, "displacement", 1), layout.part(z, "rotation", 1))
+            z[b.rows], value[b.rows] = zb[:, : z.shape[1]], vb
+            if second is not None and own.second:
+                second[b.rows] = own.symmetric(own.part(zb, "displacement", 2))
+        return Increments(value, layout.part(z, "displacement", 1), layout.part(z, "rotation", 1), second)
 
     def spread(self, point_values: np.ndarray) -> np.ndarray:
         """Sums of point values (np, c) with the weighting functions, complete on owned rows. Collective."""

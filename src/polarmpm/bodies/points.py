@@ -49,6 +49,8 @@ PLASTIC_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
     "dissipation": ((), float),
 }
 
+# what bodies with second-gradient materials have beside it
+SECOND_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {"grad_F": ((3, 3, 3), float)}
 
 _PRIVATE = ("_has_plastic_state", "_fingerprints")  # what copies take along besides public attributes
 
@@ -73,6 +75,8 @@ class Points(Selecting):
         steps: how often load steps have changed them, of whatever problem; the same on all ranks.
         plastic_F, plastic_wryness: Fp of F = Fe Fp and Gp (1/m) of Gamma = Ge + Gp (T 4.1), tensors; like the
             following two only in bodies with plastic materials.
+        grad_F: second gradient of the motion H_iJK = d^2 x_i / dX_J dX_K (1/m), (np, 3, 3, 3), symmetric in
+            J and K; only in bodies with second-gradient materials, and zero at points of others.
         hardening: accumulated plastic strain chi, scalar.
         dissipation: plastic dissipation per reference volume so far (Pa), scalar.
         regions, surfaces: physical groups of the mesh that the points come from; see `region` and `surface`.
@@ -93,6 +97,7 @@ class Points(Selecting):
     half_length0: np.ndarray
     half_axes0: np.ndarray
     unresolved: np.ndarray
+    grad_F: np.ndarray
     plastic_F: np.ndarray
     plastic_wryness: np.ndarray
     hardening: np.ndarray
@@ -141,7 +146,7 @@ class Points(Selecting):
         self._has_plastic_state = False
         self._fingerprints: tuple[int, ...] = ()  # the present one, then those before other points joined
         self.arrangements = 0
-        self._add_plastic_state()
+        self._add_state()
 
     def _put_positions(self, x: Any, volume: Any, half_length: Any, half_axes: Any) -> None:
         """Check and copy what a point is seeded with."""
@@ -241,9 +246,15 @@ class Points(Selecting):
         return any(m.plastic for m in self.materials)
 
     @property
+    def second_gradient(self) -> bool:
+        """Whether one of the materials has second gradients."""
+        return any(m.second_gradient for m in self.materials)
+
+    @property
     def fields(self) -> dict[str, tuple[tuple[int | str, ...], type]]:
         """Names of the state's arrays, with their shapes after the point axis and types."""
-        return {**FIELDS, **PLASTIC_FIELDS} if self.plastic else FIELDS
+        found = {**FIELDS, **PLASTIC_FIELDS} if self.plastic else FIELDS
+        return {**found, **SECOND_FIELDS} if self.second_gradient else found
 
     def plastic_state(self, rows: np.ndarray) -> tuple[np.ndarray, ...]:
         """Fp, Gp and chi of some points; nothing in an elastic body."""
@@ -254,10 +265,12 @@ class Points(Selecting):
     def put_materials(self, materials: tuple[Material, ...], rows: np.ndarray) -> None:
         """Give the local points the materials of these rows (np,)."""
         self.materials, self.material = materials, rows.astype(np.int32)
-        self._add_plastic_state()
+        self._add_state()
 
-    def _add_plastic_state(self) -> None:
-        """Arrays of plastic materials, where they are needed and missing."""
+    def _add_state(self) -> None:
+        """Arrays of plastic and of second-gradient materials, where they are needed and missing."""
+        if self.second_gradient and "grad_F" not in vars(self):
+            self.grad_F = np.zeros((len(self), 3, 3, 3))
         if self.plastic and not self._has_plastic_state:
             n, self._has_plastic_state = len(self), True
             self.plastic_F = np.tile(np.eye(3), (n, 1, 1))
@@ -307,8 +320,8 @@ class Points(Selecting):
         first = self.comm.allreduce(int(self.id.max(initial=-1)), op=MPI.MAX) + 1
         number, mine = len(self.materials), self.materials
         self.materials = other.materials = mine + other.materials  # both sets know all fields
-        self._add_plastic_state()
-        other._add_plastic_state()
+        self._add_state()
+        other._add_state()
         theirs = dict(other.arrays())
         other.materials = other.materials[number:]
         theirs["id"] = theirs["id"] + first
@@ -337,7 +350,7 @@ class Points(Selecting):
             raise InputError("material: micropolar and classical materials can't be mixed in one body")
         if material not in self.materials:
             self.materials = (*self.materials, material)
-        self._add_plastic_state()
+        self._add_state()
         self.material = self.material.copy()
         self.material[self.rows(selection)] = self.materials.index(material)
         self.arrangements += 1

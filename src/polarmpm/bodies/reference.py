@@ -23,6 +23,7 @@ class Reference:
         initial_stress: what a balanced reset has added to the stresses, per reference volume, (np, b, d) for
             b unknowns of a node: S0 of a classical material; B0 (Pa) and below it M0 (N/m) of a micropolar
             one (docs/theory.md).
+        grad_F: as of `Points`; (np, 0) of a body without second gradients.
     """
 
     x: np.ndarray
@@ -32,13 +33,15 @@ class Reference:
     reset_wryness: np.ndarray
     side_gradients: np.ndarray
     initial_stress: np.ndarray
+    grad_F: np.ndarray
 
     @classmethod
     def of(cls, points: Points, block: int) -> Reference:
         """The points' current state, without an initial stress; `block`: unknowns of a node."""
         x, w, n, d = points.x, points.wryness, len(points), points.dim
         sides, stress = np.zeros((n, d, block - d, d)), np.zeros((n, block, d))
-        return cls(x.copy(), points.F.copy(), points.q.copy(), w.copy(), w.copy(), sides, stress)
+        second = points.grad_F.copy() if points.second_gradient else np.zeros((n, 0))
+        return cls(x.copy(), points.F.copy(), points.q.copy(), w.copy(), w.copy(), sides, stress, second)
 
     def rebase_rotations(self, points: Points) -> None:
         """Count rotations from the points' current ones on; an initial stress turns with its base."""
@@ -58,8 +61,10 @@ class Reference:
 
 @dataclass
 class Increments:
-    """Interpolated increments at the points: value (n, block), du/dx~ (n, d, d), dw/dx~ (n, r, d)."""
+    """Interpolated increments at the points: value (n, block), du/dx~ (n, d, d), dw/dx~ (n, r, d); in a
+    body with second gradients d^2u/dx~^2 (n, d, d, d), zero at points of other materials."""
 
     value: np.ndarray
     gradient: np.ndarray
     rotation_gradient: np.ndarray
+    second_gradient: np.ndarray | None = None

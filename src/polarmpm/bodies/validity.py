@@ -11,7 +11,7 @@ from ..kinematics import rotations
 from ..tools.parallel import errors_on_all_ranks
 from .points import Points
 
-_SEALED = ("x", "F", "q", "wryness")  # what a step puts in, from the state at the last reset
+_SEALED = ("x", "F", "q", "wryness", "grad_F")  # what a step puts in, from the state at the last reset
 
 
 def check_state(points: Points, *, everything: bool = True) -> None:
@@ -31,7 +31,7 @@ def check_state(points: Points, *, everything: bool = True) -> None:
                     f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
                 )
                 raise InputError(f"points.{name}: {found}; {np.dtype(kind)} {full} is needed")
-        changing = ("F", "q", "wryness", "plastic_F", "plastic_wryness", "hardening")
+        changing = ("F", "q", "wryness", "grad_F", "plastic_F", "plastic_wryness", "hardening")
         names = [n for n, (_, kind) in points.fields.items() if kind is float and n != "x"]
         for name in names if everything else [n for n in names if n in changing]:
             array = getattr(points, name)
@@ -41,6 +41,11 @@ def check_state(points: Points, *, everything: bool = True) -> None:
         length = np.einsum("ni,ni->n", points.q, points.q)
         _refuse(points, "q", np.abs(length - 1.0) > 1e-6, "isn't a unit quaternion")
         _refuse(points, "F", ~(rotations.determinant(points.F) > 0), "has no positive determinant")
+        if points.second_gradient:
+            apart = np.abs(points.grad_F - np.swapaxes(points.grad_F, 2, 3)).reshape(len(points), -1)
+            size = np.abs(points.grad_F).reshape(len(points), -1).max(axis=1)
+            bad = apart.max(axis=1) > 1e-12 * size
+            _refuse(points, "grad_F", bad, "isn't symmetric in its last two indices")
         if points.plastic:
             bad = ~(rotations.determinant(points.plastic_F) > 0)
             _refuse(points, "plastic_F", bad, "has no positive determinant")
@@ -64,7 +69,8 @@ class Seal:
     """
 
     def __init__(self, points: Points):
-        self._sums = {name: float(getattr(points, name).sum()) for name in _SEALED}
+        sealed = [name for name in _SEALED if name in points.fields]
+        self._sums = {name: float(getattr(points, name).sum()) for name in sealed}
 
     def check(self, points: Points) -> None:
         """Raise InputError, on all ranks alike, if it is broken. Collective."""

@@ -97,6 +97,9 @@ def make_support(
                 if key.startswith("theta") and not layout.rotations
                 else ""
             )
+            if key.startswith("slope"):
+                single = ", ".join(f"slope_{name[1:]}" for name in names[: layout.dim])
+                hint = f"; slopes of nodes on a plane are slope, {single}"
             raise InputError(
                 f"fix: unknown component {key!r}; allowed are u, theta, {', '.join(names)}{hint}"
             )

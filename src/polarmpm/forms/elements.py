@@ -152,6 +152,15 @@ class ElementForms:
         """Local nodes (n,) and parts (n block, n block) of the tangent that isn't that of forms."""
         return iter(())
 
+    def second_gradient(self) -> np.ndarray:
+        """H (np, 3, 3, 3) at the quadrature points in the last converged state, zero where the material has
+        no second gradients."""
+        raise NotImplementedError("no second gradients")
+
+    def face_energy(self) -> float:
+        """Energy (J) between elements in the last converged state. Collective."""
+        return 0.0
+
     def held_forces(self, held: Any) -> np.ndarray:
         """Forces (nodes, block) of what holds slopes, on this rank."""
         raise NotImplementedError("no slopes without second gradients")

@@ -1,7 +1,7 @@
 """Finite elements with second gradients: sums over cells and faces as numbers, see `interiorpenalty`.
 
-Cells and faces see the same second derivatives of the displacement itself, `total + x`: there is no history of
-them.
+Cells and faces see the same second derivatives of the displacement itself, `total + x`: there is no history
+of them.
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ class Patch:
     def unknowns(self, displacement: np.ndarray) -> np.ndarray:
         """y (m q, size) of nodal displacements (nodes, d)."""
         of_cells = displacement[self.table.nodes]
-        return np.matmul(self.table.rows, of_cells[:, None]).reshape(-1, self.potential.size)
+        y: np.ndarray = np.matmul(self.table.rows, of_cells[:, None]).reshape(-1, self.potential.size)
+        return y
 
     def _inputs(self, displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return self.unknowns(displacement), self.data.reshape(-1, self.data.shape[2])
@@ -123,7 +124,9 @@ class GradientForms(ElementForms):
         super().__init__(elements)
         materials, dim = elements.points.materials, elements.dim
         if elements.points.plastic:
-            raise InputError("materials: a body can't have materials that yield beside ones with second gradients")
+            raise InputError(
+                "materials: a body can't have materials that yield beside ones with second gradients"
+            )
         with errors_on_all_ranks(elements.comm):
             stiffness = [slope_stiffness(m, dim) if m.second_gradient else 0.0 for m in materials]
         self._penalties = penalty * np.array(stiffness)
@@ -150,7 +153,12 @@ class GradientForms(ElementForms):
     def _patches(self) -> list[Patch]:
         """Of cells and inner faces."""
         cells = [self._patch(self._of_cells, row) for row in range(len(self._cells))]
-        sides = [side for pair in slopetables.of_faces(self.elements, self._inner) for side in pair if side is not None]
+        sides = [
+            side
+            for pair in slopetables.of_faces(self.elements, self._inner)
+            for side in pair
+            if side is not None
+        ]
         return [p for p in [*cells, *self._on_faces(sides, 0.5)] if len(p.table.nodes)]
 
     def _patch(self, table: Table, row: int, of_face: np.ndarray | None = None) -> Patch:
@@ -165,8 +173,15 @@ class GradientForms(ElementForms):
         assert potential is not None
         return Patch(cut, np.concatenate([of_face[at], data], axis=2), potential)
 
-    def _on_faces(self, tables: Sequence[Table], share: float, held: Sequence[int] | None = None) -> list[Patch]:
-        """Faces by material. `share`: of the double traction, one half of the mean of two; `held`: components."""
+    def _on_faces(
+        self, tables: Sequence[Table], share: float, held: Sequence[int] | None = None
+    ) -> list[Patch]:
+        """Faces by material.
+
+        Args:
+            share: of the double traction, one half of the mean of two.
+            held: components.
+        """
         d, found = self.elements.dim, []
         mask = np.array([1.0 if held is None or i in held else 0.0 for i in range(d)])
         for table in tables:
@@ -186,11 +201,15 @@ class GradientForms(ElementForms):
         Raises:
             InputError: no cell at these facets has second gradients.
         """
-        own = facets.facets[facets.facets < self.elements.mesh.topology.index_map(self.elements.dim - 1).size_local]
+        own = facets.facets[
+            facets.facets < self.elements.mesh.topology.index_map(self.elements.dim - 1).size_local
+        ]
         tables = [table for table, _ in slopetables.of_faces(self.elements, own)]
         patches = self._on_faces(tables, 1.0, columns)
         if not self.elements.comm.allreduce(len(patches)):
-            raise InputError(f"{facets.name}: no material there has second gradients; its slope can't be held")
+            raise InputError(
+                f"{facets.name}: no material there has second gradients; its slope can't be held"
+            )
         return HeldSlopes(patches, np.zeros((len(self.elements.nodes), self.elements.dim)))
 
     # sums -------------------------------------------------------------------------------------------
@@ -250,13 +269,14 @@ class GradientForms(ElementForms):
         return float(self.elements.comm.allreduce(energy))
 
     def second_gradient(self) -> np.ndarray:
-        """H (np, 3, 3, 3) at the quadrature points in the last converged state."""
         d, table = self.elements.dim, self._of_cells
         u = self.total.x.array.reshape(-1, d)[table.nodes]
         known = np.matmul(table.rows[:, :, d:], u[:, None]).reshape(-1, table.rows.shape[2] - d, d)
         out = np.zeros((len(known), 3, 3, 3))
         for k, (i, j) in enumerate(combinations_with_replacement(range(d), 2)):
             out[:, :d, i, j] = out[:, :d, j, i] = known[:, k]
+        has = np.array([m.second_gradient for m in self.elements.points.materials])
+        out[~has[self.elements.points.material]] = 0.0
         return out
 
     # dolfinx ----------------------------------------------------------------------------------------
@@ -275,7 +295,9 @@ class GradientForms(ElementForms):
         from dolfinx import mesh as dmesh
 
         mesh, u, v = self.elements.mesh, self.trial, self.test
-        tags = dmesh.meshtags(mesh, self.elements.dim - 1, self._inner, np.ones(len(self._inner), dtype=np.int32))
+        tags = dmesh.meshtags(
+            mesh, self.elements.dim - 1, self._inner, np.ones(len(self._inner), dtype=np.int32)
+        )
         self._zero = fem.Constant(mesh, 0.0)
         one = {"quadrature_degree": 1}
         dS = ufl.Measure("dS", domain=mesh, subdomain_data=tags, metadata=one)
@@ -305,8 +327,9 @@ def _rows_of_cells(elements: Elements) -> np.ndarray:
 
 
 def inner_faces(elements: Elements, rows: np.ndarray, has: np.ndarray) -> np.ndarray:
-    """This rank's own faces between two cells whose materials have second gradients, ascending. Between one that
-    has and one that hasn't there is nothing to be done: double tractions vanish there by themselves. Collective.
+    """This rank's own faces between two cells whose materials have second gradients, ascending. Between one
+    that has and one that hasn't there is nothing to be done: double tractions vanish there by themselves.
+    Collective.
 
     Raises:
         InputError: ranks don't know the cells on the other side of their faces.

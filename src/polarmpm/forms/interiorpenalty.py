@@ -7,11 +7,11 @@ C0 interior penalty (Engel et al. 2002; Hansbo, Larson 2002) from one potential,
     faces   int [-{t} . [du/dN] + eta/2 {k/h} |[du/dN]|^2] dA,   t_i = dW/dH_iJK N_J N_K
 
 with the jump [.] and the mean {.} of the two sides. Faces of the boundary where the slope is held have the
-same with du/dN less what it is held at in the place of the jump. k is the largest stiffness of the material at
-rest against second gradients a N N (`slopestiffness`), h the size of the face.
+same with du/dN less what it is held at in the place of the jump. k is the largest stiffness of the material
+at rest against second gradients a N N (`slopestiffness`), h the size of the face.
 
-A kernel's unknowns are those of one side, y = (du/dX, d2u/dX2, jump): the rows of a table of derivatives, each
-with all components of the displacement u.
+A kernel's unknowns are those of one side, y = (du/dX, d2u/dX2, jump): the rows of a table of derivatives,
+each with all components of the displacement u.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from .strains import predicts, stresses, tangent_work, virtual_work
 
 
 class CellPotential:
-    """The energy of a material, at a point of a cell. Inputs: y, numbers of the material; for the tangent, where
-    it predicts stresses, y before the last correction, too."""
+    """The energy of a material, at a point of a cell. Inputs: y, numbers of the material; for the tangent,
+    where it predicts stresses, y before the last correction, too."""
 
     kind = "cells"
 
@@ -91,7 +91,9 @@ class CellPotential:
     @cached_property
     def energy(self) -> Any:
         """J/m^3, of a face J/m^2."""
-        return evaluate_energy(self.material, self._measures(self.y), named_parameters(self.material, self.numbers))
+        return evaluate_energy(
+            self.material, self._measures(self.y), named_parameters(self.material, self.numbers)
+        )
 
     @cached_property
     def residual(self) -> Any:
@@ -146,8 +148,8 @@ class CellPotential:
 
 
 class FacePotential(CellPotential):
-    """The interior penalty on one side of a face, or where the slope is held on the boundary: -c t . g + p/2 |g|^2
-    with the gap g = m (jump - s). Inputs: y, (N, m, s, c, p), numbers of the material.
+    """The interior penalty on one side of a face, or where the slope is held on the boundary:
+    -c t . g + p/2 |g|^2 with the gap g = m (jump - s). Inputs: y, (N, m, s, c, p), numbers of the material.
 
     Data: N is the normal, m is 1 or 0 for each component, s the slope at which they are held.
     """

@@ -100,7 +100,12 @@ class PlasticForm(PointForm):
         return plastic_size(self.layout) + max(region.multipliers for region in self.regions)
 
     def pack(
-        self, F: np.ndarray, q: np.ndarray, wryness: np.ndarray, plastic: Sequence[np.ndarray]
+        self,
+        F: np.ndarray,
+        q: np.ndarray,
+        wryness: np.ndarray,
+        plastic: Sequence[np.ndarray],
+        grad_F: np.ndarray | None = None,
     ) -> np.ndarray:
         plastic_F, plastic_wryness, chi = plastic
         try:

@@ -6,7 +6,7 @@ taken in the frame of the state, which leaves little arithmetic (T 3.4; `docs/th
 
 * isotropic energies, rotated frame: V~ = F~ Q~^T, E' = dQ^T (V~ + G) - I, Gamma' = Gamma~' + J_r Gw;
 * any other energy, reference frame: F = F~ + G, Q = dQ Q~, Gamma = Gamma~ + Q~^T J_r Gw;
-* classical energies: F = F~ + G.
+* classical energies: F = F~ + G, with second gradients z = (G, h) and H = H~ + h.
 
 G = du/dx~ T and Gw = dw/dx~ T with the frame T = V~ or F~, the first entries of the state.
 """
@@ -37,7 +37,7 @@ class PointForm:
     """Residual and tangent of a material at points in `dim` dimensions, as UFL forms and compiled."""
 
     def __init__(self, material: Material, dim: int):
-        self.material, self.layout = material, Layout.of(material, dim)
+        self.material, self.layout = material, Layout.of_points(material, dim)
         self.space = PointSpace(compat.point_domain())
         self.parameters = self.space.coefficient(len(parameter_values(material)))
         self.z = self.space.coefficient(self.layout.unknowns)
@@ -70,11 +70,17 @@ class PointForm:
         return strains(self.material, self.layout, self.z, self.state, rotated=self.material.isotropic)
 
     def pack(
-        self, F: np.ndarray, q: np.ndarray, wryness: np.ndarray, plastic: Sequence[np.ndarray]
+        self,
+        F: np.ndarray,
+        q: np.ndarray,
+        wryness: np.ndarray,
+        plastic: Sequence[np.ndarray],
+        grad_F: np.ndarray | None = None,
     ) -> np.ndarray:
-        """States (n, state_size) of reference values at points; `plastic`: their `Points.plastic_state`."""
+        """States (n, state_size) of reference values at points; `plastic`: their `Points.plastic_state`,
+        `grad_F`: with second gradients."""
         if not self.material.isotropic or not self.material.micropolar:
-            return self.layout.state().pack(F, wryness, q)
+            return self.layout.state().pack(F, wryness, q, grad_F)
         return self.packing(MPI.COMM_SELF)(F, q, wryness)
 
     def packing(self, comm: MPI.Comm) -> Kernel:

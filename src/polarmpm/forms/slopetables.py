@@ -1,4 +1,4 @@
-"""First and second derivatives of elements' functions by X at points of cells and of their faces, as numbers."""
+"""First and second derivatives of elements' functions by X at points of cells and of their faces."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def of_cells(elements: Elements) -> Table:
 
 
 def derivatives(elements: Elements, cells: np.ndarray, xi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First and second derivatives by X (m, q, d + d (d + 1) / 2, n) at positions xi (q, d) of the reference cell
-    in local cells (m,), and Jacobians dX/dxi (m, q, d, d)."""
+    """First and second derivatives by X (m, q, d + d (d + 1) / 2, n) at positions xi (q, d) of the reference
+    cell in local cells (m,), and Jacobians dX/dxi (m, q, d, d)."""
     body, d = elements.body, elements.dim
     _, jacobian = compat.mesh_geometry(body.mesh, xi, cells)
     n = elements.cell_nodes.shape[1]
@@ -64,8 +64,8 @@ def derivatives(elements: Elements, cells: np.ndarray, xi: np.ndarray) -> tuple[
 
 
 def of_faces(elements: Elements, facets: np.ndarray) -> Iterator[tuple[Table, Table | None]]:
-    """Points on local facets: what their first and their second cell see of them, None on the boundary. The last
-    row is du/dN, between two cells its jump, the first's less the second's; it is the same for both.
+    """Points on local facets: what their first and their second cell see of them, None on the boundary. The
+    last row is du/dN, between two cells its jump, the first's less the second's; it is the same for both.
     """
     e, topology = elements, elements.mesh.topology
     links = topology.connectivity(e.dim - 1, e.dim)
@@ -89,7 +89,7 @@ def of_faces(elements: Elements, facets: np.ndarray) -> Iterator[tuple[Table, Ta
 
 
 def _faces(e: Elements, cells: np.ndarray, local: int, other: list[int]) -> tuple[Table, Table | None]:
-    """Faces that are the same one of the first cell's (m, 1 or 2), whose corners are `other` of the second's."""
+    """Faces that are the same one of the first cell's (m, 1 or 2); `other`: their corners in the second."""
     import basix
 
     rule = compat.facet_rule(e.body.cell, e.quadrature_degree)
@@ -102,7 +102,9 @@ def _faces(e: Elements, cells: np.ndarray, local: int, other: list[int]) -> tupl
     nodes, d = e.cell_nodes[cells], e.dim
     slope = np.einsum("cqin,cqi->cqn", first[:, :, :d], normal)[:, :, None]
     if not other:
-        return Table(nodes[:, 0], np.concatenate([first, slope], axis=2), size, cells[:, 0], normal, height), None
+        return Table(
+            nodes[:, 0], np.concatenate([first, slope], axis=2), size, cells[:, 0], normal, height
+        ), None
     places = np.asarray(basix.geometry(getattr(basix.CellType, e.body.cell)))[other]
     there = places[0] + rule[0] @ (places[1:] - places[0])
     second, behind = derivatives(e, cells[:, 1], there)
@@ -117,4 +119,3 @@ def _faces(e: Elements, cells: np.ndarray, local: int, other: list[int]) -> tupl
         Table(both, here, size, cells[:, 0], normal, height),
         Table(both, across, size, cells[:, 1], normal, beyond),
     )
-

@@ -17,26 +17,29 @@ def motion(layout: Layout, z: Any, state: Any, *, rotated: bool) -> Moved:
     """F, Q and Gamma at a point, in the frame of its state.
 
     Args:
-        z: scalars (G, w, Gw), gradients taken in the frame of the state.
+        z: scalars (G, w, Gw), gradients taken in the frame of the state; or (G, h).
         state: scalars (V~, Gamma~') in the rotated frame, else (F~, q~, Gamma~), or F~ of a classical
-            material; of a plane problem without the entries that are known.
+            material, (F~, H~) with second gradients; of a plane problem without the entries that are known.
     """
     before, by = layout.state(rotated=rotated), Increment.of(layout, z)
     if not layout.rotations:
-        return move(by, before.frame(state))
+        return move(by, before.frame(state), grad_F=before.second_gradient(state))
     base = None if rotated else kin.quaternion_tensor(before.quaternion(state))
     return move(by, before.frame(state), base, before.wryness(state))
 
 
-def strain_measures(material: Material, stretch: Any, wryness: Any) -> tuple[Any, ...]:
-    """(E, Gamma) of U = Q^T F and Gamma; of a classical material, without a wryness, its measures of F."""
-    return evaluate_measures(material, stretch) if wryness is None else (stretch - ufl.Identity(3), wryness)
+def strain_measures(material: Material, stretch: Any, wryness: Any, grad_F: Any = None) -> tuple[Any, ...]:
+    """(E, Gamma) of U = Q^T F and Gamma; of a classical material, without a wryness, its measures of F, and
+    of H with second gradients."""
+    if wryness is None:
+        return evaluate_measures(material, stretch, grad_F)
+    return stretch - ufl.Identity(3), wryness
 
 
 def strains(material: Material, layout: Layout, z: Any, state: Any, *, rotated: bool) -> tuple[Any, ...]:
     """Strain measures of a material at a point, see `motion` and `strain_measures`."""
     now = motion(layout, z, state, rotated=rotated)
-    return strain_measures(material, now.stretch, now.wryness)
+    return strain_measures(material, now.stretch, now.wryness, now.grad_F)
 
 
 def stresses(material: Material, strains: Sequence[Any], numbers: Any) -> list[Any]:
@@ -46,9 +49,11 @@ def stresses(material: Material, strains: Sequence[Any], numbers: Any) -> list[A
     return [ufl.diff(w, v) for v in variables]
 
 
-def elastic_stress(material: Material, deformation: Any, wryness: Any, numbers: Any) -> tuple[Any, Any]:
+def elastic_stress(
+    material: Material, deformation: Any, wryness: Any, numbers: Any, grad_F: Any = None
+) -> tuple[Any, Any]:
     """B = dW/dE and S = dW/dGe at the elastic stretch Ue = Q^T Fe and wryness Ge; of a classical material,
-    without a wryness, dW/dFe and None.
+    without a wryness, dW/dFe and None, with second gradients dW/dF and dW/dH.
 
     Args:
         numbers: the material's, by name.
@@ -58,19 +63,24 @@ def elastic_stress(material: Material, deformation: Any, wryness: Any, numbers: 
         w = evaluate_energy(material, (e, g), numbers)
         return ufl.diff(w, e), ufl.diff(w, g)
     fe = ufl.variable(deformation)
-    measures = evaluate_measures(material, fe)
+    by = [fe] if grad_F is None else [fe, ufl.variable(grad_F)]
+    measures = evaluate_measures(material, *by)
     v = [ufl.variable(m) for m in measures]
     w = evaluate_energy(material, v, numbers)  # derived with respect to the few measures first
-    parts = [_chain(ufl.diff(w, vi), ufl.diff(m, fe)) for vi, m in zip(v, measures, strict=True)]
-    return sum(parts[1:], parts[0]), None
+    stresses = []
+    for b in by:
+        parts = [_chain(ufl.diff(w, vi), ufl.diff(m, b)) for vi, m in zip(v, measures, strict=True)]
+        stresses.append(sum(parts[1:], parts[0]))
+    return stresses[0], stresses[1] if len(by) > 1 else None
 
 
 def _chain(outer: Any, inner: Any) -> Any:
-    """Derivative of an energy by a measure times the measure's derivative by F."""
+    """Derivative of an energy by a measure times the measure's derivative by F or H."""
     if not outer.ufl_shape:
         return outer * inner
-    i, j, k, l = ufl.indices(4)
-    return ufl.as_tensor(outer[i, j] * inner[i, j, k, l], (k, l))
+    mine = ufl.indices(len(outer.ufl_shape))
+    left = ufl.indices(len(inner.ufl_shape) - len(mine))
+    return ufl.as_tensor(outer[mine] * inner[mine + left], left)
 
 
 def pushed(stress: Any, q: Any, by: Any) -> Any:

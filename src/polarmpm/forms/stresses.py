@@ -13,7 +13,7 @@ import numpy as np
 import ufl
 
 from ..errors import InputError
-from ..kernels.kernel import Kernel, PointSpace, compile_expressions, matrix
+from ..kernels.kernel import Kernel, PointSpace, compile_expressions, matrix, third
 from ..kinematics import tensors as kin
 from ..materials.base import Material, evaluate_energy, named_parameters, parameter_values
 from ..tools import checks, compat, quiet
@@ -30,13 +30,16 @@ class PointState:
     Attributes:
         material, p: the material, and its numbers by name.
         F, Gamma: deformation gradient, wryness (1/m).
+        H: second gradient of the motion (1/m), 3 x 3 x 3; None of a material without second gradients.
         Q: microrotation; None of a classical material.
         Fe, Ge: elastic parts of F and Gamma, F and Gamma themselves of an elastic material.
         chi: hardening variable; None of an elastic material.
     """
 
     def __init__(self, material: Material, coefficients: Sequence[Any]):
-        f, q, wryness, *plastic, parameters = coefficients
+        f, q, wryness, *more, parameters = coefficients
+        second, plastic = (more[:1], more[1:]) if material.second_gradient else ([], more)
+        self.H = third(second[0]) if second else None
         self.material, self.p = material, named_parameters(material, parameters)
         self.F, self.Gamma = matrix(f, 3, 3), matrix(wryness, 3, 3)
         self.Q = kin.quaternion_tensor([q[i] for i in range(4)]) if material.micropolar else None
@@ -53,7 +56,7 @@ class PointState:
 
     @cached_property
     def _stresses(self) -> tuple[Any, Any]:
-        return elastic_stress(self.material, self._stretch, self._wryness, self.p)
+        return elastic_stress(self.material, self._stretch, self._wryness, self.p, self.H)
 
     @cached_property
     def energy(self) -> Any:
@@ -61,13 +64,28 @@ class PointState:
         stored = ufl.as_ufl(0.0)
         if self.chi is not None:
             stored = cast("Plastic", self.material).hardening_energy(self.chi, self.p)
-        measures = strain_measures(self.material, self._stretch, self._wryness)
+        measures = strain_measures(self.material, self._stretch, self._wryness, self.H)
         return evaluate_energy(self.material, measures, self.p) + stored
 
     @cached_property
     def stress(self) -> Any:
-        """Cauchy stress (Pa) sigma = Q B Fe^T / J, T 3.4, (4.26)."""
-        return pushed(self._stresses[0], self.Q, self.Fe) / ufl.det(self.F)
+        """Cauchy stress (Pa) sigma = Q B Fe^T / J, T 3.4, (4.26); with second gradients what does work on
+        velocity gradients, (dW/dF F^T + dW/dH : H^T) / J, which is symmetric, too."""
+        forward = pushed(self._stresses[0], self.Q, self.Fe)
+        if self.H is not None:
+            i, j, k, l = ufl.indices(4)
+            forward += ufl.as_tensor(self._stresses[1][i, k, l] * self.H[j, k, l], (i, j))
+        return forward / ufl.det(self.F)
+
+    @cached_property
+    def double_stress(self) -> Any:
+        """Cauchy double stress (N/m) tau_ijk = dW/dH_iJK F_jJ F_kK / J, which does work on second gradients
+        of the velocity; zero of a material without second gradients."""
+        if self.H is None:
+            return ufl.as_tensor(np.zeros((3, 3, 3)).tolist())
+        i, j, k, l, m = ufl.indices(5)
+        forward = self._stresses[1][i, l, m] * self.Fe[j, l] * self.Fe[k, m]
+        return ufl.as_tensor(forward, (i, j, k)) / ufl.det(self.F)
 
     @cached_property
     def couple_stress(self) -> Any:
@@ -97,6 +115,7 @@ class MaterialField:
         function: of a `PointState`; a UFL scalar, vector or tensor.
         unit: of its values.
         plastic: computed of materials that can yield only, and zero of others.
+        second_gradient: computed of materials with second gradients only, and zero of others.
 
     Raises:
         InputError: no name, or not a function of one argument.
@@ -109,9 +128,11 @@ class MaterialField:
     function: Callable[[PointState], Any]
     unit: str = ""
     plastic: bool = False
+    second_gradient: bool = False
 
     def __post_init__(self) -> None:
         check_field(self, "a function of a PointState in UFL is", "state")
+        checks.flag(f"MaterialField {self.name!r}: second_gradient", self.second_gradient)
 
     def __repr__(self) -> str:
         return f"<MaterialField {self.name!r}{f' in {self.unit}' if self.unit else ''}>"
@@ -135,6 +156,7 @@ TABLE: dict[str, MaterialField] = {
         MaterialField("energy", lambda s: s.energy, "Pa"),
         MaterialField("stress", lambda s: s.stress, "Pa"),
         MaterialField("couple_stress", lambda s: s.couple_stress, "N/m"),
+        MaterialField("double_stress", lambda s: s.double_stress, "N/m", second_gradient=True),
         MaterialField("mean_pressure", lambda s: -ufl.tr(s.stress) / 3, "Pa"),
     )
 }
@@ -142,7 +164,8 @@ MECHANICAL = tuple(TABLE[name] for name in ("energy", "stress", "couple_stress")
 
 
 class FieldForm:
-    """Fields of (F, Q, Gamma), and of a plastic material's state (Fp, Gp, chi), for output.
+    """Fields of (F, Q, Gamma), of H with second gradients, and of a plastic material's state (Fp, Gp, chi),
+    for output.
 
     Args:
         fields: by default energy, stress and couple stress.
@@ -151,7 +174,8 @@ class FieldForm:
     def __init__(self, material: Material, fields: Sequence[MaterialField] = MECHANICAL):
         self.material, self.fields = material, fields
         self.space = PointSpace(compat.point_domain())
-        sizes = [9, 4, 9, *([9, 9, 1] if material.plastic else []), len(parameter_values(material))]
+        more = ([27] if material.second_gradient else []) + ([9, 9, 1] if material.plastic else [])
+        sizes = [9, 4, 9, *more, len(parameter_values(material))]
         self._inputs = [self.space.coefficient(n) for n in sizes]
         self.terminals = {c: sum(sizes[:k]) for k, c in enumerate(self._inputs)}
         self.size = sum(sizes)
@@ -167,17 +191,17 @@ class FieldForm:
         for field in self.fields:
             with checks.evaluating(f"field {field.name!r}"), quiet.ufl():
                 value = ufl.as_ufl(field.function(state))
-            if value.ufl_shape not in ((), (3,), (3, 3)) or value.ufl_free_indices:
+            if value.ufl_shape not in ((), (3,), (3, 3), (3, 3, 3)) or value.ufl_free_indices:
                 raise InputError(
                     f"field {field.name!r} has the shape {value.ufl_shape}; a scalar, a vector of three or a "
-                    "3 x 3 tensor is needed"
+                    "tensor, 3 x 3 or 3 x 3 x 3, is needed"
                 )
             out.append(value)
         return out
 
     def compile(self, comm: MPI.Comm) -> Kernel:
-        """Kernel (F, q, Gamma, plastic state, parameters) -> the fields, row by row; by default 19 numbers,
-        (W, sigma, mu). Collective."""
+        """Kernel (F, q, Gamma, H, plastic state, parameters) -> the fields, row by row; by default 19
+        numbers, (W, sigma, mu). Collective."""
         return compile_expressions(self.expressions, self.terminals, self.size, self.space.domain, comm)
 
     def split(self, rows: np.ndarray) -> dict[str, np.ndarray]:

@@ -7,7 +7,7 @@ import numpy as np
 from ..errors import InputError, KernelError
 from ..kernels import codegen
 from ..kernels.codegen import Scalariser
-from ..kernels.kernel import PointSpace, matrix
+from ..kernels.kernel import PointSpace, matrix, third
 from ..kinematics import rotations
 from ..materials.base import Material, UserEnergy, evaluate_energy, named_parameters, parameter_values
 from ..tools import compat
@@ -52,12 +52,14 @@ def _evaluated(material: Material) -> tuple[bool, np.ndarray, np.ndarray]:
     but the first one once more turned."""
     numbers = parameter_values(material)
     space = PointSpace(compat.point_domain())
-    u, g, p = (space.coefficient(n) for n in (9, 9, len(numbers)))
+    more = 27 if material.second_gradient else 9  # second gradients stand for the wryness
+    u, g, p = (space.coefficient(n) for n in (9, more, len(numbers)))
     named = named_parameters(material, p)
     stretch, wryness = matrix(u, 3, 3), matrix(g, 3, 3) if material.micropolar else None
-    scalarise = Scalariser({u: 0, g: 9, p: 18})
-    expressions = [evaluate_energy(material, strain_measures(material, stretch, wryness), named)]
-    expressions += [s for s in elastic_stress(material, stretch, wryness, named) if s is not None]
+    second = third(g) if material.second_gradient else None
+    scalarise = Scalariser({u: 0, g: 9, p: 9 + more})
+    expressions = [evaluate_energy(material, strain_measures(material, stretch, wryness, second), named)]
+    expressions += [s for s in elastic_stress(material, stretch, wryness, named, second) if s is not None]
     nodes = []
     for expression in expressions:
         data = scalarise(codegen.expand(expression)).data
@@ -69,7 +71,10 @@ def _evaluated(material: Material) -> tuple[bool, np.ndarray, np.ndarray]:
     back = np.swapaxes(turn, 1, 2)
     states = [np.concatenate([a, turn @ a[1:] @ back]) for a in (strain + np.eye(3), bend)]
     rows = [a.reshape(-1, 9).T for a in states]
+    if material.second_gradient:
+        halves = np.stack([states[1], np.roll(states[1], 1, axis=1), np.roll(states[1], 1, axis=2)], axis=3)
+        rows[1] = (halves + np.swapaxes(halves, 2, 3)).reshape(-1, 27).T
     inputs = np.vstack([*rows, np.tile(numbers[:, None], rows[0].shape[1])])
     values = scalarise.graph.values(nodes, inputs)
-    depends = scalarise.graph.depends(nodes[0], range(18))
+    depends = scalarise.graph.depends(nodes[0], range(9 + more))
     return depends, values[0], values[1:]

@@ -57,6 +57,7 @@ OF_POINTS: dict[str, Field] = {
         Field("F", lambda p: p.F),
         Field("stretch", lambda p: p.stretch),
         Field("wryness", lambda p: p.wryness, "1/m"),
+        Field("grad_F", lambda p: p.grad_F, "1/m"),
         Field("volume", lambda p: p.volume, "m^3"),
         Field("unresolved", lambda p: p.unresolved),
         Field("id", lambda p: p.id),
@@ -76,7 +77,11 @@ def choose(fields: str | AnyField | Iterable[str | AnyField], points: Points) ->
         InputError: an unknown name, a field of plastic materials where there are none, or a name twice.
     """
     known: dict[str, AnyField] = {**OF_POINTS, **OF_MATERIALS}
-    allowed = [name for name, field in known.items() if points.plastic or not field.plastic]
+    allowed = [
+        name
+        for name, field in known.items()
+        if (points.plastic or not field.plastic) and (points.second_gradient or not _second(field))
+    ]
     out: list[AnyField] = []
     several = isinstance(fields, Iterable) and not isinstance(fields, str)
     for given in cast("Iterable[str | AnyField]", fields if several else (fields,)):
@@ -89,12 +94,18 @@ def choose(fields: str | AnyField | Iterable[str | AnyField], points: Points) ->
             raise InputError(f"fields: {field.name!r} has signs that ParaView's files can't hold as a name")
         if field.plastic and not points.plastic:
             raise InputError(f"fields: {field.name!r}, but none of the materials is plastic")
+        if _second(field) and not points.second_gradient:
+            raise InputError(f"fields: {field.name!r}, but none of the materials has second gradients")
         if known.get(field.name, field) is not field:
             raise InputError(f"fields: {field.name!r} is the name of one of the package's fields")
         if field.name in (other.name for other in out):
             raise InputError(f"fields: {field.name!r} is there twice")
         out.append(field)
     return tuple(out)
+
+
+def _second(field: AnyField) -> bool:
+    return field.name == "grad_F" or (isinstance(field, MaterialField) and field.second_gradient)
 
 
 def field_arrays(problem: Any, fields: Sequence[AnyField]) -> dict[str, np.ndarray]:

@@ -114,6 +114,7 @@ def _of_material(material: Material) -> dict[str, Any]:
     if elastic is not material:
         facts["elastic class"] = type(elastic).__qualname__
     facts |= {"micropolar": material.micropolar, "plastic": material.plastic}
+    facts |= {"second gradient": True} if material.second_gradient else {}
     facts |= {name: float(value) for name, value in material.parameters().items()}
     given = (type(one).__module__.split(".")[0] != __package__.split(".")[0] for one in (material, elastic))
     if any(given) or any(type(one).__name__.startswith("User") for one in (material, elastic)):
@@ -155,7 +156,12 @@ def _samples(material: Material) -> Iterator[tuple[str, float | None]]:
 
 
 def _energy(material: Material, a: Any, b: Any, numbers: Any) -> Any:
-    strains = (a, b) if material.micropolar else material.measures(ufl.Identity(3) + a)
+    if material.second_gradient:
+        i, j, k = ufl.indices(3)
+        second = ufl.as_tensor(a[i, j] * b[k, i] + a[i, k] * b[j, i], (i, j, k))
+        strains = material.measures(ufl.Identity(3) + a, second)
+    else:
+        strains = (a, b) if material.micropolar else material.measures(ufl.Identity(3) + a)
     return evaluate_energy(material, strains, numbers)
 
 

@@ -36,7 +36,7 @@ from . import container, meshstate
 from .files import reason
 from .identity import Facts, check_allowed, check_points, differences, made_of, refuse_differences
 
-_FORMAT = 7
+_FORMAT = 8
 _KIND = f"format {_FORMAT}"
 _WHOLE = ("terms", "steps")  # groups of arrays that every rank has whole
 _FINITE = ("points", "reference", "nodes", "cells", "equilibrium")  # that have nothing of a script's
@@ -267,9 +267,10 @@ def _put_points(problem: QuasiStatic, saved: _Saved, differing: frozenset[str]) 
 
 
 def _unyielded(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Plastic state of points that were elastic in the run before."""
+    """Plastic state of points that were elastic in the run before, second gradients of those without."""
     n = len(rows["points/id"])
     none = {"plastic_wryness": np.zeros((n, 3, 3)), "hardening": np.zeros(n), "dissipation": np.zeros(n)}
+    none["grad_F"] = np.zeros((n, 3, 3, 3))
     return {"plastic_F": np.tile(np.eye(3), (n, 1, 1)), **none}
 
 

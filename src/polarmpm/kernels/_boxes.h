@@ -5,12 +5,13 @@
  * and the centres of its faces,
  *
  *     W(z) + share / 6 sum_k [W(z + z_k) + W(z - z_k) - 2 W(z)]     (docs/theory.md).
+ *
+ * Points with second gradients have none.
  */
 #include "_points.h"
 
 enum {
-    SIDES = 3,                 /* half axes in space */
-    PAIRS = 6                  /* different second derivatives in space */
+    SIDES = 3                  /* half axes in space */
 };
 
 /* Memory for LANES points and their boxes. */
@@ -26,7 +27,7 @@ typedef struct {
 
 static int create_boxes(const Batch *b, int sv, int whole, BoxWork *w)
 {
-    const int nz = unknowns_of(b->dim, b->rot), outputs = nz + nz * (nz + 1) / 2;
+    const int nz = unknowns_of(b->dim, b->rot, 0), outputs = nz + nz * (nz + 1) / 2;
     const size_t stride = (size_t)sv * WIDTH, inputs = 2 * nz + b->nstate + b->nparam;
     *w = (BoxWork){.first = vectors(SIDES * stride), .second = vectors(PAIRS * stride),
                    .sides = vectors(SIDES * LANES * SHAPES * stride), .zk = vectors(SIDES * nz * LANES),
@@ -41,40 +42,6 @@ static void free_boxes(BoxWork *w)
 {
     free(w->first), free(w->second), free(w->sides), free(w->zk);
     free(w->sums), free(w->z), free(w->up), free(w->down), free(w->before), free(w->moduli), free(w->moved);
-}
-
-/* First and second derivatives of a point's functions: first [axis][stride], second [pair][stride], pairs in the order
- * xx, xy, yy or xx, xy, xz, yy, yz, zz. */
-INLINE void curved_shape(const int dim, const Batch *b, int64_t p, const int32_t *count, int stride, double *first,
-                         double *second)
-{
-    const int m = b->slots, next = b->orders * m;
-    const double *w = b->weights + p * dim * next, *wy = w + next, *wz = wy + next;
-    const int n2 = dim == 3 ? count[2] : 1;
-    int a = 0;
-    for (int i = 0; i < count[0]; ++i)
-        for (int j = 0; j < count[1]; ++j) {
-            const double v = w[i] * wy[j], x = w[m + i] * wy[j], y = w[i] * wy[m + j];
-            const double xx = w[2 * m + i] * wy[j], xy = w[m + i] * wy[m + j], yy = w[i] * wy[2 * m + j];
-            for (int k = 0; k < n2; ++k, ++a) {
-                const double z = dim == 3 ? wz[k] : 1.0;
-                first[a] = x * z, first[stride + a] = y * z;
-                second[a] = xx * z, second[stride + a] = xy * z;
-                if (dim == 3) {
-                    first[2 * stride + a] = v * wz[m + k];
-                    second[2 * stride + a] = x * wz[m + k], second[3 * stride + a] = yy * z;
-                    second[4 * stride + a] = y * wz[m + k], second[5 * stride + a] = v * wz[2 * m + k];
-                } else {
-                    second[2 * stride + a] = yy;
-                }
-            }
-        }
-}
-
-INLINE int pair_of(const int dim, int i, int j)
-{
-    const int low = i < j ? i : j, high = i < j ? j : i;
-    return dim == 2 ? low + high : low == 0 ? high : low + high + 1;
 }
 
 /* A point's shapes differentiated along a half axis, in the layout and frame of `shape`. */
@@ -114,10 +81,10 @@ INLINE void find_sides(const int dim, const Batch *b, const PointKernels *kernel
 INLINE void gather_sides(const int dim, const int rot, const PointKernels *kernels, int64_t p, int nv, int sv, const vec *x,
                          int l, const BoxWork *w, double *zk, const int step)
 {
-    const int nz = unknowns_of(dim, rot);
+    const int nz = unknowns_of(dim, rot, 0);
     for (int k = 0; k < dim; ++k) {
         double *own = zk + k * nz * step;
-        interpolate(dim, rot, nv, sv, w->sides + ((int64_t)k * LANES + l) * SHAPES * sv, x, own, step);
+        interpolate(dim, rot, 0, nv, sv, w->sides + ((int64_t)k * LANES + l) * SHAPES * sv, x, own, step);
         const int turning = rot * (1 + dim);  /* rotations, then their gradients */
         for (int i = 0; i < turning; ++i)
             own[(value_slot(dim, rot, dim) + i) * step] += kernels->box_turns[(p * dim + k) * turning + i];
@@ -128,7 +95,7 @@ INLINE void gather_sides(const int dim, const int rot, const PointKernels *kerne
 INLINE void evaluate_boxes(const int dim, const int rot, const Batch *b, kernel_t kernel, const double *in,
                            const double *residual, BoxWork *w)
 {
-    const int nz = unknowns_of(dim, rot), block = nz * LANES;
+    const int nz = unknowns_of(dim, rot, 0), block = nz * LANES;
     memcpy(w->z + block, in + block, sizeof(double) * (b->nstate + b->nparam) * LANES);
     for (int i = 0; i < block; ++i) w->sums[i] = -2.0 * dim * residual[i];
     for (int k = 0; k < dim; ++k) {
@@ -149,19 +116,19 @@ INLINE void evaluate_boxes(const int dim, const int rot, const Batch *b, kernel_
 INLINE void add_sides(const int dim, const int rot, int nv, int sv, const BoxWork *w, double weight, int l, double *r,
                       vec *f)
 {
-    const int nz = unknowns_of(dim, rot);
+    const int nz = unknowns_of(dim, rot, 0);
     double side[UNKNOWNS_MAX];
     for (int i = 0; i < nz; ++i) r[i] += weight * w->sums[i * LANES + l];
     for (int k = 0; k < dim; ++k) {
         for (int i = 0; i < nz; ++i) side[i] = weight * w->sums[((1 + k) * nz + i) * LANES + l];
-        add_residual(dim, rot, nv, sv, w->sides + (k * LANES + l) * SHAPES * sv, side, f);
+        add_residual(dim, rot, 0, nv, sv, w->sides + (k * LANES + l) * SHAPES * sv, side, f);
     }
 }
 
 /* Residuals and moduli at z + z_k and z - z_k, for all sides. */
 INLINE void evaluate_sides(const int dim, const int rot, const Batch *b, kernel_t kernel, const double *in, BoxWork *w)
 {
-    const int nz = unknowns_of(dim, rot), block = nz * LANES, outputs = nz + nz * (nz + 1) / 2;
+    const int nz = unknowns_of(dim, rot, 0), block = nz * LANES, outputs = nz + nz * (nz + 1) / 2;
     const int known = (b->nstate + b->nparam) * LANES;
     memcpy(w->z, in, sizeof(double) * (2 * block + known));
     for (int k = 0; k < dim; ++k)

@@ -1,4 +1,5 @@
-/* Where the unknowns z = (du/dx, w, dw/dx) of a point stand; a part of _native.c.
+/* Where the unknowns z = (du/dx, w, dw/dx) of a point stand, or z = (du/dx, d2u/dx2) with second gradients; a part of
+ * _native.c.
  *
  * The table is kinematics/layout.py's, and tests/kernels/test_slots.py holds this file against it. A component counts
  * the unknowns of a node: displacements, then rotations. Called with constants, all of this is constant, too. The sums
@@ -10,13 +11,30 @@
 
 enum {
     SHAPES = 4,                /* a weighting function and its derivatives, in space */
-    UNKNOWNS_MAX = 21,         /* length of z in space with rotations */
+    SECOND_SHAPES = 10,        /* and its second derivatives, too */
+    PAIRS = 6,                 /* different second derivatives in space */
+    UNKNOWNS_MAX = 27,         /* length of z in space with second gradients; 21 with rotations */
     INITIAL_MAX = 18,          /* numbers of an initial stress, in space with rotations */
     SPIN = 3                   /* components of a rotation, and of a couple, in space */
 };
 
+/* Different second derivatives, in the order xx, xy, yy or xx, xy, xz, yy, yz, zz. */
+INLINE int pairs_of(int dim) { return dim * (dim + 1) / 2; }
+
+INLINE int pair_of(const int dim, int i, int j)
+{
+    const int low = i < j ? i : j, high = i < j ? j : i;
+    return dim == 2 ? low + high : low == 0 ? high : low + high + 1;
+}
+
 /* Length of z. */
-INLINE int unknowns_of(int dim, int rot) { return dim * dim + rot * (1 + dim); }
+INLINE int unknowns_of(int dim, int rot, int second)
+{
+    return dim * dim + rot * (1 + dim) + second * dim * pairs_of(dim);
+}
+
+/* Rows of a point's shapes: the function, its derivatives, and its second ones. */
+INLINE int shapes_of(int second) { return second ? SECOND_SHAPES : SHAPES; }
 
 /* Whether z holds the component itself, beside its gradient. */
 INLINE int has_value(int dim, int component) { return component >= dim; }
@@ -29,16 +47,33 @@ INLINE int gradient_slot(int dim, int rot, int component)
     return component < dim ? dim * component : dim * dim + rot + dim * (component - dim);
 }
 
-/* The slots before this one hold all that belongs to this component and to those before it. */
+/* First of a displacement's second derivatives, in the order of pair_of; they stand behind all that is said above. */
+INLINE int second_slot(int dim, int rot, int component)
+{
+    return dim * dim + rot * (1 + dim) + pairs_of(dim) * component;
+}
+
+/* Without second gradients, the slots before this one hold all that belongs to this component and to those before it. */
 INLINE int end_slot(int dim, int rot, int component) { return gradient_slot(dim, rot, component) + dim; }
 
-/* call(dim, rot, ...) with the sizes of a batch as constants. */
+/* call(dim, rot, ...) with the sizes of a batch as constants; of one without second gradients. */
 #define SPECIALISED(call, b, ...)                                                                                     \
     do {                                                                                                              \
         if ((b)->dim == 3 && (b)->rot == 3) call(3, 3, b, __VA_ARGS__);                                               \
         else if ((b)->dim == 3) call(3, 0, b, __VA_ARGS__);                                                           \
         else if ((b)->rot == 1) call(2, 1, b, __VA_ARGS__);                                                           \
         else call(2, 0, b, __VA_ARGS__);                                                                              \
+    } while (0)
+
+/* call(dim, rot, second, ...), also with second gradients. */
+#define SPECIALISED_SECOND(call, b, ...)                                                                              \
+    do {                                                                                                              \
+        if ((b)->second && (b)->dim == 3) call(3, 0, 1, b, __VA_ARGS__);                                              \
+        else if ((b)->second) call(2, 0, 1, b, __VA_ARGS__);                                                          \
+        else if ((b)->dim == 3 && (b)->rot == 3) call(3, 3, 0, b, __VA_ARGS__);                                       \
+        else if ((b)->dim == 3) call(3, 0, 0, b, __VA_ARGS__);                                                        \
+        else if ((b)->rot == 1) call(2, 1, 0, b, __VA_ARGS__);                                                        \
+        else call(2, 0, 0, b, __VA_ARGS__);                                                                           \
     } while (0)
 
 #endif

@@ -1,4 +1,5 @@
-/* Points' moments for the projection on a quadrature space (assembly/projection.py); a part of _native.c. */
+/* Points' moments for the projection on a quadrature space (assembly/projection.py), which needs cells' own functions: no
+ * point has second gradients then; a part of _native.c. */
 #include "_points.h"
 
 /* Work of gradients in a point's frame T -> work of gradients with respect to x~: r_ik = sum_j r_ij T_kj. */
@@ -23,17 +24,17 @@ FAST int polarmpm_moments(const Batch *b, const PointKernels *kernels, const dou
                           double *residual, double *tangent)
 {
     if (b->npoints == 0) return 0;
-    const int nz = unknowns_of(b->dim, b->rot), size = symmetric ? nz * (nz + 1) / 2 : nz * nz;
+    const int nz = unknowns_of(b->dim, b->rot, 0), size = symmetric ? nz * (nz + 1) / 2 : nz * nz;
     Work w;
     const int failed = create_work(b, tangent != NULL, 0, 0, &w);
     int64_t group = 0, group_of[LANES];
     for (int64_t start = 0; start < b->npoints && !failed; start += LANES) {
         int coupled;
-        const int lanes = evaluate(b->dim, b->rot, b, kernels, x, start, &group, group_of, &w, &coupled);
+        const int lanes = evaluate(b->dim, b->rot, 0, b, kernels, x, start, &group, group_of, &w, &coupled);
         for (int l = 0; l < lanes; ++l) {
             const int64_t p = start + l;
             const double *frame = b->state + p * b->nstate;
-            point_terms(b->dim, b->rot, b, kernels, &w, p, l, coupled, residual + p * nz, tangent ? w.A : NULL);
+            point_terms(b->dim, b->rot, 0, b, kernels, &w, p, l, coupled, residual + p * nz, tangent ? w.A : NULL);
             pull_back(b, frame, residual + p * nz, 1);
             if (!tangent) continue;
             for (int i = 0; i < nz; ++i) pull_back(b, frame, w.A + i * nz, 1);

@@ -11,14 +11,16 @@
 
 int polarmpm_interface(void) { return INTERFACE; }
 
-/* Where z holds a component (axis < 0) or its derivative along an axis, -1: nowhere; for the test of _layout.h. */
-int polarmpm_slot(int32_t dim, int32_t rot, int32_t component, int32_t axis)
+/* Where z holds a component (axis < 0), its derivative along an axis, or (axis - dim) one of its second derivatives, -1:
+ * nowhere; for the test of _layout.h. */
+int polarmpm_slot(int32_t dim, int32_t rot, int32_t second, int32_t component, int32_t axis)
 {
+    if (axis >= dim) return second && component < dim ? second_slot(dim, rot, component) + axis - dim : -1;
     if (axis >= 0) return gradient_slot(dim, rot, component) + axis;
     return has_value(dim, component) ? value_slot(dim, rot, component) : -1;
 }
 
-int polarmpm_unknowns(int32_t dim, int32_t rot) { return unknowns_of(dim, rot); }
+int polarmpm_unknowns(int32_t dim, int32_t rot, int32_t second) { return unknowns_of(dim, rot, second); }
 
 /* Nodal sums of point values: out[node][c] += S f[point][c]. */
 void polarmpm_spread(const Batch *b, const double *f, int32_t nc, double *out)
@@ -71,7 +73,8 @@ void polarmpm_scalar_columns(int64_t nodes, const int64_t *offsets, const int64_
 
 typedef struct {
     double *in, *out, *cin, *cout, *iin, *iout, *A;
-    vec *shapes, *x, *before, *f, *K;  /* shapes [lane][SHAPES][sv], nodal values [component][sv] of a group */
+    vec *shapes, *x, *before, *f, *K;  /* shapes [lane][shapes_of(second)][sv], nodal values [component][sv] of a group */
+    vec *raw;                          /* what second_shape needs */
     Place *at;
     int sv;                            /* vectors of the nodes of the largest group */
     int64_t gathered;                  /* the group of which x and before are; -1: none */
@@ -88,10 +91,10 @@ INLINE void gather_group(const int nb, int n, int sv, const int32_t *nodes, cons
 }
 
 /* The initial stresses' part, of LANES points whose z and frames stand in w->in. */
-INLINE void evaluate_initial(const int dim, const int rot, const PointKernels *kernels, int64_t start, int lanes,
-                             const Work *w)
+INLINE void evaluate_initial(const int dim, const int rot, const int second, const PointKernels *kernels, int64_t start,
+                             int lanes, const Work *w)
 {
-    const int known = unknowns_of(dim, rot) + dim * dim, n = kernels->ninitial;
+    const int known = unknowns_of(dim, rot, second) + dim * dim, n = kernels->ninitial;
     memcpy(w->iin, w->in, sizeof(double) * known * LANES);
     for (int l = 0; l < LANES; ++l) {
         const double *stress = kernels->initial_stress + (start + (l < lanes ? l : lanes - 1)) * n;
@@ -101,10 +104,10 @@ INLINE void evaluate_initial(const int dim, const int rot, const PointKernels *k
 }
 
 /* Evaluate LANES points from `start` on: shapes of each, then the kernels. Returns how many are real. */
-INLINE int evaluate(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const double *x,
-                    int64_t start, int64_t *group, int64_t *group_of, Work *w, int *coupled)
+INLINE int evaluate(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
+                    const double *x, int64_t start, int64_t *group, int64_t *group_of, Work *w, int *coupled)
 {
-    const int nb = dim + rot, nz = unknowns_of(dim, rot), ns = b->nstate, np = b->nparam, sv = w->sv;
+    const int nb = dim + rot, nz = unknowns_of(dim, rot, second), ns = b->nstate, np = b->nparam, sv = w->sv;
     const int turn = value_slot(dim, rot, dim);  /* rotations in z; couples do work in space only */
     const int lanes = (int)(b->npoints - start < LANES ? b->npoints - start : LANES);
     int open = 0;
@@ -121,11 +124,13 @@ INLINE int evaluate(const int dim, const int rot, const Batch *b, const PointKer
             if (kernels->before) gather_group(nb, n, sv, nodes, kernels->before, w->before);
             w->gathered = *group;
         }
-        vec *s = w->shapes + (int64_t)l * SHAPES * sv;
+        vec *s = w->shapes + (int64_t)l * shapes_of(second) * sv;
         shape(dim, b, p, b->count + *group * dim, b->state + p * ns, sv * WIDTH, (double *)s);
-        interpolate(dim, rot, nv, sv, s, w->x, w->in + l, LANES);
-        if (kernels->before) interpolate(dim, rot, nv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l, LANES);
-        if (kernels->box_axes) {
+        if (second) second_shape(dim, b, p, b->count + *group * dim, b->state + p * ns, n, sv, w->raw, s);
+        interpolate(dim, rot, second, nv, sv, s, w->x, w->in + l, LANES);
+        if (kernels->before)
+            interpolate(dim, rot, second, nv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l, LANES);
+        if (!second && kernels->box_axes) {
             BoxWork *boxes = &w->boxes;
             find_sides(dim, b, kernels, p, b->count + *group * dim, n, sv, l, boxes);
             gather_sides(dim, rot, kernels, p, nv, sv, w->x, l, boxes, boxes->zk + l, LANES);
@@ -146,24 +151,24 @@ INLINE int evaluate(const int dim, const int rot, const Batch *b, const PointKer
         for (int k = nz + ns + np; kernels->before && k < 2 * nz + ns + np; ++k)
             w->in[k * LANES + l] = w->in[k * LANES + lanes - 1];
         for (int k = 0; k < 2 * SPIN; ++k) w->cin[k * LANES + l] = w->cin[k * LANES + lanes - 1];
-        for (int k = 0; kernels->box_axes && k < dim * nz; ++k) {
+        for (int k = 0; !second && kernels->box_axes && k < dim * nz; ++k) {
             w->boxes.zk[k * LANES + l] = w->boxes.zk[k * LANES + lanes - 1];
             w->boxes.before[k * LANES + l] = w->boxes.before[k * LANES + lanes - 1];
         }
     }
     if (open || kernels->box_axes) kernels->kernel(w->in, w->out);
-    if (kernels->box_kernel) evaluate_boxes(dim, rot, b, kernels->box_kernel, w->in, w->out, &w->boxes);
+    if (!second && kernels->box_kernel) evaluate_boxes(dim, rot, b, kernels->box_kernel, w->in, w->out, &w->boxes);
     if (*coupled) kernels->couple(w->cin, w->cout);
-    if (kernels->initial) evaluate_initial(dim, rot, kernels, start, lanes, w);
+    if (kernels->initial) evaluate_initial(dim, rot, second, kernels, start, lanes, w);
     return lanes;
 }
 
 /* What a point's virtual work multiplies, times its volume: r [nz] and, if wanted, A [nz][nz]; gradients in
  * the point's frame. */
-INLINE void point_terms(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const Work *w,
-                        int64_t p, int l, int coupled, double *r, double *A)
+INLINE void point_terms(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
+                        const Work *w, int64_t p, int l, int coupled, double *r, double *A)
 {
-    const int nz = unknowns_of(dim, rot), turn = value_slot(dim, rot, dim);
+    const int nz = unknowns_of(dim, rot, second), turn = value_slot(dim, rot, dim);
     const int64_t row = kernels->returned_of ? kernels->returned_of[p] : -1;
     const double *block = row < 0 ? NULL : kernels->returned + row * (nz + (A ? nz * nz : 0)), volume = b->volume[p];
     for (int k = 0; k < nz; ++k) r[k] = volume * (block ? block[k] : w->out[k * LANES + l]);
@@ -193,17 +198,18 @@ INLINE void point_terms(const int dim, const int rot, const Batch *b, const Poin
  * the points' boxes. Returns nonzero without memory. */
 static int create_work(const Batch *b, int tangent, int scatter, int boxes, Work *w)
 {
-    const int nb = block_size(b), nz = unknowns_of(b->dim, b->rot), largest = largest_group(b);
+    const int nb = block_size(b), nz = unknowns_of(b->dim, b->rot, b->second), largest = largest_group(b);
     const int most = scatter ? largest : 0, outputs = nz + (tangent ? nz * (nz + 1) / 2 : 0);
     const size_t sv = (largest + WIDTH - 1) / WIDTH, stride = sv * WIDTH, inputs = 2 * nz + b->nstate + b->nparam;
     *w = (Work){.in = vectors(inputs * LANES), .out = vectors((size_t)outputs * LANES),
                 .cin = vectors(2 * SPIN * LANES), .cout = vectors(SPIN * (1 + SPIN) * LANES),
                 .iin = vectors((nz + b->dim * b->dim + INITIAL_MAX) * LANES), .iout = vectors((size_t)outputs * LANES),
                 .A = vectors((size_t)LANES * nz * nz),
-                .shapes = vectors(LANES * SHAPES * stride), .x = vectors(nb * stride), .before = vectors(nb * stride),
+                .shapes = vectors(LANES * shapes_of(b->second) * stride),
+                .raw = vectors(b->second ? (3 + PAIRS) * stride : 1), .x = vectors(nb * stride), .before = vectors(nb * stride),
                 .f = vectors(nb * stride), .K = vectors(tangent && scatter ? most * nb * nb * stride : 1),
                 .at = malloc(sizeof(Place) * (most + 1)), .sv = (int)sv, .gathered = -1};
-    if (!(w->in && w->out && w->cin && w->cout && w->iin && w->iout && w->A && w->shapes && w->x && w->before && w->f && w->K && w->at))
+    if (!(w->in && w->out && w->cin && w->cout && w->iin && w->iout && w->A && w->shapes && w->raw && w->x && w->before && w->f && w->K && w->at))
         return 1;
     for (int k = 0; k < b->nparam; ++k)
         for (int l = 0; l < LANES; ++l) w->in[(nz + b->nstate + k) * LANES + l] = b->param[k];
@@ -213,21 +219,22 @@ static int create_work(const Batch *b, int tangent, int scatter, int boxes, Work
 static void free_work(Work *w)
 {
     free(w->in), free(w->out), free(w->cin), free(w->cout), free(w->iin), free(w->iout), free(w->A);
-    free(w->shapes), free(w->x), free(w->before), free(w->f), free(w->K), free(w->at);
+    free(w->shapes), free(w->raw), free(w->x), free(w->before), free(w->f), free(w->K), free(w->at);
     free_boxes(&w->boxes);
 }
 
-INLINE void gather(const int dim, const int rot, const Batch *b, const double *x, int32_t framed, double *z,
-                   double *value, Work *w)
+INLINE void gather(const int dim, const int rot, const int second, const Batch *b, const double *x, int32_t framed,
+                   double *z, double *value, Work *w)
 {
-    const int nb = dim + rot, nz = unknowns_of(dim, rot), sv = w->sv;
+    const int nb = dim + rot, nz = unknowns_of(dim, rot, second), sv = w->sv;
     for (int64_t g = 0; g < b->ngroups; ++g) {
         const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH;
         gather_group(nb, n, sv, b->nodes + b->node_offsets[g], x, w->x);
         for (int64_t p = b->offsets[g]; p < b->offsets[g + 1]; ++p) {
             const double *frame = framed ? b->state + p * b->nstate : NULL;
             shape(dim, b, p, b->count + g * dim, frame, sv * WIDTH, (double *)w->shapes);
-            interpolate(dim, rot, nv, sv, w->shapes, w->x, z + p * nz, 1);
+            if (second) second_shape(dim, b, p, b->count + g * dim, frame, n, sv, w->raw, w->shapes);
+            interpolate(dim, rot, second, nv, sv, w->shapes, w->x, z + p * nz, 1);
             for (int i = 0; value && i < nb; ++i) value[p * nb + i] = dot(nv, w->x + i * sv, w->shapes);
         }
     }
@@ -239,45 +246,46 @@ FAST int polarmpm_gather(const Batch *b, const double *x, int32_t framed, double
 {
     Work w;
     const int failed = create_work(b, 0, 0, 0, &w);
-    if (!failed) SPECIALISED(gather, b, x, framed, z, value, &w);
+    if (!failed) SPECIALISED_SECOND(gather, b, x, framed, z, value, &w);
     free_work(&w);
     return failed;
 }
 
 /* Points l .. end of these lanes, all of group g: their work into the group's sums. */
-INLINE void add_points(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const Matrix *M,
-                       const Work *w, int64_t start, int64_t g, int l, int end, int coupled)
+INLINE void add_points(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
+                       const Matrix *M, const Work *w, int64_t start, int64_t g, int l, int end, int coupled)
 {
-    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot), sv = w->sv;
+    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot, second), sv = w->sv;
+    const int shapes = shapes_of(second);
     for (int q = l; q < end; ++q) {
         double r[UNKNOWNS_MAX];
-        point_terms(dim, rot, b, kernels, w, start + q, q, coupled, r, M ? w->A + q * nz * nz : NULL);
-        if (kernels->box_kernel) {
+        point_terms(dim, rot, second, b, kernels, w, start + q, q, coupled, r, M ? w->A + q * nz * nz : NULL);
+        if (!second && kernels->box_kernel) {
             const double weight = b->volume[start + q] * kernels->box_share[start + q] / 6.0;
             add_sides(dim, rot, nv, sv, &w->boxes, weight, q, r, w->f);
         }
-        add_residual(dim, rot, nv, sv, w->shapes + q * SHAPES * sv, r, w->f);
+        add_residual(dim, rot, second, nv, sv, w->shapes + q * shapes * sv, r, w->f);
     }
     for (int P; M && l < end; l += P) {
         P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
-        add_tangents(dim, rot, nv, M->half, P, start + l == b->offsets[g], n, w->A + l * nz * nz,
-                     w->shapes + l * SHAPES * sv, sv, w->K);
+        add_tangents(dim, rot, second, nv, M->half, P, start + l == b->offsets[g], n, w->A + l * nz * nz,
+                     w->shapes + l * shapes * sv, sv, w->K);
     }
 }
 
-INLINE void assemble(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const Matrix *M,
-                     const double *x, double *force, double *rhs, Work *w)
+INLINE void assemble(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
+                     const Matrix *M, const double *x, double *force, double *rhs, Work *w)
 {
     const int nb = dim + rot;
     int64_t group = 0, group_of[LANES];
     for (int64_t start = 0; start < b->npoints; start += LANES) {
         int coupled;
-        const int lanes = evaluate(dim, rot, b, kernels, x, start, &group, group_of, w, &coupled);
+        const int lanes = evaluate(dim, rot, second, b, kernels, x, start, &group, group_of, w, &coupled);
         for (int l = 0, end; l < lanes; l = end) {
             const int64_t g = group_of[l];
             for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
             if (start + l == b->offsets[g]) memset(w->f, 0, sizeof(vec) * nb * w->sv);
-            add_points(dim, rot, b, kernels, M, w, start, g, l, end, coupled);
+            add_points(dim, rot, second, b, kernels, M, w, start, g, l, end, coupled);
             if (start + end < b->offsets[g + 1]) continue;
             const int32_t *nodes = b->nodes + b->node_offsets[g];
             const int n = nodes_of(b, g);
@@ -298,7 +306,7 @@ FAST int polarmpm_assemble(const Batch *b, const PointKernels *kernels, const Ma
     if (b->npoints == 0) return 0;
     Work w;
     const int failed = create_work(b, M != NULL, 1, kernels->box_axes != NULL, &w);
-    if (!failed) SPECIALISED(assemble, b, kernels, M, x, force, rhs, &w);
+    if (!failed) SPECIALISED_SECOND(assemble, b, kernels, M, x, force, rhs, &w);
     free_work(&w);
     return failed;
 }
@@ -308,7 +316,7 @@ INLINE void add_box_moduli(const int dim, const int rot, const Batch *b, const P
                            const Work *w, const double *out, const vec *shapes, double scale, int first, int64_t start,
                            int64_t g, int l, int end)
 {
-    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot), sv = w->sv;
+    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot, 0), sv = w->sv;
     for (int q = l; q < end; ++q) {
         const double weight = scale * b->volume[start + q] * kernels->box_share[start + q];
         const double *upper = out + nz * LANES + q;
@@ -318,7 +326,7 @@ INLINE void add_box_moduli(const int dim, const int rot, const Batch *b, const P
     }
     for (int P; l < end; l += P) {
         P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
-        add_tangents(dim, rot, nv, M->half, P, first && start + l == b->offsets[g], n, w->A + l * nz * nz,
+        add_tangents(dim, rot, 0, nv, M->half, P, first && start + l == b->offsets[g], n, w->A + l * nz * nz,
                      shapes + l * SHAPES * sv, sv, w->K);
     }
 }
@@ -328,7 +336,7 @@ INLINE void add_boxes(const int dim, const int rot, const Batch *b, const PointK
                       int32_t whole, const Work *w, int64_t start, int64_t g, int l, int end)
 {
     const BoxWork *boxes = &w->boxes;
-    const int sv = w->sv, nz = unknowns_of(dim, rot), outputs = nz + nz * (nz + 1) / 2;
+    const int sv = w->sv, nz = unknowns_of(dim, rot, 0), outputs = nz + nz * (nz + 1) / 2;
     if (whole)
         add_box_moduli(dim, rot, b, kernels, M, w, w->out, w->shapes, -dim / 3.0, 1, start, g, l, end);
     for (int k = 0; k < dim; ++k) {
@@ -351,7 +359,7 @@ INLINE void assemble_boxes(const int dim, const int rot, const Batch *b, const P
     int64_t group = 0, group_of[LANES];
     for (int64_t start = 0; start < b->npoints; start += LANES) {
         int coupled;
-        const int lanes = evaluate(dim, rot, b, kernels, x, start, &group, group_of, w, &coupled);
+        const int lanes = evaluate(dim, rot, 0, b, kernels, x, start, &group, group_of, w, &coupled);
         if (whole) evaluate_sides(dim, rot, b, kernels->kernel, w->in, &w->boxes);
         for (int l = 0, end; l < lanes; l = end) {
             const int64_t g = group_of[l];
@@ -380,14 +388,14 @@ FAST int polarmpm_assemble_boxes(const Batch *b, const PointKernels *kernels, co
 INLINE void gather_boxes(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const double *x,
                          double *z, double *zk, Work *w)
 {
-    const int nb = dim + rot, nz = unknowns_of(dim, rot), sv = w->sv;
+    const int nb = dim + rot, nz = unknowns_of(dim, rot, 0), sv = w->sv;
     for (int64_t g = 0; g < b->ngroups; ++g) {
         const int32_t *count = b->count + g * dim;
         const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH;
         gather_group(nb, n, sv, b->nodes + b->node_offsets[g], x, w->x);
         for (int64_t p = b->offsets[g]; p < b->offsets[g + 1]; ++p) {
             shape(dim, b, p, count, b->state + p * b->nstate, sv * WIDTH, (double *)w->shapes);
-            interpolate(dim, rot, nv, sv, w->shapes, w->x, z + p * nz, 1);
+            interpolate(dim, rot, 0, nv, sv, w->shapes, w->x, z + p * nz, 1);
             find_sides(dim, b, kernels, p, count, n, sv, 0, &w->boxes);
             gather_sides(dim, rot, kernels, p, nv, sv, w->x, 0, &w->boxes, zk + p * dim * nz, 1);
         }
@@ -408,18 +416,18 @@ FAST int polarmpm_gather_boxes(const Batch *b, const PointKernels *kernels, cons
 INLINE void box_work(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const double *from,
                      const double *to, double *inside, double *whole, Work *w, double *old)
 {
-    const int nz = unknowns_of(dim, rot), block = nz * LANES, sides = (1 + dim) * block;
+    const int nz = unknowns_of(dim, rot, 0), block = nz * LANES, sides = (1 + dim) * block;
     double *z = old, *r = z + block, *zk = r + block, *sums = zk + dim * block;
     const BoxWork *boxes = &w->boxes;
     int64_t group = 0, group_of[LANES];
     for (int64_t start = 0; start < b->npoints; start += LANES) {
         int coupled;
         int64_t first = group;
-        evaluate(dim, rot, b, kernels, from, start, &first, group_of, w, &coupled);
+        evaluate(dim, rot, 0, b, kernels, from, start, &first, group_of, w, &coupled);
         memcpy(z, w->in, sizeof(double) * block), memcpy(r, w->out, sizeof(double) * block);
         memcpy(zk, boxes->zk, sizeof(double) * dim * block), memcpy(sums, boxes->sums, sizeof(double) * sides);
         w->gathered = -1;  /* the same group at other nodal values */
-        const int lanes = evaluate(dim, rot, b, kernels, to, start, &group, group_of, w, &coupled);
+        const int lanes = evaluate(dim, rot, 0, b, kernels, to, start, &group, group_of, w, &coupled);
         w->gathered = -1;
         for (int l = 0; l < lanes; ++l) {
             const double volume = b->volume[start + l], weight = volume * kernels->box_share[start + l] / 6.0;
@@ -444,7 +452,7 @@ FAST int polarmpm_box_work(const Batch *b, const PointKernels *kernels, const do
 {
     if (b->npoints == 0) return 0;
     Work w;
-    double *old = vectors((size_t)(3 + 2 * SIDES) * unknowns_of(b->dim, b->rot) * LANES);
+    double *old = vectors((size_t)(3 + 2 * SIDES) * unknowns_of(b->dim, b->rot, 0) * LANES);
     const int failed = create_work(b, 0, 0, 1, &w) || !old;
     if (!failed) SPECIALISED(box_work, b, kernels, from, to, inside, whole, &w, old);
     free_work(&w);

@@ -11,7 +11,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 13,            /* raised with every change of a structure or signature; native.py reads it here */
+    INTERFACE = 14,            /* raised with every change of a structure or signature; native.py reads it here */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */
@@ -28,6 +28,7 @@ typedef void (*kernel_t)(const double *in, double *out);
 
 typedef struct {
     int32_t dim, rot;          /* space dimension, rotation components of a node */
+    int32_t second;            /* 1: z has second gradients, `orders` is 3, the state begins with F~ and H~; else 0 */
     int32_t slots;             /* stored weights in each direction */
     int32_t orders;            /* of stored derivatives: 2, values and gradients; 3, second derivatives, too */
     int32_t nstate, nparam;
@@ -135,6 +136,68 @@ INLINE void shape(const int dim, const Batch *b, int64_t p, const int32_t *count
         for (int q = a; q < stride; ++q) s[c * stride + q] = 0.0;
 }
 
+/* First and second derivatives of a point's functions: first [axis][stride], second [pair][stride], pairs in the order
+ * xx, xy, yy or xx, xy, xz, yy, yz, zz. */
+INLINE void curved_shape(const int dim, const Batch *b, int64_t p, const int32_t *count, int stride, double *first,
+                         double *second)
+{
+    const int m = b->slots, next = b->orders * m;
+    const double *w = b->weights + p * dim * next, *wy = w + next, *wz = wy + next;
+    const int n2 = dim == 3 ? count[2] : 1;
+    int a = 0;
+    for (int i = 0; i < count[0]; ++i)
+        for (int j = 0; j < count[1]; ++j) {
+            const double v = w[i] * wy[j], x = w[m + i] * wy[j], y = w[i] * wy[m + j];
+            const double xx = w[2 * m + i] * wy[j], xy = w[m + i] * wy[m + j], yy = w[i] * wy[2 * m + j];
+            for (int k = 0; k < n2; ++k, ++a) {
+                const double z = dim == 3 ? wz[k] : 1.0;
+                first[a] = x * z, first[stride + a] = y * z;
+                second[a] = xx * z, second[stride + a] = xy * z;
+                if (dim == 3) {
+                    first[2 * stride + a] = v * wz[m + k];
+                    second[2 * stride + a] = x * wz[m + k], second[3 * stride + a] = yy * z;
+                    second[4 * stride + a] = y * wz[m + k], second[5 * stride + a] = v * wz[2 * m + k];
+                } else {
+                    second[2 * stride + a] = yy;
+                }
+            }
+        }
+}
+
+/* Second derivatives of a point's weighting functions, behind those that `shape` has written to s, in the layout of
+ * `pair_of`; with a frame F~, which H~ follows, w,JK = w,mn F~_mJ F~_nK + w,m H~_mJK. `raw`: room for 3 + PAIRS rows. */
+INLINE void second_shape(const int dim, const Batch *b, int64_t p, const int32_t *count, const double *frame, int n,
+                         int sv, vec *raw, vec *s)
+{
+    const int pairs = pairs_of(dim), nv = (n + WIDTH - 1) / WIDTH, stride = sv * WIDTH;
+    double *first = (double *)raw, *second = (double *)(raw + 3 * sv), turn[PAIRS][PAIRS];
+    curved_shape(dim, b, p, count, stride, first, second);
+    for (int q = n; q < nv * WIDTH; ++q) {  /* what an earlier point has left beyond its nodes */
+        for (int m = 0; m < dim; ++m) first[m * stride + q] = 0.0;
+        for (int k = 0; k < pairs; ++k) second[k * stride + q] = 0.0;
+    }
+    for (int i = 0; frame && i < dim; ++i)
+        for (int j = i; j < dim; ++j)
+            for (int m = 0; m < dim; ++m)
+                for (int l = m; l < dim; ++l) {
+                    double sum = frame[m * dim + i] * frame[l * dim + j];
+                    if (l > m) sum += frame[l * dim + i] * frame[m * dim + j];
+                    turn[pair_of(dim, i, j)][pair_of(dim, m, l)] = sum;
+                }
+    const double *grown = frame ? frame + dim * dim : NULL;
+    vec *out = s + (1 + dim) * sv;
+    for (int v = 0; v < nv; ++v)
+        for (int k = 0; k < pairs; ++k) {
+            vec sum = raw[(3 + k) * sv + v];
+            if (frame) {
+                sum = turn[k][0] * raw[3 * sv + v];
+                for (int l = 1; l < pairs; ++l) sum += turn[k][l] * raw[(3 + l) * sv + v];
+                for (int m = 0; m < dim; ++m) sum += grown[m * pairs + k] * raw[m * sv + v];
+            }
+            out[k * sv + v] = sum;
+        }
+}
+
 INLINE double dot(const int nv, const vec *a, const vec *b)
 {
     vec sum = a[0] * b[0];
@@ -142,14 +205,16 @@ INLINE double dot(const int nv, const vec *a, const vec *b)
     return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
-/* z = (du/dx, w, dw/dx) of a point from its group's nodal values, written with a step. */
-INLINE void interpolate(const int dim, const int rot, int nv, int sv, const vec *s, const vec *x, double *z,
-                        const int step)
+/* z of a point from its group's nodal values, written with a step. */
+INLINE void interpolate(const int dim, const int rot, const int second, int nv, int sv, const vec *s, const vec *x,
+                        double *z, const int step)
 {
     for (int i = 0; i < dim + rot; ++i) {
         double *gradient = z + gradient_slot(dim, rot, i) * step;
         if (has_value(dim, i)) z[value_slot(dim, rot, i) * step] = dot(nv, x + i * sv, s);
         for (int j = 0; j < dim; ++j) gradient[j * step] = dot(nv, x + i * sv, s + (1 + j) * sv);
+        for (int k = 0; second && k < pairs_of(dim); ++k)
+            z[(second_slot(dim, rot, i) + k) * step] = dot(nv, x + i * sv, s + (1 + dim + k) * sv);
     }
 }
 

@@ -2,39 +2,43 @@
 #include "_points.h"
 
 /* B^T A B of P points of a group, added to its dense matrix K[node][i][k][nv]; the first points of a group overwrite
- * what an earlier group has left. s holds their values and gradients, [P][SHAPES][sv] vectors; A is [P][nz][nz].
+ * what an earlier group has left. s holds their shapes, [P][shapes_of(second)][sv] vectors; A is [P][nz][nz].
  * With several points at once an entry of K is read and written once for all of them. Of a symmetric matrix blocks
  * right of the diagonal are summed, and where both nodes are of one vector only entries with i <= k (`mirror`). */
-INLINE void add_tangent(const int dim, const int rot, int nv, int symmetric, const int P, int first, int n,
-                        const double *A, const vec *s, int sv, vec *K)
+INLINE void add_tangent(const int dim, const int rot, const int second, int nv, int symmetric, const int P, int first,
+                        int n, const double *A, const vec *s, int sv, vec *K)
 {
-    const int nb = dim + rot, nz = unknowns_of(dim, rot);
+    const int nb = dim + rot, nz = unknowns_of(dim, rot, second), shapes = shapes_of(second);
     for (int k = 0; k < nb; ++k)
         for (int v = 0; v < nv; ++v) {
             const int left = v * WIDTH, right = n > left + WIDTH ? left + WIDTH : n;
-            const int rows = symmetric && !v ? end_slot(dim, rot, k) : nz;
+            const int rows = symmetric && !v && !second ? end_slot(dim, rot, k) : nz;
             vec T[MANY][UNKNOWNS_MAX];  /* column k of A B for the nodes of vector v */
             for (int q = 0; q < P; ++q) {
-                const vec *sq = s + q * SHAPES * sv + v;
+                const vec *sq = s + q * shapes * sv + v;
                 const double *column = A + q * nz * nz + gradient_slot(dim, rot, k);
                 const double *value = A + q * nz * nz + value_slot(dim, rot, k);
+                const double *curved = A + q * nz * nz + second_slot(dim, rot, k);
                 for (int r = 0; r < rows; ++r) {
                     vec sum = column[r * nz] * sq[sv];
                     for (int j = 1; j < dim; ++j) sum += column[r * nz + j] * sq[(1 + j) * sv];
                     if (has_value(dim, k)) sum += value[r * nz] * sq[0];
+                    for (int j = 0; second && j < pairs_of(dim); ++j) sum += curved[r * nz + j] * sq[(1 + dim + j) * sv];
                     T[q][r] = sum;
                 }
             }
             for (int i = 0; i < nb; ++i) {
-                const int row = gradient_slot(dim, rot, i);
+                const int row = gradient_slot(dim, rot, i), curved = second_slot(dim, rot, i);
                 const int end = !symmetric ? n : i > k ? left : right;
                 for (int a = 0; a < end; ++a) {
                     vec *out = K + ((a * nb + i) * nb + k) * nv + v;
                     vec sum = first ? (vec){0} : *out;
                     for (int q = 0; q < P; ++q) {
-                        const double *g = (const double *)(s + q * SHAPES * sv) + a;
+                        const double *g = (const double *)(s + q * shapes * sv) + a;
                         for (int j = 0; j < dim; ++j) sum += g[(1 + j) * sv * WIDTH] * T[q][row + j];
                         if (has_value(dim, i)) sum += g[0] * T[q][value_slot(dim, rot, i)];
+                        for (int j = 0; second && j < pairs_of(dim); ++j)
+                            sum += g[(1 + dim + j) * sv * WIDTH] * T[q][curved + j];
                     }
                     *out = sum;
                 }
@@ -43,24 +47,27 @@ INLINE void add_tangent(const int dim, const int rot, int nv, int symmetric, con
 }
 
 /* P is 1, 2 or MANY. */
-INLINE void add_tangents(const int dim, const int rot, int nv, int symmetric, int P, int first, int n, const double *A,
-                         const vec *s, int sv, vec *K)
+INLINE void add_tangents(const int dim, const int rot, const int second, int nv, int symmetric, int P, int first, int n,
+                         const double *A, const vec *s, int sv, vec *K)
 {
     switch (P) {
-    case 1: add_tangent(dim, rot, nv, symmetric, 1, first, n, A, s, sv, K); break;
-    case 2: add_tangent(dim, rot, nv, symmetric, 2, first, n, A, s, sv, K); break;
-    default: add_tangent(dim, rot, nv, symmetric, MANY, first, n, A, s, sv, K);
+    case 1: add_tangent(dim, rot, second, nv, symmetric, 1, first, n, A, s, sv, K); break;
+    case 2: add_tangent(dim, rot, second, nv, symmetric, 2, first, n, A, s, sv, K); break;
+    default: add_tangent(dim, rot, second, nv, symmetric, MANY, first, n, A, s, sv, K);
     }
 }
 
 /* B^T r of a point into the group's nodal forces, [component][sv] vectors. */
-INLINE void add_residual(const int dim, const int rot, int nv, int sv, const vec *s, const double *r, vec *f)
+INLINE void add_residual(const int dim, const int rot, const int second, int nv, int sv, const vec *s, const double *r,
+                         vec *f)
 {
     for (int v = 0; v < nv; ++v) {
         for (int i = 0; i < dim + rot; ++i) {
             const double *gradient = r + gradient_slot(dim, rot, i);
             if (has_value(dim, i)) f[i * sv + v] += r[value_slot(dim, rot, i)] * s[v];
             for (int j = 0; j < dim; ++j) f[i * sv + v] += gradient[j] * s[(1 + j) * sv + v];
+            for (int j = 0; second && j < pairs_of(dim); ++j)
+                f[i * sv + v] += r[second_slot(dim, rot, i) + j] * s[(1 + dim + j) * sv + v];
         }
     }
 }

@@ -70,6 +70,11 @@ def matrix(c: Any, rows: int, columns: int, start: int = 0) -> Any:
     return ufl.as_tensor([[c[start + columns * i + j] for j in range(columns)] for i in range(rows)])
 
 
+def third(c: Any) -> Any:
+    """A tensor 3 x 3 x 3 of 27 components."""
+    return ufl.as_tensor([[[c[9 * i + 3 * j + k] for k in range(3)] for j in range(3)] for i in range(3)])
+
+
 def compile_expressions(
     expressions: list[Any], terminals: dict[Any, int], inputs: int, domain: Any, comm: MPI.Comm
 ) -> Kernel:

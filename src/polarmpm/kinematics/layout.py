@@ -1,7 +1,8 @@
 """The table of the values at a point: what stands where in its vector of unknowns and in its state.
 
-The unknowns of a material point are z = (du/dx, w, dw/dx). `POINT` says so, and all that reads or writes z in
-Python asks a `Layout`; the sums over points in C ask `kernels/_layout.h`, which a test holds against it.
+The unknowns of a material point are z = (du/dx, w, dw/dx), those of one with second gradients z = (du/dx,
+d^2u/dx^2). `POINT` and `SECOND` say so, and all that reads or writes z in Python asks a `Layout`; the sums
+over points in C ask `kernels/_layout.h`, which a test holds against it.
 Another field, or another derivative, is another part of a table; it takes the weights that supply it.
 """
 
@@ -25,6 +26,9 @@ class Kind(Protocol):
     @property
     def micropolar(self) -> bool: ...
 
+    @property
+    def second_gradient(self) -> bool: ...
+
 
 class Part(NamedTuple):
     """A field ("displacement", "rotation") with order 0, or all of its derivatives of an order."""
@@ -42,6 +46,7 @@ class Slot(NamedTuple):
 
 
 POINT = (Part("displacement", 1), Part("rotation", 0), Part("rotation", 1))  # z of a material point
+SECOND = (Part("displacement", 1), Part("displacement", 2))  # z of one with second gradients
 SURFACE = (Part("displacement", 0), Part("rotation", 0), Part("displacement", 1))  # y of a point on a surface
 
 
@@ -58,7 +63,22 @@ class Layout:
 
     @staticmethod
     def of(material: Kind, dim: int) -> Layout:
+        """Unknowns of the nodes, and first gradients: what all materials of a body share."""
         return Layout(dim, (1 if dim == 2 else 3) if material.micropolar else 0)
+
+    @staticmethod
+    def of_points(material: Kind, dim: int) -> Layout:
+        """Unknowns of the material's points."""
+        return Layout.of(material, dim).with_second(material.second_gradient)
+
+    def with_second(self, there: bool = True) -> Layout:
+        """The same with, or without, second gradients."""
+        return Layout(self.dim, self.rotations, SECOND if there else POINT)
+
+    @property
+    def second(self) -> bool:
+        """Whether there are second gradients."""
+        return Part("displacement", 2) in self.parts
 
     # sizes ----------------------------------------------------------------------------------------
     @property
@@ -100,6 +120,12 @@ class Layout:
         d, starts = self.dim, [k for k, s in enumerate(self.slots) if s.axes == (0,)]
         return [slice(first, first + d) for first in starts]
 
+    @property
+    def pairs(self) -> tuple[np.ndarray, np.ndarray]:
+        """The axes of each second derivative."""
+        first, second = np.array(self.axes(2)).T
+        return first, second
+
     # numbers --------------------------------------------------------------------------------------
     def pack(self, *derivatives: np.ndarray) -> np.ndarray:
         """z (n, unknowns) of the nodal unknowns at points: values (n, block), gradients (n, block, d), ..."""
@@ -115,6 +141,13 @@ class Layout:
         components = len(self.rows(field))
         shape = (components, len(self.axes(order))) if order else (components,)
         return z[:, self.where(field, order)].reshape(len(z), *shape)
+
+    def symmetric(self, second: np.ndarray) -> np.ndarray:
+        """Second derivatives (n, d, `axes`) as (n, d, d, d)."""
+        i, j = self.pairs
+        out = np.empty((len(second), self.dim, self.dim, self.dim))
+        out[:, :, i, j] = out[:, :, j, i] = second
+        return out
 
     # UFL ------------------------------------------------------------------------------------------
     def scalars(self, value: Any, gradient: Any) -> list[Any]:
@@ -148,6 +181,19 @@ class Layout:
             return g
         return kin.plane_wryness([g[0, 0], g[0, 1]]) if field == "rotation" else kin.plane_gradient(g)
 
+    def second_gradient(self, c: Any, start: int | None = None) -> Any:
+        """A displacement's second gradient in space, 3 x 3 x 3, of its different scalars: those of z, or
+        those that begin at `start` in another vector."""
+        start = self.where("displacement", 2).start if start is None else start
+        place = {axes: k for k, axes in enumerate(self.axes(2))}
+
+        def entry(i: int, j: int, k: int) -> Any:
+            if max(i, j, k) >= self.dim:
+                return 0
+            return c[start + i * len(place) + place[min(j, k), max(j, k)]]
+
+        return ufl.as_tensor([[[entry(i, j, k) for k in range(3)] for j in range(3)] for i in range(3)])
+
     # state ----------------------------------------------------------------------------------------
     def state(self, *, rotated: bool = False) -> StateLayout:
         """What stands where in a point's state."""
@@ -156,12 +202,13 @@ class Layout:
     @property
     def in_space(self) -> Layout:
         """The layout in which nothing is left out for a plane, the one of `Points`."""
-        return Layout(3, 3 if self.rotations else 0)
+        return Layout(3, 3 if self.rotations else 0, self.parts)
 
 
 @dataclasses.dataclass(frozen=True)
 class StateLayout:
-    """A point's state: its frame, its rotation as a quaternion, its wryness, without entries that are known.
+    """A point's state: its frame, its second gradient, its rotation as a quaternion, its wryness, without
+    entries that are known.
 
     The frame is F~, or V~ = F~ Q~^T with `rotated`, where the rotation needs no slots.
     """
@@ -170,9 +217,10 @@ class StateLayout:
     rotated: bool
 
     @cached_property
-    def _sizes(self) -> tuple[int, int, int]:
+    def _sizes(self) -> tuple[int, int, int, int]:
         d, r = self.layout.dim, self.layout.rotations
-        return d * d, 0 if self.rotated or r == 0 else (4 if d == 3 else 2), r * d
+        second = d * len(self.layout.axes(2)) if self.layout.second else 0
+        return d * d, second, 0 if self.rotated or r == 0 else (4 if d == 3 else 2), r * d
 
     @property
     def size(self) -> int:
@@ -184,18 +232,27 @@ class StateLayout:
         return slice(0, self._sizes[0])
 
     @property
-    def at_rotation(self) -> slice:
+    def at_second(self) -> slice:
         first = self._sizes[0]
         return slice(first, first + self._sizes[1])
 
     @property
+    def at_rotation(self) -> slice:
+        first = self.at_second.stop
+        return slice(first, first + self._sizes[2])
+
+    @property
     def at_wryness(self) -> slice:
-        return slice(self.size - self._sizes[2], self.size)
+        return slice(self.size - self._sizes[3], self.size)
 
     def frame(self, state: Any) -> Any:
         """3 x 3 tensor, in UFL."""
         frame = matrix(state, self.layout.dim, self.layout.dim, self.at_frame.start)
         return frame if self.layout.dim == 3 else kin.plane_tensor(frame)
+
+    def second_gradient(self, state: Any) -> Any:
+        """3 x 3 x 3 tensor, in UFL; None without second gradients."""
+        return self.layout.second_gradient(state, self.at_second.start) if self.layout.second else None
 
     def quaternion(self, state: Any) -> list[Any]:
         """Four components, in UFL."""
@@ -214,20 +271,35 @@ class StateLayout:
         found = [frame[i, j] for i in range(d) for j in range(d)]
         return found + [wryness[i, j] for i in range(3 - r, 3) for j in range(d)]
 
-    def pack(self, frame: np.ndarray, wryness: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """States (n, size) of tensors (n, 3, 3) and quaternions (n, 4)."""
+    def pack(
+        self, frame: np.ndarray, wryness: np.ndarray, q: np.ndarray, grad_F: np.ndarray | None = None
+    ) -> np.ndarray:
+        """States (n, size) of tensors (n, 3, 3), quaternions (n, 4) and second gradients (n, 3, 3, 3)."""
         d, r, n = self.layout.dim, self.layout.rotations, len(frame)
         parts: list[np.ndarray] = [frame[:, :d, :d].reshape(n, d * d)]
-        if self._sizes[1]:
+        if self.layout.second:
+            assert grad_F is not None
+            parts.append(self.pack_second(grad_F))
+        if self._sizes[2]:
             parts.append(q if d == 3 else q[:, [0, 3]])
         if r:
             parts.append(wryness[:, 3 - r :, :d].reshape(n, r * d))
         return np.concatenate(parts, axis=1)
 
+    def pack_second(self, grad_F: np.ndarray) -> np.ndarray:
+        """Different scalars (n, m) of second gradients (n, 3, 3, 3)."""
+        d = self.layout.dim
+        i, j = self.layout.pairs
+        packed: np.ndarray = grad_F[:, :d, i, j].reshape(len(grad_F), d * len(i))
+        return packed
+
     def unpack(self, state: np.ndarray) -> tuple[np.ndarray, ...]:
-        """(F, q, Gamma) of states in space (n, size), of classical materials (F,)."""
+        """(F, q, Gamma) of states in space (n, size), of classical materials (F,), with second gradients (F,
+        H)."""
         n = len(state)
         F = state[:, self.at_frame].reshape(n, 3, 3)
+        if self.layout.second:
+            return F, self.layout.symmetric(state[:, self.at_second].reshape(n, 3, -1))
         if not self.layout.rotations:
             return (F,)
         return F, state[:, self.at_rotation].copy(), state[:, self.at_wryness].reshape(n, 3, 3)

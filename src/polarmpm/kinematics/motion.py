@@ -1,7 +1,11 @@
 """How increments move the state of a point on, T 3.4.5, in UFL and compiled.
 
 F = F~ + G, Q = exp(hat(w)) Q~, Gamma = Gamma~ + Q~^T J_r(w) Gw, with G = du/dX = du/dx~ F~ and Gw = dw/dx~ F~
-of increments since the last reset. In the rotated frame the same holds of V~ = F~ Q~^T and Q~ Gamma~ Q~^T,
+of increments since the last reset. With second gradients, A = I + du/dx~ and H_A = d^2u/dx~^2,
+
+    H_iJK = (H_A)_imn F~_mJ F~_nK + A_im H~_mJK = H~ + h.
+
+In the rotated frame the same holds of V~ = F~ Q~^T and Q~ Gamma~ Q~^T,
 with no rotation before and V~ in the place of F~.
 """
 
@@ -21,23 +25,29 @@ from .layout import Layout
 
 
 class State(Protocol):
-    """F (n, 3, 3), unit quaternions q (n, 4) and wryness (n, 3, 3) of points."""
+    """F (n, 3, 3), unit quaternions q (n, 4) and wryness (n, 3, 3) of points; with second gradients H (n,
+    3, 3, 3)."""
 
     F: np.ndarray
     q: np.ndarray
     wryness: np.ndarray
+    grad_F: np.ndarray
 
 
 class Increments(Protocol):
-    """At points: value (n, block), gradients (n, d, d) and (n, r, d)."""
+    """At points: value (n, block), gradients (n, d, d) and (n, r, d), second gradients (n, d, d, d) or
+    None.
+    """
 
     value: np.ndarray
     gradient: np.ndarray
     rotation_gradient: np.ndarray
+    second_gradient: np.ndarray | None
 
 
 class Increment(NamedTuple):
-    """Increments at a point in UFL: G, w and Gw, the latter two None of classical materials.
+    """Increments at a point in UFL: G, w and Gw, the latter two None of classical materials, and h, None
+    without second gradients.
 
     plane: the rotation is about the third axis; nothing else of w and Gw is looked at.
     """
@@ -46,30 +56,40 @@ class Increment(NamedTuple):
     rotation: Any = None
     rotation_gradient: Any = None
     plane: bool = False
+    second: Any = None
 
     @staticmethod
     def of(layout: Layout, z: Any) -> Increment:
         """Of a point's unknowns."""
         gradient = layout.gradient(z, "displacement")
+        if layout.second:
+            return Increment(gradient, second=layout.second_gradient(z))
         if not layout.rotations:
             return Increment(gradient)
         turning = layout.gradient(z, "rotation")
         return Increment(gradient, layout.value(z, "rotation"), turning, layout.dim == 2)
 
-    def times(self, frame: Any) -> Increment:
-        """With gradients times a tensor, such as those by x~ times F~."""
-        turning = self.rotation_gradient
+    def times(self, frame: Any, curved: Any = None) -> Increment:
+        """With gradients times a tensor, such as those by x~ times F~; `curved`: its own gradient, such as
+        H~, which second gradients need."""
+        turning, second = self.rotation_gradient, self.second
         turning = None if turning is None else ufl.dot(turning, frame)
-        return Increment(ufl.dot(self.gradient, frame), self.rotation, turning, self.plane)
+        if second is not None:
+            i, j, k, m, n = ufl.indices(5)
+            grown = second[i, m, n] * frame[m, j] * frame[n, k] + self.gradient[i, m] * curved[m, j, k]
+            second = ufl.as_tensor(grown, (i, j, k))
+        return Increment(ufl.dot(self.gradient, frame), self.rotation, turning, self.plane, second)
 
 
 class Moved(NamedTuple):
-    """State of a point in UFL: F, Q as the turn of the increments after a base (None: no rotation), Gamma."""
+    """State of a point in UFL: F, Q as the turn of the increments after a base (None: no rotation), Gamma,
+    H (None without second gradients)."""
 
     F: Any
     turn: Any = None
     base: Any = None
     wryness: Any = None
+    grad_F: Any = None
 
     @property
     def Q(self) -> Any:
@@ -85,11 +105,12 @@ class Moved(NamedTuple):
         return back if self.base is None else ufl.dot(ufl.transpose(self.base), back)
 
 
-def move(by: Increment, F: Any, base: Any = None, wryness: Any = None) -> Moved:
-    """Move (F~, Q~, Gamma~) on; Q~ and Gamma~ are None where there is no rotation, and no wryness, before."""
+def move(by: Increment, F: Any, base: Any = None, wryness: Any = None, grad_F: Any = None) -> Moved:
+    """Move (F~, Q~, Gamma~) on, or (F~, H~); Q~ and Gamma~ are None where there is no rotation, and no
+    wryness, before."""
     F = F + by.gradient
     if by.rotation is None:
-        return Moved(F)
+        return Moved(F, grad_F=None if by.second is None else grad_F + by.second)
     change = by.rotation_gradient
     if by.plane:  # turns about one axis commute with each other, and leave the third row alone
         row = [change[2, j] if wryness is None else wryness[2, j] + change[2, j] for j in range(2)]
@@ -120,9 +141,13 @@ class Motion:
 
     def _expressions(self) -> list[Any]:
         full, s = self._full, self._state
-        F, by = full.frame(s), Increment.of(self.layout, self._z)
+        F, H, by = full.frame(s), full.second_gradient(s), Increment.of(self.layout, self._z)
         if not self._by_reference:
-            by = by.times(F)
+            by = by.times(F, H)
+        if by.second is not None:
+            now = move(by, F, grad_F=H)
+            pairs = self._full.layout.axes(2)
+            return [now.F, ufl.as_vector([now.grad_F[i, j, k] for i in range(3) for j, k in pairs])]
         if by.rotation is None:
             return [move(by, F).F]
         q = full.quaternion(s)
@@ -132,12 +157,18 @@ class Motion:
         return [now.F, ufl.as_vector([c / length for c in turned]), now.wryness]
 
     def __call__(self, state: tuple[np.ndarray, ...], z: np.ndarray) -> tuple[np.ndarray, ...]:
-        """States (F, q, Gamma), of classical materials (F,), moved on by z = (du/dx, w, dw/dx) (n, nz)."""
+        """States (F, q, Gamma), of classical materials (F,), moved on by z = (du/dx, w, dw/dx) (n, nz);
+        with second gradients (F, different scalars of H), of which come (F, H)."""
         return self._full.unpack(self._kernel(*state, z))
 
     def move(self, points: State, before: State, inc: Increments) -> None:
-        """Set F, q and wryness of points to what increments make of an earlier state."""
+        """Set F, q and wryness, or H, of points to what increments make of an earlier state."""
         gradients = np.concatenate([inc.gradient, inc.rotation_gradient], axis=1)
+        if self.layout.second:
+            assert inc.second_gradient is not None
+            z = self.layout.pack(inc.value, gradients, inc.second_gradient)
+            points.F, points.grad_F = self((before.F, self._full.pack_second(before.grad_F)), z)
+            return
         z = self.layout.pack(inc.value, gradients)
         if self.layout.rotations:
             points.F, points.q, points.wryness = self((before.F, before.q, before.wryness), z)

@@ -111,6 +111,10 @@ def check_material(material: Any) -> Material:
     checks.flag(f"material: {kind}.isotropic", material.isotropic)
     if checks.flag(f"material: {kind}.second_gradient", material.second_gradient) and material.micropolar:
         raise InputError(f"material: {kind} is micropolar and has second gradients; write micropolar = False")
+    if material.plastic and (material.second_gradient or material.elastic_part.second_gradient):
+        raise InputError(
+            f"material: {kind} is plastic, and its elastic part has second gradients; none yields yet"
+        )
     checks.numbers_by_name(f"material: {kind}.parameters()", material.parameters())
     return material
 
@@ -190,6 +194,11 @@ class UserEnergy(Material):
     def __post_init__(self) -> None:
         for name in ("micropolar", "isotropic", "second_gradient"):
             object.__setattr__(self, name, checks.flag(name, getattr(self, name)))
+        if self.second_gradient and self.micropolar:
+            raise InputError(
+                "micropolar = True: an energy of second gradients W(F, H, p) is classical; "
+                "write micropolar=False"
+            )
         takes: tuple[str, ...] = ("E", "Gamma", "p") if self.micropolar else ("F", "p")
         if self.second_gradient:
             takes = ("F", "H", "p")
@@ -198,6 +207,7 @@ class UserEnergy(Material):
 
     def __repr__(self) -> str:
         kind = ("micropolar" if self.micropolar else "classical") + (", isotropic" if self.isotropic else "")
+        kind += ", second gradients" if self.second_gradient else ""
         name = getattr(self.function, "__name__", type(self.function).__name__)
         return f"UserEnergy({', '.join(filter(None, (name, numbers(self.values, {}), kind)))})"
 

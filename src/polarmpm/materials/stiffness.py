@@ -33,7 +33,8 @@ def _second_derivative(material: Material, place: tuple[int, int], *, wryness: b
     if material.micropolar:
         arguments: Any = (zero, strain) if wryness else (strain, zero)
     else:
-        arguments = evaluate_measures(material, ufl.Identity(3) + strain)
+        second = ufl.as_tensor(np.zeros((3, 3, 3)).tolist()) if material.second_gradient else None
+        arguments = evaluate_measures(material, ufl.Identity(3) + strain, second)
     w = evaluate_energy(material, arguments, SimpleNamespace(**material.parameters()))
     second = ufl.diff(ufl.diff(w, t), t)
     try:

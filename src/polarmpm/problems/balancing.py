@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from mpi4py import MPI
 
@@ -20,12 +20,13 @@ class BalancedResets:
     """What balanced resets need of a problem. All methods are collective.
 
     Attributes:
-        kernels: of the initial stresses; compiled at the first of these resets.
+        layouts: of the points of all materials.
+        kernels: of the initial stresses, by layout; compiled at the first of these resets.
     """
 
-    def __init__(self, layout: Layout, comm: MPI.Comm, timer: Timer):
-        self.layout, self.comm, self.timer = layout, comm, timer
-        self.kernels: InitialKernels | None = None
+    def __init__(self, layouts: Iterable[Layout], comm: MPI.Comm, timer: Timer):
+        self.layouts, self.comm, self.timer = tuple(dict.fromkeys(layouts)), comm, timer
+        self.kernels: dict[Layout, InitialKernels] = {}
         # initial stresses and forces, while a step is tried with forces alone
         self._before: tuple[np.ndarray, np.ndarray] | None = None
 
@@ -37,9 +38,10 @@ class BalancedResets:
         return system
 
     def _put(self, system: LoadedPoints) -> None:
-        if self.kernels is None:
-            with self.timer("compile"):
-                self.kernels = InitialStressForm(self.layout).compile(self.comm)
+        for layout in self.layouts:
+            if layout not in self.kernels:
+                with self.timer("compile"):
+                    self.kernels[layout] = InitialStressForm(layout).compile(self.comm)
         system.initial = InitialStress(system.interpolation, self.kernels)
 
     def carry(self, system: LoadedPoints) -> None:

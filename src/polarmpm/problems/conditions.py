@@ -112,7 +112,6 @@ class Conditions(Whole, Turns):
         rotation_stiffness: float | None = None,
         augment: bool = False,
         normal: Any = None,
-        slope: float | None = None,
         counts: str | None = None,
         **components: Any,
     ) -> Support | SurfaceSupport:
@@ -127,7 +126,8 @@ class Conditions(Whole, Turns):
                 plane strain), in m and rad. A number is ramped with the load factor; a function of the
                 factor, or of (factor, positions), gives the displacement or rotation; positions are
                 those of the nodes at the last reset, of a surface the undeformed ones. In one step a rotation
-                in space may change by less than pi. One number for several components is zero.
+                in space may change by less than pi. One number for several components is zero. slope=0 (or
+                slope_x=0 ...) holds du/dn, not u, on a plane (docs/conventions.md).
             counts: "from now" or "total": whether these values count from the body's present place, so that
                 u=0 holds it there and it moves by what the values gain from now on; or from the undeformed
                 body, so that u=0 brings it back to it in the next step. Default: before the first load step
@@ -141,10 +141,6 @@ class Conditions(Whole, Turns):
             augment: keep the springs' forces after each converged step and let the springs start anew, so
                 that what they give way under a load that stays vanishes over steps (augmented Lagrange
                 method).
-            slope: 0 holds the slope du/dn of the displacement across a plane, as a clamp of a second-gradient
-                body may ask for; slope_x, slope_y, slope_z that of one component. It says nothing of the
-                displacement itself: `fix(plane(x=0.0), u=0, slope=0)` clamps both. On walls of the grid, with
-                splines (docs/conventions.md).
             normal: displacement along a surface's undeformed normals (m): rollers. Not together with other
                 displacements.
 
@@ -153,14 +149,13 @@ class Conditions(Whole, Turns):
             the prescribed displacements were missed in the last step.
 
         Raises:
-            InputError: unknown component or none, plane without nodes, value that isn't finite; a slope that
-                isn't 0, that isn't on a plane, or where the body's functions have none; of a surface, a
-                stiffness that isn't positive, materials that don't name their moduli; springs elsewhere.
+            InputError: unknown component or none, plane without nodes, value that isn't finite; of a surface,
+                a stiffness that isn't positive, materials that don't name their moduli; springs elsewhere.
                 When the next step begins, a support at whose nodes there is nothing of the body.
         """
         self._check_outside("fix")
         check_counts("fix", counts)
-        where, even = self._named(where), slopes.take_slopes(where, slope, components, self.layout, self.holds_on_facets)
+        where = self._named(where)
         springs = {"stiffness": stiffness, "rotation_stiffness": rotation_stiffness, "normal": normal}
         if isinstance(where, Surface):
             return surfaces.add_support(self, where, components, augment=augment, counts=counts, **springs)
@@ -168,7 +163,7 @@ class Conditions(Whole, Turns):
         given += ["augment"] * checks.flag("fix: augment", augment)
         if given:
             raise InputError(f"fix: {given[0]} belongs to springs on a Surface; where = {shown(where)}")
-        return self._fix_nodes(where, components, counts, even)
+        return self._fix_nodes(where, components, counts)
 
     @collective("symmetry", compare=True)
     def symmetry(self, where: PlaneSpec) -> Support:
@@ -198,12 +193,15 @@ class Conditions(Whole, Turns):
         where: Any,
         components: dict[str, Any],
         counts: str | None,
-        even: dict[int, bool],
+        even: dict[int, bool] | None = None,
     ) -> Support:
+        """`even`: of a plane of symmetry, which columns are even across it."""
         self.check_open()
-        mirrored = not all(even.values())
-        predicate, label = self._place(self._beside(where) if mirrored else where)
-        if mirrored:
+        if even is None:
+            predicate, label = self._place(where)
+            even, components = slopes.take_slopes(where, components, self.layout, self.holds_on_facets)
+        else:
+            predicate, label = self._place(self._beside(where))
             label = f"symmetry, {label}"
         total = not self.progress.step if counts is None else counts == "total"
         number = self.given.next("support")

@@ -127,8 +127,7 @@ class QuasiStaticFEM(Problem):
         self.forms = _make_forms(elements, slope_penalty)
         _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
         for material in elements.points.materials:
-            if not material.second_gradient:
-                try_energy(material)
+            try_energy(material)
         with errors_on_all_ranks(elements.comm):  # of warnings a script may make errors
             if elements.degree == 1 and elements.comm.rank == 0:
                 warn_of_locking(elements.points.materials, "elements of degree 1", "degree 2")
@@ -172,7 +171,8 @@ class QuasiStaticFEM(Problem):
     def _tie(self, where: Any, support: Support, even: dict[int, bool]) -> None:
         held = faceslopes.hold(self.elements, self.forms, where, support, even)
         if held is not None:
-            held.count_from(self.elements.displacement)
+            if self.progress.step:
+                held.count_from(self.elements.displacement)
             self._held[support] = held
 
     @property
@@ -420,6 +420,8 @@ class QuasiStaticFEM(Problem):
         e = self.elements
         self.forms.total.x.array.reshape(-1, self.layout.block)[:, : e.dim] = e.displacement
         self.forms.pack()
+        if self.points.second_gradient:
+            self.points.grad_F = self.forms.second_gradient()
         if system is not None:
             system.x = np.zeros_like(system.x)
             if self.terms:
@@ -436,11 +438,28 @@ class QuasiStaticFEM(Problem):
             self._system = None
         self._rebase(None)
 
+    @property
+    def held_slopes(self) -> dict[Support, Any]:
+        """What supports that have been given do to hold slopes."""
+        return self._held
+
     # results --------------------------------------------------------------------------------------
     @property
     def system(self) -> ElementSystem | None:
         """Nodes and residual as of the last step; None before the first one."""
         return self._system
+
+    @collective("energies")
+    def energies(self) -> dict[str, float]:
+        """As of `QuasiStatic`; of bodies with second gradients also
+
+        - faces: energy of the interior penalty, and of slopes that are held, which isn't in `stored`.
+        """
+        found = super().energies()
+        if self.points.second_gradient:
+            faces = self.forms.face_energy()
+            found = {**found, "faces": faces, "residue": found["residue"] - faces}
+        return found
 
     def __repr__(self) -> str:
         e = self.elements

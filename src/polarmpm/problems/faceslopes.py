@@ -16,8 +16,8 @@ from ..tools.checks import shown
 
 
 def hold(elements: Elements, forms: ElementForms, where: Any, support: Support, even: dict[int, bool]) -> Any:
-    """Forms that hold the slopes of some columns on facets, counted from the body's present state on; None where
-    a plane of symmetry says nothing of slopes. Collective.
+    """What holds the slopes of some columns on facets at zero; None where a plane of symmetry says nothing of
+    slopes. Collective.
 
     Args:
         even: as of `Conditions._tie`; columns that are odd are left alone.
@@ -29,7 +29,8 @@ def hold(elements: Elements, forms: ElementForms, where: Any, support: Support, 
     if not gradient:
         if all(even.values()):
             raise InputError(
-                f"{support.name}: slope = 0: none of the body's materials has second gradients; nothing in it resists a slope"
+                f"{support.name}: slope = 0: none of the body's materials has second gradients; nothing in "
+                "it resists a slope"
             )
         return None
     try:
@@ -48,12 +49,14 @@ def normal_axis(elements: Elements, where: Any) -> int:
     if isinstance(where, PlaneSpec):
         return where.axis
     if not isinstance(where, str | int | np.integer | Facets) or isinstance(where, bool):
-        raise InputError(f"symmetry: where = {shown(where)}: a plane, such as plane(x=0.0), or facets are needed")
-    normals = np.abs(elements.surface(where).normals)  # every rank has all of them
+        raise InputError(
+            f"symmetry: where = {shown(where)}: a plane, such as plane(x=0.0), or facets are needed"
+        )
+    normals = np.abs(elements.surface(where).normal)  # every rank has all of them
     axis = int(np.argmax(normals.sum(axis=0)))
     if np.any(normals[:, axis] < 1 - 1e-9):
         raise InputError(
-            f"symmetry: {elements.facets(where).name}: their normals aren't all along one axis; planes of symmetry are "
-            "normal to x, y or z"
+            f"symmetry: {elements.facets(where).name}: their normals aren't all along one axis; planes of "
+            "symmetry are normal to x, y or z"
         )
     return axis

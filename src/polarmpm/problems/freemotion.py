@@ -151,7 +151,9 @@ def _held(system: NodalSystem, parts: Parts, real: np.ndarray) -> list[list[str]
         rows = np.flatnonzero(mask[own] & real)
         counts = system.comm.allreduce(np.bincount(parts.nodes[rows], minlength=len(out)))
         for part in np.flatnonzero(counts):
-            out[part].append(f"{support.name}: {', '.join(names[c] for c in sorted(support.columns))}")
+            slopes = [] if support.mirror is None else ["slopes"]
+            held = [*(names[c] for c in sorted(support.columns)), *slopes]
+            out[part].append(f"{support.name}: {', '.join(held)}")
     for piece, rows in zip(system.terms.pieces, system.terms.rows, strict=True):
         if isinstance(piece.of, SurfaceSupport):
             numbers = parts.nodes[rows.ravel()]

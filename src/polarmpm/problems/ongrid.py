@@ -230,7 +230,8 @@ class OnGrid(Problem):
         with self.timer("compile"):
             if not c.kernels:
                 c.kernels = [form.compile(self.comm) for form in self.forms]
-                c.motion = Motion(self.layout, self.comm)
+                second = any(form.layout.second for form in self.forms)
+                c.motion = Motion(self.layout.with_second(second), self.comm)
             unsymmetric = self.layout.rotations == 3 and any(load.couple for load in self.loads)
             if unsymmetric and c.couple is None:
                 c.couple = CoupleForm().compile(self.comm)

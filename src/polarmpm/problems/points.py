@@ -77,6 +77,22 @@ def _check_boxes(boxes: bool | None, basis: Basis) -> bool:
     return basis.fills_boxes if boxes is None else bool(boxes)
 
 
+def _check_second_gradients(points: Points, basis: Basis) -> None:
+    """Raise InputError unless the functions have the square integrable second derivatives that materials
+    ask for.
+    """
+
+    def smooth(b: Basis) -> bool:
+        return b.fills_boxes and b.degree > 1 and not b.gradients_jump
+
+    if points.second_gradient and not smooth(basis):
+        kind = next(type(m).__name__ for m in points.materials if m.second_gradient)
+        raise InputError(
+            f"basis = {basis.name!r}: the energy of {kind} takes second gradients, and these functions' "
+            f"gradients jump from cell to cell; allowed are {names(smooth)}"
+        )
+
+
 def _check_body(grid: Grid, points: Points) -> None:
     """Raise an error unless points lie in a grid. Collective."""
     checks.instance("grid", grid, Grid, "a background grid, such as Grid.box makes, is")
@@ -156,6 +172,7 @@ class QuasiStatic(OnGrid):
         self._moving = MovingGrid(grid)
         self.basis, self.policy = basis_of(basis), make_policy(reset)
         self.assembly, self.solver = _check_assembly(assembly, self.basis), check_solver(solver)
+        _check_second_gradients(points, self.basis)
         super().__init__(grid.comm, points, grid.dim, controls)
         self.forms = [make_form(m, grid.dim) for m in points.materials]
         for form in self.forms:
@@ -174,7 +191,7 @@ class QuasiStatic(OnGrid):
         if self.ghost:
             self.add(Ghost(self.ghost, self.layout))
         self._compiled = Compiled()
-        self._resets = BalancedResets(self.layout, self.comm, self.timer)
+        self._resets = BalancedResets((f.layout for f in self.forms), self.comm, self.timer)
         self._system: LoadedPoints | None = None
         self._seal: Seal | None = None
         self._arrangement = points.arrangements

@@ -25,8 +25,9 @@ class Results(Releasable):
         """Energy, Cauchy stress and couple stress at the local points, or what is asked for.
 
         Args:
-            *names: any of energy (Pa), stress (Pa), couple_stress (N/m) and mean_pressure (Pa), or a
-                `MaterialField`; default: the first three.
+            *names: any of energy (Pa), stress (Pa), couple_stress (N/m), mean_pressure (Pa) and, with
+                second-gradient materials, double_stress (N/m), or a `MaterialField`; default: energy and
+                stresses.
 
         Returns:
             The fields by name; `.energy`, `.stress` and `.couple_stress` for short.
@@ -34,7 +35,7 @@ class Results(Releasable):
         Raises:
             InputError: an unknown name.
         """
-        return self._fields.evaluate(self.points, choose_fields(names, self.points.plastic))
+        return self._fields.evaluate(self.points, choose_fields(names, self.points))
 
     @collective("energy")
     def energy(self) -> float:

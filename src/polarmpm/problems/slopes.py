@@ -15,31 +15,32 @@ from ..kinematics.layout import Layout
 from ..tools import checks
 from ..tools.checks import shown
 
+_ZERO = "0 is allowed: slopes can be held, not prescribed"
+
 
 def take_slopes(
-    where: Any, slope: Any, components: dict[str, Any], layout: Layout, on_facets: bool = False
-) -> dict[int, bool]:
-    """The columns whose slopes are to vanish, of `fix`; what says so is taken out of the components.
+    where: Any, components: dict[str, Any], layout: Layout, on_facets: bool = False
+) -> tuple[dict[int, bool], dict[str, Any]]:
+    """The columns whose slopes are to vanish, of `fix`, and its other components.
 
     Raises:
         InputError: a slope that isn't zero, or not on a plane.
     """
     axes = "xyz"[: layout.dim]
     found: dict[int, bool] = {}
-    given = {"slope": slope} | {f"slope_{a}": components.pop(f"slope_{a}", None) for a in axes}
-    for name, value in given.items():
-        if value is None:
+    of_slopes = {"slope": list(range(layout.dim))} | {f"slope_{a}": [k] for k, a in enumerate(axes)}
+    for name, value in components.items():
+        if name not in of_slopes:
             continue
-        number = checks.number(f"fix: {name}", value, allowed="0 (slopes can be held, not prescribed)")
-        if number != 0.0:
-            raise checks.refuse(f"fix: {name}", value, "0 is allowed: slopes can be held, not prescribed")
+        if checks.number(f"fix: {name}", value, allowed=_ZERO) != 0.0:
+            raise checks.refuse(f"fix: {name}", value, _ZERO)
         if not on_facets and not isinstance(where, PlaneSpec):
             raise InputError(
                 f"fix: {name} = 0: a slope is held on a plane of the grid, such as plane(x=0.0); "
                 f"where = {shown(where)}"
             )
-        found |= dict.fromkeys(range(layout.dim) if name == "slope" else [axes.index(name[-1])], True)
-    return found
+        found |= dict.fromkeys(of_slopes[name], True)
+    return found, {name: value for name, value in components.items() if name not in of_slopes}
 
 
 def symmetric(axis: int, where: Any, layout: Layout) -> tuple[dict[str, Any], dict[int, bool]]:

@@ -80,6 +80,11 @@ class Fields(Mapping[str, np.ndarray]):
         """Cauchy couple stress (N/m), (np, 3, 3)."""
         return self["couple_stress"]
 
+    @property
+    def double_stress(self) -> np.ndarray:
+        """Cauchy double stress (N/m), (np, 3, 3, 3), of bodies with second-gradient materials."""
+        return self["double_stress"]
+
 
 def check_rows(name: Any, rows: Any, count: int) -> None:
     """Raise InputError unless these are rows of a script's own, one for each local point."""
@@ -110,6 +115,8 @@ class StateFields:
         for m, material in enumerate(points.materials):
             if any(field.plastic for field in fields) and not material.plastic:
                 continue
+            if any(field.second_gradient for field in fields) and not material.second_gradient:
+                continue
             if (m, fields) not in self._kernels:
                 made = FieldForm(material, fields)
                 self._kernels[m, fields] = made, made.compile(self.comm)
@@ -117,29 +124,34 @@ class StateFields:
             rows = np.flatnonzero(points.material == m)
             numbers = np.tile(parameter_values(material), (len(rows), 1))
             plastic = points.plastic_state(rows) if material.plastic else ()
-            values = kernel(points.F[rows], points.q[rows], points.wryness[rows], *plastic, numbers)
+            second = (points.grad_F[rows],) if material.second_gradient else ()
+            state = points.F[rows], points.q[rows], points.wryness[rows], *second, *plastic
+            values = kernel(*state, numbers)
             for name, part in form.split(values).items():
                 whole = out.setdefault(name, np.zeros((len(points), *part.shape[1:])))
                 whole[rows] = part
         return out
 
 
-def choose_fields(names: Sequence[str | MaterialField], plastic: bool) -> list[MaterialField]:
-    """Fields by their names; energy and stresses without any. `plastic`: whether a material can yield.
+def choose_fields(names: Sequence[str | MaterialField], points: Points) -> list[MaterialField]:
+    """Fields of a body by their names; energy and stresses without any.
 
     Raises:
-        InputError: an unknown name, a user's field with the name of another one, or one of plastic materials
-            where there are none.
+        InputError: an unknown name, a user's field with the name of another one, or one of plastic, or of
+            second-gradient, materials where there are none.
     """
     out = []
-    for given in names or [field.name for field in MECHANICAL]:
+    usual = [field.name for field in MECHANICAL] + ["double_stress"] * points.second_gradient
+    for given in names or usual:
         if not isinstance(given, MaterialField) and not (isinstance(given, str) and given in TABLE):
             allowed = f"{', '.join(TABLE)} and a MaterialField"
             raise InputError(f"fields: {shown(given)} is unknown; allowed are {allowed}")
         field = given if isinstance(given, MaterialField) else TABLE[given]
         if TABLE.get(field.name, field) is not field:
             raise InputError(f"fields: {field.name!r} is the name of one of the package's fields")
-        if field.plastic and not plastic:
+        if field.plastic and not points.plastic:
             raise InputError(f"fields: {field.name!r}, but none of the materials is plastic")
+        if field.second_gradient and not points.second_gradient:
+            raise InputError(f"fields: {field.name!r}, but none of the materials has second gradients")
         out.append(field)
     return out
