@@ -36,8 +36,8 @@ def slope_stiffness(material: Material, dim: int) -> float:
     if not np.all(np.isfinite(second)):
         bad = second[~np.isfinite(second)][0]
         raise InputError(
-            f"material: the second derivative of the energy of {kind} by the second gradient is {bad} at rest; it must be "
-            "smooth there"
+            f"material: the second derivative of the energy of {kind} by the second gradient is {bad} at "
+            "rest; it must be smooth there"
         )
     matrices = np.zeros((len(normals), dim, dim))
     at = {pair: second[:, k] for k, pair in enumerate(pairs)}
@@ -47,8 +47,8 @@ def slope_stiffness(material: Material, dim: int) -> float:
     largest = float(np.linalg.eigvalsh(matrices).max())
     if largest <= 0 and any(np.any(_second_derivatives(material, rows, size) != 0) for size in _SIZES):
         raise InputError(
-            f"material: the energy of {kind} has no stiffness against second gradients at rest, its second derivative is {largest:g} N "
-            "there; elements take the size of their interior penalty from it"
+            f"material: the energy of {kind} has no stiffness against second gradients at rest, its second "
+            f"derivative is {largest:g} N there; elements take the size of their interior penalty from it"
         )
     return largest
 
@@ -63,10 +63,13 @@ def _second_derivatives(material: Material, rows: np.ndarray, size: float) -> np
     space = PointSpace(compat.point_domain())
     pair, scale, p = (space.coefficient(n) for n in (6, 1, len(numbers)))
     t = ufl.variable(scale[0])
-    gradient = [[[t * pair[i] * pair[3 + j] * pair[3 + k] for k in range(3)] for j in range(3)] for i in range(3)]
+    gradient = [
+        [[t * pair[i] * pair[3 + j] * pair[3 + k] for k in range(3)] for j in range(3)] for i in range(3)
+    ]
     measures = evaluate_measures(material, ufl.Identity(3), ufl.as_tensor(gradient))
     energy = evaluate_energy(material, measures, named_parameters(material, p))
     scalarise = Scalariser({pair: 0, scale: 6, p: 7})
-    node = scalarise.plain(scalarise(codegen.expand(ufl.diff(ufl.diff(energy, t), t))).data[()])
+    node = scalarise.plain(scalarise(codegen.expand(ufl.diff(ufl.diff(energy, t), t))).data.flat[0])
     inputs = np.vstack([rows.T, np.full((1, len(rows)), size), np.tile(numbers[:, None], len(rows))])
-    return scalarise.graph.values([node], inputs)[0]
+    found: np.ndarray = scalarise.graph.values([node], inputs)[0]
+    return found
