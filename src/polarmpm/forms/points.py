@@ -147,9 +147,11 @@ class PointForm:
 
     def _source(self) -> str:
         n = self.layout.unknowns
-        scalarise = Scalariser(self._tangent_terminals())
+        # a mean over a micro-space has many strains of many unknowns: half of the code, or less
+        scalarise = Scalariser(self._tangent_terminals(), waist=3 if self.material.second_gradient else 0)
         forms = self.residual, self.iteration_tangent
         r, k = (scalarise.scalar(codegen.expand(codegen.integrand(f))) for f in forms)
+        r, k = scalarise.flat(r), scalarise.flat(k)
         zero = scalarise.graph.zero
         rows = codegen.coefficients(r, (n,), zero)
         full = codegen.coefficients(k, (n, n), zero)

@@ -20,8 +20,8 @@ from .moduli import check_bulk, lame
 class OrientedMicropolar(Material):
     """The mean of psi(E + sum_a z_a K_a) over a micro-space of rigid fibres.
 
-    psi(A) = lam/2 (tr A)^2 + mu A : A. The fibres lie along the directors d_a, |z_a| <= l_a / 2, and turn with
-    the microrotation: K_a v = (Gamma v) x d_a. In components of the directors
+    psi(A) = lam/2 (tr A)^2 + mu A : A. The fibres lie along the directors d_a, |z_a| <= l_a / 2, and turn
+    with the microrotation: K_a v = (Gamma v) x d_a. In components of the directors
 
         W = psi(E) + sum_a l_a^2/24 [lam (Gamma_cb - Gamma_bc)^2 + 2 mu (Gamma : Gamma - Gamma_aj Gamma_aj)],
 
