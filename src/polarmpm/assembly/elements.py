@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -47,8 +48,8 @@ class ElementSystem(NodalSystem):
         super().__init__(e.nodes, forms.layout, prescribed, length, e.comm, timer, pieces)
         self.forms, self._dead, self._varying = forms, dead, varying
         with timer("compile"):
-            self._residual = forms.residual
-            tangents = [forms.tangent, *(v.tangent for v in varying)]
+            self._residuals = forms.residuals
+            tangents = [*forms.tangents, *(v.tangent for v in varying)]
         with timer("pattern"):
             self.matrix = FormMatrix(
                 tangents,
@@ -144,16 +145,28 @@ class ElementSystem(NodalSystem):
     def assemble(self, tangent: bool, lift: np.ndarray | None = None) -> Assembled:
         self._put(self.x, self.before if tangent else None)
         self.forms.update(tangent)
-        internal = self._sum([self._residual])
+        internal = self._sum(self._residuals)
+        own = self.forms.own_forces()
+        if own is not None:
+            self.nodes.add_to_owners(own)
+            internal += own
         loads = self.external = self._body_loads()
         if len(self.terms):
             internal += self.term_forces()
         lifted = self.matrix.assemble(lift, self._dense_terms()) if tangent else None
         return Assembled(internal - loads, lifted)
 
+    def slope_forces(self) -> dict[int, np.ndarray]:
+        held = self.forms.held
+        number = {support: k for k, support in enumerate(self.prescribed.supports)}
+        found = {number[support]: -self.forms.held_forces(one) for support, one in held.items()}
+        for forces in found.values():
+            self.nodes.add_to_owners(forces)
+        return found
+
     def _dense_terms(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Global numbers of the nodes of each of the terms' sets, and its tangent."""
-        for rows, matrix in self.terms.dense(self.x):
+        """Global numbers of the nodes of each set of the terms, and of the forms' own, and its tangent."""
+        for rows, matrix in chain(self.terms.dense(self.x), self.forms.dense()):
             yield self.nodes.numbers[rows], matrix
 
     def positions(self) -> np.ndarray:

@@ -256,6 +256,11 @@ class NodalSystem(ABC):
         """Tangents of the terms times a lift (nodes, block), on this rank."""
         return self.terms.products(self.x, lift)
 
+    def slope_forces(self) -> dict[int, np.ndarray]:
+        """By number of a support: forces (nodes, block) on the body with which it holds slopes by other means
+        than ties, complete on owned rows. Collective."""
+        return {}
+
     def initial_energy(self, x: np.ndarray) -> float:
         """Energy (J) of initial stresses at increments (nodes, block), on this rank."""
         return 0.0

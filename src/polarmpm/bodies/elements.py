@@ -37,7 +37,7 @@ class Elements:
         mesh: dolfinx mesh of triangles, quadrilaterals, tetrahedra or hexahedra; path of a .msh file; or a
             gmsh model (on rank 0, None elsewhere).
         material: of all cells, or for each region (physical name or tag of cells) its own.
-        degree: of displacements and microrotations, 1 or 2.
+        degree: of displacements and microrotations, 1 or 2; 2 where a material has second gradients.
         quadrature_degree: of the integration rule; default: 3 and 5 on boxes (2 and 3 Gauss points a
             direction), 2 and 4 on simplices.
         cells, facets: tags (dolfinx MeshTags) of a dolfinx mesh.
@@ -65,10 +65,17 @@ class Elements:
         facets: Any = None,
         comm: MPI.Comm | None = None,
     ):
-        self.body = BodyMesh.of(mesh, comm, cells=cells, facets=facets)
+        given = material.values() if isinstance(material, Mapping) else [material]
+        gradient = any(getattr(m, "second_gradient", False) is True for m in given)
+        self.body = BodyMesh.of(mesh, comm, cells=cells, facets=facets, ghosts=gradient)
         self.mesh, self.comm, self.dim = self.body.mesh, self.body.mesh.comm, self.body.dim
         _warn_of_cracks(self.body)
         degree = whole("degree", degree, least=1, most=2, allowed="allowed are 1 and 2")
+        if gradient and degree < 2:
+            raise InputError(
+                "degree = 1: materials with second gradients need degree = 2, as functions of degree 1 have "
+                "hardly any second derivatives"
+            )
         shape = "simplex" if self.body.cell in ("triangle", "tetrahedron") else "tensor"
         rule = _QUADRATURE[shape, degree] if quadrature_degree is None else quadrature_degree
         rule = whole("quadrature_degree", rule, least=1, most=20, allowed="a whole number from 1 to 20")

@@ -8,7 +8,7 @@ never has to be changed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -42,6 +42,7 @@ class ElementForms:
         state: of the points, in a quadrature space, in the order of `forms.strains.strains`.
         total: displacement of the last converged state in the space of the unknowns, for surfaces.
         symmetric: the tangent is symmetric.
+        held: what holds slopes, by support.
     """
 
     symmetric = True
@@ -58,6 +59,7 @@ class ElementForms:
         own = len(elements.body.owned_cells)
         self._rows = compat.cell_dofs(space)[:own].ravel()  # of the quadrature points
         self._numbers = [fem.Constant(elements.mesh, parameter_values(m)) for m in elements.points.materials]
+        self.held: dict[Any, Any] = {}
         self.test = ufl.TestFunction(elements.space)
         self.trial = ufl.TrialFunction(elements.space)
 
@@ -84,6 +86,10 @@ class ElementForms:
 
     def update(self, tangent: bool) -> None:
         """Make ready for the assembly at the present unknowns; compiled forms of an energy need nothing."""
+
+    def slopes(self, facets: Facets, columns: Sequence[int]) -> Any:
+        """What holds slopes on facets, see `forms.interiorpenalty`."""
+        raise NotImplementedError("no slopes without second gradients")
 
     # forms ----------------------------------------------------------------------------------------
     def _volume_measures(self) -> list[Any]:
@@ -127,6 +133,37 @@ class ElementForms:
     @cached_property
     def tangent(self) -> Any:
         return compat.compile_form(self.tangent_form)
+
+    @property
+    def residuals(self) -> list[Any]:
+        """Compiled forms whose sum is the residual, but for `own_forces`."""
+        return [self.residual]
+
+    @property
+    def tangents(self) -> list[Any]:
+        """Compiled forms whose sum is the tangent, but for `dense`; the first has the whole pattern."""
+        return [self.tangent]
+
+    def own_forces(self) -> np.ndarray | None:
+        """Internal forces (nodes, block) that aren't those of forms, on this rank. Collective."""
+        return None
+
+    def dense(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Local nodes (n,) and parts (n block, n block) of the tangent that isn't that of forms."""
+        return iter(())
+
+    def second_gradient(self) -> np.ndarray:
+        """H (np, 3, 3, 3) at the quadrature points in the last converged state, zero where the material has
+        no second gradients."""
+        raise NotImplementedError("no second gradients")
+
+    def face_energy(self) -> float:
+        """Energy (J) between elements in the last converged state. Collective."""
+        return 0.0
+
+    def held_forces(self, held: Any) -> np.ndarray:
+        """Forces (nodes, block) of what holds slopes, on this rank."""
+        raise NotImplementedError("no slopes without second gradients")
 
     @cached_property
     def point_values(self) -> compat.Evaluator:

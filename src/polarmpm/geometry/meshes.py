@@ -39,12 +39,19 @@ class BodyMesh:
 
     @classmethod
     def of(
-        cls, source: Any, comm: MPI.Comm | None = None, *, cells: Any = None, facets: Any = None
+        cls,
+        source: Any,
+        comm: MPI.Comm | None = None,
+        *,
+        cells: Any = None,
+        facets: Any = None,
+        ghosts: bool = False,
     ) -> BodyMesh:
         """From a dolfinx mesh, the path of a .msh file or a gmsh model. Collective.
 
         Args:
             comm: of the ranks that share the body; default: the mesh's, of files and models all ranks.
+            ghosts: ranks are to know the cells of others behind faces, of a mesh that is distributed here.
 
         Raises:
             InputError: it can't be read, is of the wrong kind, or has a cell that can't be used.
@@ -62,7 +69,8 @@ class BodyMesh:
                 raise refuse(
                     name, value, "tags belong to a dolfinx mesh; a file or a model has physical groups"
                 )
-            body = cls._distributed(read_grouped(source, comm or MPI.COMM_WORLD), comm or MPI.COMM_WORLD)
+            found = read_grouped(source, comm or MPI.COMM_WORLD)
+            body = cls._distributed(found, comm or MPI.COMM_WORLD, ghosts)
         theirs = body.mesh.comm
         if comm is not None and MPI.Comm.Compare(theirs, comm) not in (MPI.IDENT, MPI.CONGRUENT):
             raise InputError(
@@ -74,9 +82,9 @@ class BodyMesh:
         return body
 
     @classmethod
-    def _distributed(cls, found: GroupedMesh, comm: MPI.Comm) -> BodyMesh:
+    def _distributed(cls, found: GroupedMesh, comm: MPI.Comm, ghosts: bool) -> BodyMesh:
         """The dolfinx mesh, with tags, of a body that rank 0 has. Collective."""
-        mesh, given = compat.distribute_mesh(comm, found.cells, found.x, found.kind, found.degree)
+        mesh, given = compat.distribute_mesh(comm, found.cells, found.x, found.kind, found.degree, ghosts)
         tags, facets, facet_tags = comm.bcast((found.tags, found.facets, found.facet_tags), root=0)
         dim, body = mesh.topology.dim, cls(mesh, names=found.names, given=given)
         of_cells = tags[given[np.asarray(mesh.topology.original_cell_index, dtype=np.int64)]]

@@ -43,7 +43,8 @@ def arrays(problem: QuasiStaticFEM) -> dict[str, np.ndarray]:
     if kept:
         out |= {"kept/id": e.points.id, **kept}
     nodal = {"X": e.nodes.position, "displacement": e.displacement, "q": e.q}
-    return out | {f"cells/{name}": nodal[name][nodes] for name in _OF_CELLS}
+    nodal |= {name: held.base for name, held in _slopes(problem).items()}
+    return out | {f"cells/{name}": values[nodes] for name, values in nodal.items()}
 
 
 @dataclass
@@ -69,7 +70,8 @@ def find(problem: QuasiStaticFEM, rows: dict[str, np.ndarray], path: Any) -> Fou
     names = tuple(name[5:] for name in rows if name.startswith("kept/") and name != "kept/id")
     kept, has_kept = _find(problem, rows, "kept", names, p.id) if names else ({}, True)
     numbers = np.asarray(e.mesh.topology.original_cell_index, dtype=np.int64)  # ghosts too
-    of_cells, has_cells = _find(problem, rows, "cells", _OF_CELLS, numbers)
+    slopes = tuple(name for name in _slopes(problem) if f"cells/{name}" in rows)
+    of_cells, has_cells = _find(problem, rows, "cells", (*_OF_CELLS, *slopes), numbers)
     near, error = _NEAR * e.cell_size, None
     if not (
         has_points
@@ -95,6 +97,16 @@ def put(problem: QuasiStaticFEM, found: Found) -> None:
     # backwards, so that a node gets what this rank's own cells say, which come first
     back = e.cell_nodes[::-1]
     e.displacement[back], e.q[back] = of_cells["displacement"][::-1], of_cells["q"][::-1]
+    for name, held in _slopes(problem).items():
+        base = e.displacement.copy()  # of what the file doesn't know: from now on
+        if name in of_cells:
+            base[back] = of_cells[name][::-1]
+        held.count_from(base)
+
+
+def _slopes(problem: QuasiStaticFEM) -> dict[str, Any]:
+    """What holds slopes, by the name of the array of the displacement from which it counts."""
+    return {f"slope, {s.name}".replace("/", "|"): held for s, held in problem.held_slopes.items()}
 
 
 def _names(points: Points) -> tuple[str, ...]:

@@ -38,7 +38,7 @@ from ..tools import checks, compat
 from ..tools.disposal import dispose_of_dropped
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
-from . import slopes
+from . import faceslopes
 from .base import Problem
 from .described import described, of_rank
 from .given import Present
@@ -47,7 +47,11 @@ from .surfaces import add_load
 from .whole import Changing
 
 
-def _make_forms(elements: Elements) -> ElementForms:
+def _make_forms(elements: Elements, slope_penalty: float) -> ElementForms:
+    if any(m.second_gradient for m in elements.points.materials):
+        from ..forms.gradientelements import GradientForms  # lazy import: others need none of it
+
+        return GradientForms(elements, slope_penalty)
     if not elements.points.plastic:
         return ElementForms(elements)
     from ..forms.plasticelements import PlasticElementForms  # lazy import: elastic scenes need no plasticity
@@ -98,18 +102,29 @@ class QuasiStaticFEM(Problem):
         elements: the body.
         controls: tolerances of Newton's method.
         solver: as of `QuasiStatic`.
+        slope_penalty: of materials with second gradients, eta of the interior penalty: how closely slopes of
+            neighbours agree, and held ones are met. Below about 5 the elements may become unstable.
     """
 
+    holds_on_facets = True
     knows_undeformed = True
     body = "elements"
 
     @collective("QuasiStaticFEM", comm=lambda self, elements, *args, **options: elements.comm, compare=True)
-    def __init__(self, elements: Elements, *, controls: Controls | None = None, solver: str = "auto"):
+    def __init__(
+        self,
+        elements: Elements,
+        *,
+        controls: Controls | None = None,
+        solver: str = "auto",
+        slope_penalty: float = 20.0,
+    ):
         checks.instance("elements", elements, Elements, "a meshed body, polarmpm.Elements(...), is")
         self.solver = check_solver(solver)
         super().__init__(elements.comm, elements.points, elements.dim, controls)
         self.elements = elements
-        self.forms = _make_forms(elements)
+        slope_penalty = checks.number("slope_penalty", slope_penalty, above=0.0, allowed="a positive number")
+        self.forms = _make_forms(elements, slope_penalty)
         _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
         for material in elements.points.materials:
             try_energy(material)
@@ -117,6 +132,7 @@ class QuasiStaticFEM(Problem):
             if elements.degree == 1 and elements.comm.rank == 0:
                 warn_of_locking(elements.points.materials, "elements of degree 1", "degree 2")
         self._surface_loads: list[SurfaceLoad] = []
+        self._held: dict[Support, Any] = {}  # slopes that supports hold
         self.progress.reset_due = False
         self._system: ElementSystem | None = None
         self._last_loads: np.ndarray | None = None  # forces of the last converged state's loads
@@ -149,8 +165,15 @@ class QuasiStaticFEM(Problem):
             where, "__name__", "predicate"
         )
 
+    def _normal_axis(self, where: Any) -> int:
+        return faceslopes.normal_axis(self.elements, where)
+
     def _tie(self, where: Any, support: Support, even: dict[int, bool]) -> None:
-        slopes.check_elements(support, even, self.elements.points.materials)
+        held = faceslopes.hold(self.elements, self.forms, where, support, even)
+        if held is not None:
+            if self.progress.step:
+                held.count_from(self.elements.displacement)
+            self._held[support] = held
 
     def _surface_of(self, where: Any) -> Any:
         return where if isinstance(where, Surface) else self.elements.surface(where)
@@ -282,6 +305,7 @@ class QuasiStaticFEM(Problem):
         dispose_of_dropped(self.comm)
         if self._system is not None:
             self._system.destroy()
+        self.forms.held = {s: self._held[s] for s in self.supports if s in self._held}
         self._system = ElementSystem(
             self.forms, dead, varying, prescribed, self.timer, self.solver, self._pieces()
         )
@@ -399,6 +423,8 @@ class QuasiStaticFEM(Problem):
         e = self.elements
         self.forms.total.x.array.reshape(-1, self.layout.block)[:, : e.dim] = e.displacement
         self.forms.pack()
+        if self.points.second_gradient:
+            self.points.grad_F = self.forms.second_gradient()
         if system is not None:
             system.x = np.zeros_like(system.x)
             if self.terms:
@@ -415,11 +441,28 @@ class QuasiStaticFEM(Problem):
             self._system = None
         self._rebase(None)
 
+    @property
+    def held_slopes(self) -> dict[Support, Any]:
+        """What supports that have been given do to hold slopes."""
+        return self._held
+
     # results --------------------------------------------------------------------------------------
     @property
     def system(self) -> ElementSystem | None:
         """Nodes and residual as of the last step; None before the first one."""
         return self._system
+
+    @collective("energies")
+    def energies(self) -> dict[str, float]:
+        """As of `QuasiStatic`; of bodies with second gradients also
+
+        - faces: energy of the interior penalty, and of slopes that are held, which isn't in `stored`.
+        """
+        found = super().energies()
+        if self.points.second_gradient:
+            faces = self.forms.face_energy()
+            found = {**found, "faces": faces, "residue": found["residue"] - faces}
+        return found
 
     def __repr__(self) -> str:
         e = self.elements

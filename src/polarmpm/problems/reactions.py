@@ -190,6 +190,7 @@ class Equilibrium:
         tied: dict[int, np.ndarray] = {}
         if ties is not None:
             residual, tied = ties.shares(residual)
+        tied = {**tied, **system.slope_forces()}
         return cls(
             system.comm,
             system.prescribed.supports,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +12,6 @@ from ..errors import InputError
 from ..geometry.grid import Grid
 from ..geometry.planes import Plane, PlaneSpec
 from ..kinematics.layout import Layout
-from ..materials.base import Material
 from ..tools import checks
 from ..tools.checks import shown
 
@@ -112,12 +110,3 @@ def beside(where: PlaneSpec, grid: Grid, points: Any, now: Grid) -> PlaneSpec:
             "half on one side is computed"
         )
     return spec
-
-
-def check_elements(support: Support, even: dict[int, bool], materials: Sequence[Material]) -> None:
-    """Raise InputError where finite elements would have to hold a slope, which no node has."""
-    if all(even.values()) or any(material.second_gradient for material in materials):
-        raise InputError(
-            f"{support.name}: nodes of finite elements have no slope that could be held; material points "
-            f"hold it with basis = {names(lambda b: not b.no_slope)}"
-        )

@@ -16,10 +16,11 @@ from mpi4py import MPI
 import numpy as np
 
 from .. import __version__
-from ..io.files import check_output
+from ..io.files import check_output, not_written, replace_file
 from ..problems.base import Problem
 from ..problems.elements import QuasiStaticFEM
 from ..tools import checks
+from ..tools.parallel import raise_on_all_ranks
 
 
 def arguments(
@@ -63,6 +64,17 @@ def element_arguments(
     return _parse(parser, output, more, argv)
 
 
+def scene_arguments(
+    description: str,
+    *,
+    output: str,
+    argv: Sequence[str] | None = None,
+    more: Mapping[str, Mapping[str, Any]] | None = None,
+) -> argparse.Namespace:
+    """As `arguments`, of a demo of several scenes, which has no options but its own."""
+    return _parse(_parser(description), output, more, argv)
+
+
 def count(text: str) -> int:
     """A positive whole number of the command line."""
     try:
@@ -92,7 +104,15 @@ def _parse(
     argv: Sequence[str] | None,
 ) -> argparse.Namespace:
     parser.add_argument("--output", type=Path, default=Path("results") / output, metavar="DIR", help="folder")
-    parser.add_argument("--json", action="store_true", help="last line of output is one JSON object")
+    parser.add_argument(
+        "--json",
+        nargs="?",
+        const=True,
+        default=False,
+        type=Path,
+        metavar="FILE",
+        help="last line of output is one JSON object, which a FILE gets, too",
+    )
     for flag, keywords in (more or {}).items():
         parser.add_argument(flag, **keywords)
     return parser.parse_args(argv)
@@ -101,7 +121,8 @@ def _parse(
 def report(
     args: argparse.Namespace, case: str, problem: Problem, result: Mapping[str, Any], **parameters: Any
 ) -> dict[str, Any]:
-    """Print what a demo has found, as text or JSON, on one rank. Collective.
+    """Print what a demo has found, as text or JSON, on one rank; a file that `--json` names gets it, too.
+    Collective.
 
     Returns the object with the keys case, parameters, result, iterations (per step), points, unknowns,
     cpu_s (by phase, summed over ranks, with total), peak_memory_mb (likewise) and version; with finite
@@ -126,6 +147,8 @@ def report(
         "peak_memory_mb": round(comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) / 1024, 1),
         "version": __version__,
     }
+    if isinstance(args.json, Path):
+        _write(comm, args.json, json.dumps(summary) + "\n")
     if comm.rank == 0:
         if args.json:
             print(json.dumps(summary))
@@ -135,7 +158,21 @@ def report(
     return summary
 
 
+def _write(comm: MPI.Comm, path: Path, text: str) -> None:
+    """A file of rank 0. Collective."""
+    file = check_output(comm, path)
+    error: Exception | None = None
+    if comm.rank == 0:
+        try:
+            replace_file(file, text.encode())
+        except OSError as e:
+            error = not_written("file", file, e)
+    raise_on_all_ranks(comm, error)
+
+
 def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _plain(of) for name, of in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return value
@@ -156,11 +193,18 @@ def _print_text(summary: Mapping[str, Any], output: Path) -> None:
     print(f"  files in {output}")
 
 
-def _print_rows(name: str, rows: Mapping[str, Sequence[float]]) -> None:
+def _print_rows(name: str, rows: Mapping[str, Any]) -> None:
     for key, values in rows.items():
-        print(f"  {name}, {key}:", "  ".join(f"{v:.4g}" for v in values))
+        if isinstance(values, dict):
+            _print_rows(f"{name}, {key}", values)
+            continue
+        numbers = values if isinstance(values, Sequence) else [values]
+        print(f"  {name}, {key}:", "  ".join(f"{v:.5g}" for v in numbers))
 
 
 def output_folder(args: argparse.Namespace, comm: MPI.Comm) -> Path:
-    """Make the output folder, before any work is done; an error is raised on every rank. Collective."""
+    """Make the output folder, before any work is done, and see that the file for JSON can be written. Errors
+    are raised on every rank. Collective."""
+    if isinstance(args.json, Path):
+        check_output(comm, args.json)
     return check_output(comm, args.output / "files").parent

@@ -69,7 +69,13 @@ def expression_signature(expr: Any, terminals: dict[Any, int]) -> str:
 
 
 def create_mesh(
-    comm: Any, cells: Any, positions: Any, cell: str, sharing: np.ndarray | None = None, degree: int = 1
+    comm: Any,
+    cells: Any,
+    positions: Any,
+    cell: str,
+    sharing: np.ndarray | None = None,
+    degree: int = 1,
+    ghosts: bool = False,
 ) -> Any:
     """A dolfinx mesh. Collective.
 
@@ -80,6 +86,7 @@ def create_mesh(
         degree: of the geometry, 1 or 2.
         sharing: ranks that have a node of each cell (m, any number), -1 stands for none; cells then stay on
             their ranks. Default: dolfinx distributes them.
+        ghosts: ranks know the cells of others behind faces.
     """
     from dolfinx import mesh
 
@@ -88,12 +95,16 @@ def create_mesh(
     cells = np.ascontiguousarray(cells, dtype=np.int64)
     arguments = (positions, domain) if parameters[2] == "x" else (domain, positions)
     if sharing is None:
-        return mesh.create_mesh(comm, cells, *arguments)
+        options = {}
+        if ghosts and not _by_ghosts():  # dolfinx 0.5 has ghosts by default
+            options["partitioner"] = mesh.create_cell_partitioner(mesh.GhostMode.shared_facet)
+        return mesh.create_mesh(comm, cells, *arguments, **options)
     # dolfinx 0.5 finds out by ghost cells which ranks share a vertex, and its own partitions only have those
     # across facets: cells on two ranks that touch at a corner would be apart. It drops the ghosts later.
     old = _by_ghosts()
     destinations = _destinations(comm.rank, sharing if old else sharing[:, :0])
-    options = {"ghost_mode": mesh.GhostMode.none} if old else {}
+    kept = mesh.GhostMode.shared_facet if ghosts else mesh.GhostMode.none
+    options = {"ghost_mode": kept} if old else {}
     return mesh.create_mesh(comm, cells, *arguments, **options, partitioner=lambda *_: destinations)
 
 
@@ -105,13 +116,13 @@ def _by_ghosts() -> bool:
 
 
 def distribute_mesh(
-    comm: Any, cells: np.ndarray, positions: np.ndarray, cell: str, degree: int
+    comm: Any, cells: np.ndarray, positions: np.ndarray, cell: str, degree: int, ghosts: bool = False
 ) -> tuple[Any, np.ndarray]:
     """A dolfinx mesh, see `create_mesh`, of which rank 0 gives all cells and nodes; and the number that each
     cell was given with (m,), by dolfinx' `original_cell_index`. Collective."""
     number = comm.bcast(len(cells), root=0)
     if comm.size == 1 or not _by_ghosts():
-        return create_mesh(comm, cells, positions, cell, degree=degree), np.arange(number)
+        return create_mesh(comm, cells, positions, cell, degree=degree, ghosts=ghosts), np.arange(number)
     # the partition is dolfinx' own, but its ranks know of all shared vertices, not of those of facets alone:
     # a body that hangs together at a corner or has a crack would come apart, or wait for ever
     from dolfinx import graph, mesh
@@ -126,7 +137,7 @@ def distribute_mesh(
         rows = [np.flatnonzero(owners == rank) for rank in range(comm.size)]
         parts = [(cells[at], shared[at], at) for at in rows]
     cells, shared, at = comm.scatter(parts, root=0)
-    made = create_mesh(comm, cells, positions, cell, sharing=shared, degree=degree)
+    made = create_mesh(comm, cells, positions, cell, sharing=shared, degree=degree, ghosts=ghosts)
     return made, np.concatenate(comm.allgather(at))
 
 
@@ -191,6 +202,16 @@ def tabulate(cell: str, degree: int, xi: np.ndarray) -> np.ndarray:
     kind = getattr(basix.CellType, cell)
     element = basix.create_element(basix.ElementFamily.P, kind, degree, basix.LagrangeVariant.equispaced)
     return np.asarray(element.tabulate(1, xi))[:, :, :, 0]
+
+
+def tabulate_second(cell: str, degree: int, xi: np.ndarray) -> np.ndarray:
+    """Second derivatives of Lagrange functions (d (d + 1) / 2, q, nodes) at positions (q, d) of the reference
+    cell: by xx, xy, (xz,) yy, (yz, zz)."""
+    import basix
+
+    kind = getattr(basix.CellType, cell)
+    element = basix.create_element(basix.ElementFamily.P, kind, degree, basix.LagrangeVariant.equispaced)
+    return np.asarray(element.tabulate(2, xi))[1 + xi.shape[1] :, :, :, 0]
 
 
 def cell_geometry(mesh: Any) -> np.ndarray:
@@ -261,6 +282,13 @@ def function_space(mesh: Any, size: int, degree: int) -> Any:
     else:
         element = ufl.VectorElement("Lagrange", mesh.ufl_cell(), degree, dim=size)
     return _space(mesh, element)
+
+
+def cellwise_space(mesh: Any) -> Any:
+    """Space of functions that are constant on each cell."""
+    if _HAS_BASIX_ELEMENTS:
+        return _space(mesh, _basix_ufl.element("DG", cell_name(mesh), 0))
+    return _space(mesh, ufl.FiniteElement("DG", mesh.ufl_cell(), 0))
 
 
 def quadrature_space(mesh: Any, size: int, degree: int) -> Any:
