@@ -330,9 +330,12 @@ class PointSystem(LoadedPoints):
         pattern.mirror()
         self._collect()
         if shift:
-            most = self.diagonal().max(axis=0, initial=0.0)
+            share, ties = np.ones((self.nodes.owned, 1)), self.prescribed.ties
+            if ties is not None:  # as of the whole body that planes of symmetry stand for
+                share[:, 0] = ties.share[: self.nodes.owned]
+            most = (self.diagonal() / share).max(axis=0, initial=0.0)
             self.comm.Allreduce(MPI.IN_PLACE, most, op=MPI.MAX)
-            pattern.values[pattern.diagonal] += shift * np.tile(most, self.nodes.owned)
+            pattern.values[pattern.diagonal] += shift * (share * most).ravel()
 
     @property
     def diagonal_shift(self) -> float:

@@ -60,6 +60,7 @@ class Ties:
         fixed: those, and all that follow them.
         tied: unknowns that follow one that is free.
         master, factor: row of the node that these follow, and by which factor.
+        share: (nodes,) what planes of symmetry leave of the functions of nodes on them.
     """
 
     def __init__(self, nodes: Any, supports: Sequence[Support], fixed: np.ndarray, comm: MPI.Comm):
@@ -67,6 +68,7 @@ class Ties:
         self.fixed = fixed.copy()
         self._depth = np.zeros(self._shape, dtype=np.int64)  # followers: steps to where their chain ends
         self.depth = 0
+        self.share = _shares_of(nodes, supports)
         relations = self._given(supports)
         # what acts on both ends of a tie is summed where the first one given is owned: that rank has both
         self._mine = relations.follower < nodes.owned
@@ -232,3 +234,12 @@ class Ties:
 
 def _layers(grid: Grid, mirror: Mirror, even: bool) -> list[Layer]:
     return mirror.basis.mirror(grid, mirror.axis, mirror.index, mirror.side, even)
+
+
+def _shares_of(nodes: Any, supports: Sequence[Support]) -> np.ndarray:
+    """A half for each plane of symmetry that a node is on, (nodes,)."""
+    index, share = nodes.grid.node_index(nodes.lattice), np.ones(len(nodes))
+    planes = [m for m in (s.mirror for s in supports) if m is not None and not all(m.even.values())]
+    for axis, at in {(m.axis, m.index) for m in planes}:
+        share[index[:, axis] == at] *= 0.5
+    return share
