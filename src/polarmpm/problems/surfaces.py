@@ -107,6 +107,8 @@ def add_support(
     if components or normal is None:
         support = make_support(_nowhere, name, components, layout, 0)
     augment = checks.flag(f"{name}: augment", augment)
+    if method is not None:
+        method = checks.choice(f"{name}: method", method, METHODS)
     given = {"stiffness": stiffness}
     if _turns(support, layout):
         given["rotation_stiffness"] = rotation_stiffness
@@ -152,7 +154,6 @@ def _choose(name: str, method: str | None, found: Found, given: list[str]) -> st
         if given or found.no_stress:
             return METHODS[2]
         return METHODS[0] if found.fitted else METHODS[1]
-    method = checks.choice(f"{name}: method", method, METHODS)
     if method != "penalty" and "augment" in given:
         raise InputError(
             f"{name}: augment belongs to method='penalty'; method = {method!r} leaves no gap to it"
