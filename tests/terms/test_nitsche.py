@@ -124,7 +124,7 @@ def test_elements_in_space(material):
         assert max(problem.balance().residue) < (1e-8 if material.micropolar else 1e-9)
         np.testing.assert_allclose(problem.reaction(support).force, (0, -3e3, -2e3), atol=1e-5)
     assert np.linalg.norm(tips[0]) > 0.05
-    np.testing.assert_allclose(tips[1], tips[2], rtol=1e-9)  # the default of elements
+    np.testing.assert_allclose(tips[1], tips[3], rtol=1e-9)  # the default
     for tip in tips[1:]:
         np.testing.assert_allclose(tip, tips[0], atol=0.03 * np.linalg.norm(tips[0]))
 
