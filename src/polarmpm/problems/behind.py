@@ -62,7 +62,9 @@ def find_behind(problem: Body, surface: Surface) -> Found:
     now = late and not problem.knows_undeformed
     place, volume = (points.x, points.volume) if now else (points.X, points.volume0)
     size = np.maximum(volume ** (1.0 / points.dim), 2.0 * points.half_length0.max(axis=1, initial=0.0))
-    columns = [size, points.material, points.F.reshape(-1, 9), points.q, points.wryness.reshape(-1, 9)]
+    columns = [size, points.material]
+    if late:
+        columns += [points.F.reshape(-1, 9), points.q, points.wryness.reshape(-1, 9)]
     values = np.column_stack([np.asarray(c, dtype=float) for c in columns])
     _, found = of_nearest(comm, place, values, surface.x)
     material, n = np.rint(found[:, 1]).astype(np.int64), len(surface)

@@ -15,13 +15,11 @@ from ..geometry.surfaces import Surface
 from ..kinematics.layout import Layout
 from ..terms.base import Term
 from ..terms.nitsche import ConsistentSupport
-from ..terms.surfaces import Pressure, SurfaceSupport, Traction
+from ..terms.surfaces import METHODS, Pressure, SurfaceSupport, Traction
 from ..terms.surfaceterms import SurfaceCondition
 from ..tools import checks
 from .behind import Found, default_stiffness, find_behind
 from .state import Progress
-
-METHODS = ("nitsche", "nitsche-unsymmetric", "penalty")
 
 
 class Loaded(Protocol):
@@ -105,12 +103,9 @@ def add_support(
     given = {"stiffness": stiffness}
     if _turns(support, layout):
         given["rotation_stiffness"] = rotation_stiffness
-    beside = (
-        method is not None and method != METHODS[-1]
-    )  # the material's tractions hold without springs, too
+    least, above = (-np.inf, 0.0) if method in (None, "penalty") else (0.0, -np.inf)
     for key, value in given.items():
         if value is not None:
-            least, above = (0.0, -np.inf) if beside else (-np.inf, 0.0)
             given[key] = checks.number(f"{name}: {key}", value, least=least, above=above)
     if surface.dim != layout.dim:
         raise InputError(f"{name}: the surface has {surface.dim} dimensions, the body has {layout.dim}")

@@ -18,7 +18,7 @@ from ..kinematics.layout import Layout
 from ..kinematics.motion import Motion
 from ..materials.base import Material
 from .base import Piece, Setting
-from .surfaces import SurfaceSupport
+from .surfaces import METHODS, SurfaceSupport
 
 
 @dataclass
@@ -55,6 +55,7 @@ class ConsistentSupport(SurfaceSupport):
     def __init__(self, name: str, surface: Surface, *, behind: Behind, symmetric: bool, **options: Any):
         super().__init__(name, surface, **options)
         self._behind, self._symmetric = behind, symmetric
+        self.method = METHODS[1] if symmetric else METHODS[2]
         if behind.materials[0].micropolar:
             self.moved = (*self.moved, "wryness")
 
