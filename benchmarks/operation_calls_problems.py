@@ -625,6 +625,7 @@ LOADS = [
     ),
     *variants(f"prob().fix({LINE},normal=VALUE)", (*but(NOT_NUMBERS, "None"), "(1,2)"), "normal"),
     *variants(f"prob().fix({LINE},u=0,augment=VALUE)", NOT_FLAGS, "augment"),
+    *variants(f"prob().fix({LINE},u=0,method=VALUE)", ("'lagrange'", "1", "True", "np.zeros(2)"), "method"),
     ("clamped().load(pm.Surface.line((0,1),(3,1),9))", "bad", ("force",)),
     ("femc().body_load(force=(0,1),on=pts().farthest((1,0)))", "bad", ("another body",)),
     ("clamped().load(femc().elements.points.nearest((0,0)),force=(0,1))", "bad", ("another body",)),

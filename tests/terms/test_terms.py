@@ -295,6 +295,23 @@ class Floor(pm.SurfaceTerm):
         return p.k / 2 * ufl.conditional(ufl.gt(depth, 0.0), depth, 0.0) ** 2
 
 
+class Alarm(Exception):
+    """What a script's alarm may raise at any time."""
+
+
+@pytest.mark.parametrize(("raised", "expected"), [(ValueError("no"), pm.InputError), (Alarm("late"), Alarm)])
+def test_what_the_function_of_a_surface_term_raises(raised, expected):
+    """A mistake in it is the script's; what comes from outside while it is called isn't."""
+
+    class Wrong(pm.SurfaceTerm):
+        def energy(self, at: Any, p: Any) -> Any:
+            raise raised
+
+    surface = pm.Surface.line((0.0, 1.3), (0.0, 0.3), 3)
+    with pytest.raises(expected, match=r"no|late"):
+        beam(2).add(Wrong("wrong", surface))
+
+
 @pytest.mark.parametrize("method", ["bspline", "projection", "elements"])
 def test_a_block_comes_to_rest_on_a_floor(method):
     """Let down with its head it meets the floor 0.05 m below, is pressed onto it, and lifted off."""

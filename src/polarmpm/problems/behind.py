@@ -21,11 +21,10 @@ from ..materials.base import Material
 from ..terms.nitsche import Behind
 from .state import Progress
 
-_CUT = 1e3  # the same of the symmetric method where cells are cut, down to a thousandth of them
+# the same where a surface cuts cells, the symmetric method down to a thousandth of one
+_CUT = {"nitsche": 1e3, "nitsche-unsymmetric": 60.0}
 _SPRINGS = 1e3  # default of springs alone: a layer of a thousandth of a cell, of the body's stiffness
-_COERCIVE = (
-    20.0  # the same beside the material's own tractions, which keeps a support stable (docs/theory.md)
-)
+_COERCIVE = 20.0  # the same beside the material's own tractions: enough for both methods (docs/theory.md)
 
 
 class Body(Protocol):
@@ -63,7 +62,9 @@ def find_behind(problem: Body, surface: Surface) -> Found:
     now = late and not problem.knows_undeformed
     place, volume = (points.x, points.volume) if now else (points.X, points.volume0)
     size = np.maximum(volume ** (1.0 / points.dim), 2.0 * points.half_length0.max(axis=1, initial=0.0))
-    columns = [size, points.material, points.F.reshape(-1, 9), points.q, points.wryness.reshape(-1, 9)]
+    columns = [size, points.material]
+    if late:
+        columns += [points.F.reshape(-1, 9), points.q, points.wryness.reshape(-1, 9)]
     values = np.column_stack([np.asarray(c, dtype=float) for c in columns])
     _, found = of_nearest(comm, place, values, surface.x)
     material, n = np.rint(found[:, 1]).astype(np.int64), len(surface)
@@ -124,7 +125,7 @@ def default_stiffness(
     elif method == "penalty":
         own = _springs(problem, name)
     else:
-        times = _CUT if method == "nitsche" and not found.fitted else _COERCIVE
+        times = _COERCIVE if found.fitted else _CUT[method]
         own = _beside_tractions(problem, surface, found.behind, times)
     for key, value in given.items():
         out[key] = own[key] if value is None else value

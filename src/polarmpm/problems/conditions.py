@@ -142,7 +142,7 @@ class Conditions(Whole, Turns):
                 cells; "penalty" by springs alone. Facets of elements are held so where it is given.
             stiffness: of a surface's springs (Pa/m): the virtual work per undeformed area is
                 stiffness (u - prescribed u) . du, and the same for rotations. By default as stiff as a layer
-                of a twentieth of a cell, with "penalty" of a thousandth.
+                of 1/20 of a cell or less, with "penalty" of a thousandth.
             rotation_stiffness: the same for rotations (N/m).
             augment: with "penalty": keep the springs' forces after each converged step and let the springs
                 start anew, so that what they give way under a load that stays vanishes over steps.

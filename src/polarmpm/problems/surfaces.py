@@ -15,13 +15,11 @@ from ..geometry.surfaces import Surface
 from ..kinematics.layout import Layout
 from ..terms.base import Term
 from ..terms.nitsche import ConsistentSupport
-from ..terms.surfaces import Pressure, SurfaceSupport, Traction
+from ..terms.surfaces import METHODS, Pressure, SurfaceSupport, Traction
 from ..terms.surfaceterms import SurfaceCondition
 from ..tools import checks
 from .behind import Found, default_stiffness, find_behind
 from .state import Progress
-
-METHODS = ("nitsche", "nitsche-unsymmetric", "penalty")
 
 
 class Loaded(Protocol):
@@ -91,15 +89,8 @@ def add_support(
     """See `Conditions.fix`."""
     name, layout = problem.surface_name("surface support"), problem.layout
     late = problem.progress.step > 0
-    if late and counts == "total" and not problem.knows_undeformed:
-        raise InputError(
-            f"{name}: counts = 'total': a surface that is added in mid-run is given where it is now; where "
-            "it was in the undeformed body isn't known. Add it before the first load step"
-        )
-    if late and counts == "total" and any(c.startswith("theta") for c in components):
-        raise InputError(
-            f"{name}: counts = 'total': how far a surface that is added in mid-run has turned isn't known"
-        )
+    if late and counts == "total":
+        _check_total(problem, name, components)
     displaced = [c for c in components if not c.startswith("theta")]
     if normal is not None and displaced:
         raise InputError(f"{name}: normal is given together with {', '.join(displaced)}")
@@ -107,15 +98,14 @@ def add_support(
     if components or normal is None:
         support = make_support(_nowhere, name, components, layout, 0)
     augment = checks.flag(f"{name}: augment", augment)
+    if method is not None:
+        method = checks.choice(f"{name}: method", method, METHODS)
     given = {"stiffness": stiffness}
     if _turns(support, layout):
         given["rotation_stiffness"] = rotation_stiffness
-    beside = (
-        method is not None and method != METHODS[-1]
-    )  # the material's tractions hold without springs, too
+    least, above = (-np.inf, 0.0) if method in (None, "penalty") else (0.0, -np.inf)
     for key, value in given.items():
         if value is not None:
-            least, above = (0.0, -np.inf) if beside else (-np.inf, 0.0)
             given[key] = checks.number(f"{name}: {key}", value, least=least, above=above)
     if surface.dim != layout.dim:
         raise InputError(f"{name}: the surface has {surface.dim} dimensions, the body has {layout.dim}")
@@ -138,6 +128,19 @@ def add_support(
     return made
 
 
+def _check_total(problem: Loaded, name: str, components: dict[str, Any]) -> None:
+    """Whether values of a support that is added in mid-run can count from the undeformed body."""
+    if not problem.knows_undeformed:
+        raise InputError(
+            f"{name}: counts = 'total': a surface that is added in mid-run is given where it is now; where "
+            "it was in the undeformed body isn't known. Add it before the first load step"
+        )
+    if any(c.startswith("theta") for c in components):
+        raise InputError(
+            f"{name}: counts = 'total': how far a surface that is added in mid-run has turned isn't known"
+        )
+
+
 def _holds_too(condition: Any, surface: Surface, columns: Any, now: bool) -> bool:
     """Whether a support by tractions holds some of these components of a surface, which is given where it is
     `now`, or in the undeformed body."""
@@ -149,10 +152,7 @@ def _holds_too(condition: Any, surface: Surface, columns: Any, now: bool) -> boo
 def _choose(name: str, method: str | None, found: Found, given: list[str]) -> str:
     """The method that is meant, `given` what asks for springs."""
     if method is None:
-        if given or found.no_stress:
-            return METHODS[2]
-        return METHODS[0] if found.fitted else METHODS[1]
-    method = checks.choice(f"{name}: method", method, METHODS)
+        return "penalty" if given or found.no_stress else "nitsche-unsymmetric"
     if method != "penalty" and "augment" in given:
         raise InputError(
             f"{name}: augment belongs to method='penalty'; method = {method!r} leaves no gap to it"

@@ -18,7 +18,7 @@ from ..kinematics.layout import Layout
 from ..kinematics.motion import Motion
 from ..materials.base import Material
 from .base import Piece, Setting
-from .surfaces import SurfaceSupport
+from .surfaces import METHODS, SurfaceSupport
 
 
 @dataclass
@@ -55,6 +55,7 @@ class ConsistentSupport(SurfaceSupport):
     def __init__(self, name: str, surface: Surface, *, behind: Behind, symmetric: bool, **options: Any):
         super().__init__(name, surface, **options)
         self._behind, self._symmetric = behind, symmetric
+        self.method = METHODS[1] if symmetric else METHODS[2]
         if behind.materials[0].micropolar:
             self.moved = (*self.moved, "wryness")
 
@@ -68,7 +69,9 @@ class ConsistentSupport(SurfaceSupport):
         the undeformed body."""
         own = set(range(self.layout.dim)) if self._normal is not None else set(self._columns)
         here = self.surface.x + self.u * now
-        return bool(own & set(columns)) and here.shape == x.shape and bool(np.allclose(here, x))
+        if not own & set(columns) or here.shape != x.shape:
+            return False
+        return bool(np.abs(here - x).max() <= 1e-9 * np.abs(here).max())
 
     def attach(self, layout: Layout, comm: MPI.Comm) -> None:
         self.wryness: np.ndarray = self._behind.wryness

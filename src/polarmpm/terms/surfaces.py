@@ -21,6 +21,8 @@ from ..kinematics.moments import moments
 from ..tools import checks
 from .surfaceterms import SurfaceCondition
 
+METHODS = ("penalty", "nitsche", "nitsche-unsymmetric")  # how supports hold a surface
+
 
 class Traction(SurfaceCondition):
     """A traction (N/m^2) and couple traction (N/m), dead and per undeformed area, or following the surface.
@@ -106,7 +108,10 @@ class SurfaceSupport(SurfaceCondition):
         reaction: force (N) and couple (N m) on the body in the last step; None before the first one.
         moment: of them about the origin (N m), couples included.
         gap: how far the prescribed displacements were missed then (n,) (m).
+        method: one of `METHODS`.
     """
+
+    method = METHODS[0]
 
     def __init__(
         self,
@@ -247,6 +252,7 @@ class SurfaceSupport(SurfaceCondition):
             "last": self._last,
             "gap": np.zeros(len(self.surface)) if self.reaction is None else self.gap,
             "reaction": self._reaction_row(),
+            "method": np.array([float(METHODS.index(self.method))]),
         }
 
     def _reaction_row(self) -> np.ndarray:
@@ -257,7 +263,12 @@ class SurfaceSupport(SurfaceCondition):
         return np.concatenate([*self.reaction, self.moment])
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        super().restore(arrays)
+        saved = METHODS[int(arrays["method"][0])] if "method" in arrays else METHODS[0]
+        if saved != self.method:
+            raise InputError(
+                f"{self.name}: method = {self.method!r}, in the saved run {saved!r}; give fix that method"
+            )
+        super().restore({**arrays, "method": np.zeros(1)})
         self.multiplier = np.array(arrays["multiplier"], dtype=float)
         self._offset, self._last = (np.array(arrays[name], dtype=float) for name in ("offset", "last"))
         row, ends = arrays["reaction"], np.cumsum([self.layout.dim, self.layout.rotations])
