@@ -20,8 +20,10 @@ from ..kinematics import rotations
 from ..solvers.choice import make_solver, solver_of
 from ..solvers.linear import Tangent
 from ..tools.disposal import dispose_with, weakly
+from ..tools.parallel import errors_on_all_ranks
 from ..tools.timing import Timer
 from . import sparsity
+from .folding import Folding
 from .initialstress import InitialStress
 from .interpolation import Interpolation, PointBatch
 from .system import Assembled, NodalSystem
@@ -144,9 +146,8 @@ class LoadedPoints(NodalSystem):
         if self.couple_kernel is not None:
             rows, couples = self._couples[k]
             native.fill(kernels, couple=self.couple_kernel.address, couple_of=rows, couples=couples)
-        own = None if self._boxes is None else self._boxes[k]
-        if own is not None:
-            own.put(kernels, self.kernels[k][0])
+        if self._boxes is not None:
+            self._boxes[k].put(kernels, self.kernels[k][0])
         mapping = self.mappings[k]
         if mapping is not None:
             self._put_yielding(mapping, k, tangent, kernels)
@@ -227,6 +228,10 @@ class PointSystem(LoadedPoints):
             self._fixed = np.ascontiguousarray(prescribed.fixed, dtype=np.uint8)
             native.fill(self.pattern.matrix, fixed=self._fixed)
             self.terms.bind(self.pattern.matrix, prescribed.fixed)
+            self._folding: Folding | None = None
+            if prescribed.ties is not None:
+                with errors_on_all_ranks(self.comm):
+                    self._folding = Folding(self.pattern, prescribed.ties)
             plastic = any(m is not None for m in self.mappings)
             shared = (self.pattern.values, self.pattern.diagonal) if self.pattern.shared else None
             matrix = self.pattern.petsc_matrix()
@@ -254,11 +259,17 @@ class PointSystem(LoadedPoints):
         if tangent:
             self.pattern.mirror()
             self.terms.add_tangents(self.x, self.pattern.values)
-            self.pattern.collect()
+            self._collect()
         if lift is not None and lifted is not None:
             lifted += self.lifted_by_terms(lift)
             self.nodes.add_to_owners(lifted)
         return Assembled(internal - self._dead_forces(), lifted)
+
+    def _collect(self) -> None:
+        """Complete the rows of the matrix. Collective."""
+        if self._folding is not None:
+            self._folding.fold(self.pattern.values)
+        self.pattern.collect()
 
     def _begin_tangent(self, lifted: np.ndarray | None) -> None:
         """Begin the tangent's sums with what the points' boxes add; where that is at hand from an earlier
@@ -271,8 +282,6 @@ class PointSystem(LoadedPoints):
             return
         whole = bool(np.any(self.x))  # right after a reset the sides have the moduli of the points
         for own, form, (_, kernel) in zip(boxes, self.interpolation.forms, self.kernels, strict=True):
-            if own is None:
-                continue
             before = self.before if form.predicts else None
             own.add_moduli(kernel, self.pattern.matrix, self.x, before, lifted, whole=whole)
         step.boxes = values.copy()
@@ -319,7 +328,7 @@ class PointSystem(LoadedPoints):
             ):
                 raise MemoryError("no memory for the sums over material points")
         pattern.mirror()
-        pattern.collect()
+        self._collect()
         if shift:
             most = self.diagonal().max(axis=0, initial=0.0)
             self.comm.Allreduce(MPI.IN_PLACE, most, op=MPI.MAX)

@@ -229,7 +229,7 @@ class NodalSystem(ABC):
 
         own, d = slice(0, self.nodes.owned), self.layout.dim
         motions = rigid_motions(self.positions()[own], self.x[own, d:], self.comm)
-        motions = np.where(self.prescribed.fixed[own], 0.0, motions)
+        motions = np.where(self.prescribed.free[own], motions, 0.0)
         return NearNullSpace(motions, self.weak_nodes(), self.as_force)
 
     # terms ------------------------------------------------------------------------------------------
@@ -272,6 +272,14 @@ class NodalSystem(ABC):
             left_out = self.terms.forces(self.x, apart)
             self.nodes.add_to_owners(left_out)
             forces = forces - left_out
+        return self.on_free(forces)
+
+    def on_free(self, forces: np.ndarray) -> np.ndarray:
+        """Forces (nodes, block), complete on owned rows, on the free unknowns, where those also act that are
+        on unknowns which follow them; zero at the others. Collective."""
+        ties = self.prescribed.ties
+        if ties is not None:
+            return ties.fold(forces)
         free: np.ndarray = np.where(self.prescribed.fixed, 0.0, forces)
         return free
 
@@ -287,7 +295,7 @@ class NodalSystem(ABC):
 
             lost = self.terms.forces(before, own) - self.terms.forces(self.x, own)
             self.nodes.add_to_owners(lost)
-            self.carried = self.carried - np.where(self.prescribed.fixed, 0.0, lost)
+            self.carried = self.carried - self.on_free(lost)
 
     # solvers.newton.System --------------------------------------------------------------------------
     def set_prescribed(self, increments: np.ndarray) -> None:
@@ -319,15 +327,15 @@ class NodalSystem(ABC):
 
     def _convergence_measures(self) -> tuple[float, float]:
         own = slice(0, self.nodes.owned)
-        free = ~self.prescribed.fixed[own]
-        r, external, last = self.residual[own], self.external[own], self.step.correction
+        external, last = self.external[own], self.step.correction
+        r = self.on_free(self.residual)[own]
         # |f_ext + f_rct|: at supports the reaction makes it the internal force
-        total = np.where(free, external, r + external)
+        total = external + (self.residual[own] - r)
         sums = np.array(
             [
-                np.sum((r * free * self.as_force) ** 2),
+                np.sum((r * self.as_force) ** 2),
                 np.sum((total * self.as_force) ** 2),
-                0.0 if last is None else abs(np.sum((r * free) * last[own])),
+                0.0 if last is None else abs(np.sum(r * last[own])),
                 np.sum(total * self.x[own]),
             ]
         )
@@ -380,12 +388,19 @@ class NodalSystem(ABC):
     def solve_free(self, forces: np.ndarray, fresh: bool, accuracy: float = ACCURACY) -> np.ndarray:
         """Increments (nodes, block) by which forces, complete on owned rows, move the nodes with the last
         tangent; prescribed unknowns stay. Collective."""
-        fixed, own = self.prescribed.fixed, self.nodes.owned
+        prescribed, own = self.prescribed, self.nodes.owned
         step = np.zeros_like(self.x)
-        step[:own] = self.solve(np.where(fixed[:own], 0.0, forces[:own]), fresh, accuracy)
-        self.nodes.update_ghosts(step)
-        step[fixed] = 0.0
+        step[:own] = self.solve(self.on_free(forces)[:own], fresh, accuracy)
+        self.complete(step)
+        step[prescribed.fixed] = 0.0
         return step
+
+    def complete(self, step: np.ndarray) -> None:
+        """Complete a motion (nodes, block), known at free unknowns of owned nodes, at ghosts and at unknowns
+        that follow others. Collective."""
+        self.nodes.update_ghosts(step)
+        if self.prescribed.ties is not None:
+            self.prescribed.ties.follow(step)
 
     def add(self, step: np.ndarray) -> None:
         """Add a correction (nodes, block) to the unknowns."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from mpi4py import MPI
 
@@ -66,6 +67,19 @@ class Weights:
         return numbers, value
 
 
+class Layer(NamedTuple):
+    """Nodal values of a layer of nodes, across an axis, that are a multiple of those of another.
+
+    Attributes:
+        follower, leader: lattice indices of the layers along the axis.
+        factor: the multiple.
+    """
+
+    follower: int
+    leader: int
+    factor: float
+
+
 class Basis(ABC):
     """Functions on the lattice that weight material points; those of several directions are products.
 
@@ -84,6 +98,7 @@ class Basis(ABC):
         sliver: largest thickness, in cells, of what fills a cell so little that its points are weighted with
             the functions of the cell behind it (`aggregation`); 0: there is no such thing.
         uses_domains: weights depend on the points' current domains, not on their positions alone.
+        no_slope: why slopes can't be held on planes of the grid; "": they can (`mirror`).
         fills_boxes: second derivatives are known (`curvatures`), so that points integrate over their own
             boxes.
         thin_reach: some points reach nodes by so little of their domains that balancing forces there by
@@ -95,6 +110,7 @@ class Basis(ABC):
     walls_only: bool = False
     gradients_jump: bool = False
     no_projection: str = ""
+    no_slope: str = "it doesn't say which of its functions have a slope on a plane"
     locks: bool = False
     sliver: float = 0.0
     uses_domains: bool = False
@@ -177,6 +193,21 @@ class Basis(ABC):
         """Cells (m, d) in each direction, from the one of the lowest node on, on which groups of points with
         `count` (m, d) nodes in each direction have their weights."""
         return count - self.degree
+
+    def mirror(self, grid: Grid, axis: int, index: int, side: int, even: bool) -> list[Layer]:
+        """Layers of nodes that follow others where a field is mirrored at a plane of the grid.
+
+        All nodes of points that a follower weights include its leader, so that nothing new is coupled. That
+        the value of an odd field vanishes on the plane isn't said here. Default: none; a field without
+        anything prescribed for its slope tends to what it has to be.
+
+        Args:
+            axis, index: lattice index of the plane along its axis.
+            side: where the body isn't, -1 below the plane, 1 above.
+            even: the field is the same on both sides, its slope vanishes on the plane; False: it changes its
+                sign.
+        """
+        return []
 
     def check_plane(self, plane: PlaneSpec, grid: Grid) -> None:
         """Raise InputError for a plane of the grid on which this basis can't prescribe values."""

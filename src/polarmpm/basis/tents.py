@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..geometry.grid import Grid, snap
-from .base import Basis, Weights
+from ..geometry.grid import MARGIN, Grid, snap
+from .base import Basis, Layer, Weights
 
 
 class Tents(Basis):
@@ -14,6 +14,7 @@ class Tents(Basis):
     name = "mpm"
     degree = 1
     gradients_jump = True
+    no_slope = "its functions have kinks at the planes of the grid, and no slope there"
     locks = True
 
     def lines(self, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
@@ -32,6 +33,11 @@ class Tents(Basis):
         if cells is None:
             cells = np.minimum(np.floor(xi).astype(np.int64), np.array(grid.shape) - 1)
         return Weights(cells, np.full(x.shape, 2, dtype=np.int32), tents(xi - cells, grid.sizes(cells)))
+
+    def mirror(self, grid: Grid, axis: int, index: int, side: int, even: bool) -> list[Layer]:
+        """Nodes beyond the plane, which domains of points may reach, mirror those before it."""
+        sign = 1.0 if even else -1.0
+        return [Layer(index + k * side, index - k * side, sign) for k in range(1, MARGIN + 1)]
 
 
 def tents(r: np.ndarray, sizes: np.ndarray) -> np.ndarray:

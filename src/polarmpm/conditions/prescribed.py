@@ -14,6 +14,7 @@ from ..kinematics import rotations
 from ..kinematics.layout import Layout
 from ..tools.parallel import errors_on_all_ranks
 from .supports import Support, component_names
+from .ties import Ties
 
 _ROUNDING = 1e-12  # of the largest prescribed value: so far two supports that agree may be apart
 
@@ -30,6 +31,7 @@ class Prescribed:
 
     Attributes:
         fixed: (nodes, block) bool.
+        ties: unknowns that follow others; None: there are none.
     """
 
     def __init__(
@@ -48,8 +50,23 @@ class Prescribed:
         for support, mask in zip(supports, self.masks, strict=True):
             for column in support.columns:
                 self.fixed[mask, column] = True
+        self.ties: Ties | None = None
+        if any(s.mirror is not None for s in supports):
+            self.ties = Ties(nodes, supports, self.fixed, comm)
+            self.fixed = self.ties.fixed
         self.start_from(0.0, np.zeros(self.fixed.shape))
         self.turns: np.ndarray = np.zeros((len(nodes), 3))
+
+    @property
+    def free(self) -> np.ndarray:
+        """Unknowns (nodes, block) that are neither prescribed nor follow another one, bool."""
+        free: np.ndarray = ~self.fixed if self.ties is None else ~(self.fixed | self.ties.tied)
+        return free
+
+    @property
+    def touched(self) -> np.ndarray:
+        """Unknowns (nodes, block) on which supports act, bool."""
+        return self.fixed if self.ties is None else self.fixed | self.ties.touched
 
     def start_from(self, factor: float, x: np.ndarray) -> None:
         """Lead on from a converged state with increments x (nodes, block) at a load factor."""
@@ -170,6 +187,8 @@ class Prescribed:
                 q = rotations.turned(rotations.from_vector(self.base[whole, d:]), way)
                 way = rotations.to_vector(np.where(q[:, :1] < 0, -q, q))
             out[whole, d:] = way
+        if self.ties is not None:
+            self.ties.put_prescribed(out, self.base)
         return out
 
     def _check_turns(self, before: np.ndarray, now: np.ndarray, whole: np.ndarray) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..basis.base import Basis
 from ..errors import InputError
 from ..geometry.nodes import Positioned
 from ..kinematics.layout import Layout
@@ -23,6 +24,23 @@ def component_names(layout: Layout) -> list[str]:
     return names + [f"theta_{a}" for a in "xyz"[: layout.rotations]]
 
 
+@dataclass(frozen=True)
+class Mirror:
+    """What a support says of slopes on its plane, which ties nodes to others (`ties`).
+
+    Attributes:
+        axis, index: lattice index of the plane along its axis.
+        side: where the body isn't, -1 below the plane, 1 above.
+        even: of columns of unknowns: their slope vanishes; False: they change sign beyond the plane.
+    """
+
+    basis: Basis
+    axis: int
+    index: int
+    side: int
+    even: dict[int, bool]
+
+
 @dataclass(eq=False)
 class Support:
     """Prescribed components on the nodes of a plane or predicate.
@@ -34,6 +52,7 @@ class Support:
         committed: it has taken part in a converged step; from then on the two are the same.
         met: how many nodes of the body it held at first, and the body's mean volume at one of them (m^3);
             None before.
+        mirror: what it says of slopes; None: nothing.
     """
 
     name: str
@@ -42,9 +61,12 @@ class Support:
     total: bool = True
     committed: bool = False
     met: tuple[float, float] | None = None
+    mirror: Mirror | None = None
 
     def __repr__(self) -> str:
         prescribed = dict.fromkeys(a.name.split(", ")[-1] for a, _ in self.columns.values())
+        if self.mirror is not None:
+            prescribed["slopes" if all(self.mirror.even.values()) else "symmetry"] = None
         return f"Support({self.name!r}: {', '.join(prescribed)})"
 
     def mask(self, nodes: Positioned) -> np.ndarray:
@@ -59,11 +81,13 @@ def make_support(
     layout: Layout,
     number: int,
     total: bool = True,
+    slopes: bool = False,
 ) -> Support:
-    """Check a user's support; `where` is a predicate of node positions. `number` 0: `label` is its name."""
+    """Check a user's support; `where` is a predicate of node positions. `number` 0: `label` is its name.
+    `slopes`: it holds some, and maybe no component."""
     name = f"support {number} ({label})" if number else label
-    if not components:
-        raise InputError("fix: names no component; for example u=0, ux=0, theta=0")
+    if not components and not slopes:
+        raise InputError("fix: names no component; for example u=0, ux=0, theta=0, slope=0")
     names, columns = component_names(layout), {}
     for key, value in components.items():
         group = {"u": names[: layout.dim], "theta": names[layout.dim :]}.get(key, [key])
@@ -73,6 +97,9 @@ def make_support(
                 if key.startswith("theta") and not layout.rotations
                 else ""
             )
+            if key.startswith("slope"):
+                single = ", ".join(f"slope_{name[1:]}" for name in names[: layout.dim])
+                hint = f"; slopes of nodes on a plane are slope, {single}"
             raise InputError(
                 f"fix: unknown component {key!r}; allowed are u, theta, {', '.join(names)}{hint}"
             )

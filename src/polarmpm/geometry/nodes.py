@@ -76,6 +76,15 @@ class ActiveNodes:
         at = np.searchsorted(self.lattice[order], lattice)
         return np.arange(len(self))[order][at]
 
+    def find(self, lattice: np.ndarray) -> np.ndarray:
+        """Local rows of lattice numbers; -1 for those that aren't active on this rank."""
+        if not len(self):
+            return np.full(len(lattice), -1, dtype=np.int64)
+        order = np.argsort(self.lattice, kind="stable")
+        rows = order[np.minimum(np.searchsorted(self.lattice[order], lattice), len(self) - 1)]
+        found: np.ndarray = np.where(self.lattice[rows] == lattice, rows, -1)
+        return found
+
     # ghosts -------------------------------------------------------------------------------------
     @cached_property
     def _route(self) -> tuple[Route, np.ndarray]:

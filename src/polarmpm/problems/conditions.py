@@ -16,7 +16,7 @@ from ..conditions.amplitudes import Amplitude, check_counts
 from ..conditions.loads import AnyLoad, Applied, HandedOver, Load, make_loads
 from ..conditions.supports import Support, make_support
 from ..errors import InputError
-from ..geometry.planes import Plane
+from ..geometry.planes import Plane, PlaneSpec
 from ..geometry.surfaces import Surface
 from ..kinematics.layout import Layout
 from ..terms.base import Term
@@ -26,7 +26,7 @@ from ..tools import checks
 from ..tools.checks import shown
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
-from . import surfaces
+from . import slopes, surfaces
 from .given import Given, Present, Register
 from .state import Progress
 from .turns import Turns
@@ -43,6 +43,7 @@ class Conditions(Whole, Turns):
         progress: load factor and number of steps of the last converged state.
     """
 
+    holds_on_facets = False  # slopes; else on planes of the grid
     knows_undeformed = False  # where a surface that is added in mid-run was in the undeformed body
 
     def __init__(self, comm: MPI.Comm, points: Points, dim: int):
@@ -125,7 +126,8 @@ class Conditions(Whole, Turns):
                 plane strain), in m and rad. A number is ramped with the load factor; a function of the
                 factor, or of (factor, positions), gives the displacement or rotation; positions are
                 those of the nodes at the last reset, of a surface the undeformed ones. In one step a rotation
-                in space may change by less than pi. One number for several components is zero.
+                in space may change by less than pi. One number for several components is zero. slope=0 (or
+                slope_x=0 ...) holds du/dn, not u, on a plane (docs/conventions.md).
             counts: "from now" or "total": whether these values count from the body's present place, so that
                 u=0 holds it there and it moves by what the values gain from now on; or from the undeformed
                 body, so that u=0 brings it back to it in the next step. Default: before the first load step
@@ -163,24 +165,80 @@ class Conditions(Whole, Turns):
             raise InputError(f"fix: {given[0]} belongs to springs on a Surface; where = {shown(where)}")
         return self._fix_nodes(where, components, counts)
 
-    def _fix_nodes(self, where: Any, components: dict[str, Any], counts: str | None) -> Support:
+    @collective("symmetry", compare=True)
+    def symmetry(self, where: PlaneSpec) -> Support:
+        """Let a plane be one of symmetry, so that the body is the half of a symmetric one.
+
+        On it the displacement along its normal vanishes, and the slope of the others across it; of
+        microrotations those about axes in the plane vanish (in plane strain theta), and the slope of the one
+        about its normal. Functions and points of the half are then those of the whole body, to rounding. In
+        mid-run all of it counts from now on.
+
+        Args:
+            where: such as `plane(x=0.0)`; with splines a wall of the grid.
+
+        Returns:
+            The support, for `reaction` and `release`.
+
+        Raises:
+            InputError: not a plane, not one on which the body's basis can prescribe values, or one with the
+                body on both sides; second-gradient bodies of finite elements.
+        """
+        self._check_outside("symmetry")
+        zero, even = slopes.symmetric(self._normal_axis(where), where, self.layout)
+        return self._fix_nodes(where, zero, None, even)
+
+    def _fix_nodes(
+        self,
+        where: Any,
+        components: dict[str, Any],
+        counts: str | None,
+        even: dict[int, bool] | None = None,
+    ) -> Support:
+        """`even`: of a plane of symmetry, which columns are even across it."""
         self.check_open()
-        predicate, label = self._place(where)
+        if even is None:
+            predicate, label = self._place(where)
+            even, components = slopes.take_slopes(where, components, self.layout, self.holds_on_facets)
+        else:
+            predicate, label = self._place(self._beside(where))
+            label = f"symmetry, {label}"
         total = not self.progress.step if counts is None else counts == "total"
         number = self.given.next("support")
-        support = make_support(predicate, label, components, self.layout, number, total)
+        support = make_support(predicate, label, components, self.layout, number, total, bool(even))
         turned = [c for c in support.columns if c >= self.layout.dim]
         if total and self.progress.step and 0 < len(turned) < self.layout.rotations:
             raise InputError(
                 f"{support.name}: counts = 'total': in space single components of a rotation have no total; "
                 "give theta, or counts='from now'"
             )
+        if even:
+            if total and self.progress.step:
+                raise InputError(f"{support.name}: counts = 'total': a slope has no total in mid-run")
+            self._tie(where, support, even)
         self._admit(where, support)
         self._supports.append(support)
         self._unasked += [amplitude for amplitude, _ in support.columns.values()]
         self.given.add(Given(support.name, support, self.progress.factor, counts), "support")
         self._stale = True
         return support
+
+    def _normal_axis(self, where: Any) -> int:
+        """The axis across a plane of symmetry."""
+        return slopes.axis_of_plane(where)
+
+    def _beside(self, where: PlaneSpec) -> PlaneSpec:
+        """A plane of symmetry, once it is known to be one. Collective."""
+        return where
+
+    @abstractmethod
+    def _tie(self, where: Any, support: Support, even: dict[int, bool]) -> None:
+        """Let a support on a plane hold slopes there, or refuse it.
+
+        Args:
+            even: of columns of unknowns: their slope vanishes; False: they are odd across a plane of
+                symmetry.
+        """
 
     def _admit(self, where: Any, support: Support) -> None:
         """Take note of a support that the user has put on `where`, or refuse it."""

@@ -165,8 +165,7 @@ def _look_at_tangent(case: _Case, replay: Replay) -> None:
     except SingularTangent:
         return
     try:
-        free = ~system.prescribed.fixed[own]
-        case.weak = weak.mode(np.where(free, forces[own], 0.0).ravel())
+        case.weak = weak.mode(system.on_free(forces)[own].ravel())
         case.unstable = weak.negative > 0
         if problem.progress.step:
             case.rate = _rate(case, weak)
@@ -179,13 +178,12 @@ def _rate(case: _Case, weak: WeakTangent) -> float | None:
     system, problem, d = case.system, case.problem, case.system.layout.dim
     own, p = slice(0, system.nodes.owned), problem.points
     change = case.error.factor - problem.progress.factor
-    free = ~system.prescribed.fixed[own]
-    pushed = np.where(free, case.pushed[own], 0.0)
+    pushed = system.on_free(case.pushed)[own]
     if change == 0.0 or problem.progress.factor == 0.0:
         return None
     moved = np.zeros_like(system.x)
     moved[own] = weak.solve(pushed.ravel()).reshape(pushed.shape)
-    system.nodes.update_ghosts(moved)
+    system.complete(moved)
     now = system.at_points(moved)[:, :d] / change
     before = p.displacement / problem.progress.factor
     sums = [float(np.sum(p.volume0[:, None] * u**2)) for u in (now, before)]
@@ -228,7 +226,7 @@ def _without_stiffness(case: _Case, raw: np.ndarray) -> Finding | None:
     system, own = case.system, case.system.nodes.owned
     volume = system.node_volumes()[:own]
     real = volume > 1e-6 * system.comm.allreduce(float(volume.max(initial=0.0)), op=MPI.MAX)
-    free = ~system.prescribed.fixed[:own] & real[:, None]
+    free = system.prescribed.free[:own] & real[:, None]
     most = system.comm.allreduce(np.abs(raw[:, : system.layout.dim]).max(initial=0.0), op=MPI.MAX)
     zero = free & (np.abs(raw) <= 1e-14 * most)
     counts = system.comm.allreduce(np.array([np.any(zero, axis=1).sum(), np.any(free, axis=1).sum()]))

@@ -171,8 +171,7 @@ def where_unbalanced(problem: Any, system: NodalSystem, iterate: Iterate) -> Fin
         text = f"where it ended, in iteration {iterate.number}, {strained}"
         return Finding("out of balance", text, places[:1], ids[:1])
     own = system.nodes.owned
-    free = ~system.prescribed.fixed[:own]
-    r = np.abs(np.where(free, iterate.residual[:own], 0.0)) * system.as_force
+    r = np.abs(system.on_free(iterate.residual)[:own]) * system.as_force
     r /= system.comm.allreduce(float(r.max(initial=0.0)), op=MPI.MAX) or 1.0
     node, column = np.arange(own), r.argmax(axis=1) if own else np.zeros(0, dtype=int)
     most = smallest(problem.comm, -r[node, column], np.column_stack([column, system.positions()[:own]]))

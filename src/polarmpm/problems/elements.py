@@ -38,6 +38,7 @@ from ..tools import checks, compat
 from ..tools.disposal import dispose_of_dropped
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
+from . import slopes
 from .base import Problem
 from .described import described, of_rank
 from .given import Present
@@ -147,6 +148,9 @@ class QuasiStaticFEM(Problem):
         return checks.function("fix: where", where, what, takes=("positions",)), getattr(
             where, "__name__", "predicate"
         )
+
+    def _tie(self, where: Any, support: Support, even: dict[int, bool]) -> None:
+        slopes.check_elements(support, even, self.elements.points.materials)
 
     @property
     def surface_loads(self) -> tuple[SurfaceLoad, ...]:

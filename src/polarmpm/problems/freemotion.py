@@ -71,11 +71,11 @@ def free_parts(system: NodalSystem, parts: Parts, forces: np.ndarray, diagonal: 
         rows = np.flatnonzero(real & system.prescribed.fixed[own, column])
         b = modes[:, rows, column] * (as_length[rows] if column >= layout.dim else 1.0)
         np.add.at(gram, label[rows], np.einsum("in,jn->nij", b, b))
+    gram += _of_ties(system, parts, modes, real)
     gram += _of_terms(system, parts, modes, diagonal, real)
-    free = ~system.prescribed.fixed[own]
     push = np.zeros((number, k))
     size = np.zeros(number)
-    r = np.where(free, forces[own], 0.0)
+    r = system.on_free(forces)[own]
     np.add.at(push, label[known], np.einsum("inb,nb->ni", modes[:, own], r)[known])
     np.add.at(size, label[known], np.abs(r * system.as_force).sum(axis=1)[known])
     gram, push, size = comm.allreduce(gram), comm.allreduce(push), comm.allreduce(size)
@@ -90,6 +90,19 @@ def free_parts(system: NodalSystem, parts: Parts, forces: np.ndarray, diagonal: 
             length = float(_sizes(system, parts)[part])
             found.append(_describe(layout.dim, parts, part, null, length, pushed, held[part]))
     return found
+
+
+def _of_ties(system: NodalSystem, parts: Parts, modes: np.ndarray, real: np.ndarray) -> np.ndarray:
+    """What slope and symmetry supports prevent of motions (parts, k, k), on this rank."""
+    ties, k = system.prescribed.ties, len(modes)
+    out = np.zeros((len(parts.count), k, k))
+    if ties is None:
+        return out
+    rows, columns = np.nonzero(ties.tied[: system.nodes.owned] & real[:, None])
+    leads = ties.factor[rows, columns] * modes[:, ties.master[rows, columns], columns]
+    b = (modes[:, rows, columns] - leads) * _sizes(system, parts)[parts.nodes[rows]] / system.length.min()
+    np.add.at(out, parts.nodes[rows], np.einsum("in,jn->nij", b, b))
+    return out
 
 
 def _sizes(system: NodalSystem, parts: Parts) -> np.ndarray:
@@ -138,7 +151,9 @@ def _held(system: NodalSystem, parts: Parts, real: np.ndarray) -> list[list[str]
         rows = np.flatnonzero(mask[own] & real)
         counts = system.comm.allreduce(np.bincount(parts.nodes[rows], minlength=len(out)))
         for part in np.flatnonzero(counts):
-            out[part].append(f"{support.name}: {', '.join(names[c] for c in sorted(support.columns))}")
+            slopes = [] if support.mirror is None else ["slopes"]
+            held = [*(names[c] for c in sorted(support.columns)), *slopes]
+            out[part].append(f"{support.name}: {', '.join(held)}")
     for piece, rows in zip(system.terms.pieces, system.terms.rows, strict=True):
         if isinstance(piece.of, SurfaceSupport):
             numbers = parts.nodes[rows.ravel()]

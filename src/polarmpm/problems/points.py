@@ -20,7 +20,6 @@ from ..bodies.selection import Selection
 from ..bodies.validity import Seal, check_state
 from ..conditions.loads import Applied, HandedOver, Load, point_loads
 from ..conditions.movinggrid import MovingGrid
-from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.choice import make_form
 from ..forms.stresses import MaterialField
@@ -239,12 +238,6 @@ class QuasiStatic(OnGrid):
     def _named(self, where: Any) -> Any:
         named = isinstance(where, str | int | np.integer) and not isinstance(where, bool)
         return self.points.surface(where) if named and self.points.surfaces else where
-
-    def _admit(self, where: Any, support: Support) -> None:
-        self._moving.admit(where, support, self.supports, self.progress.step > 0)
-
-    def _dismiss(self, support: Support) -> None:
-        self._moving.dismiss(support, self.progress.factor if self.progress.step else None)
 
     def _note_handed(self, handed: list[HandedOver], factor: float) -> None:
         if self._converged_loads is not None:

@@ -153,7 +153,9 @@ class Equilibrium:
     Attributes:
         supports, masks: those that took part, and which nodes they hold (nodes,).
         owned: number of nodes that this rank owns.
-        residual: internal minus external forces, complete on owned rows.
+        residual: internal minus external forces on prescribed unknowns, complete on owned rows; those of ties
+            apart.
+        tied: by number of a support: forces of its ties, complete on owned rows.
         w: rotation increments on which couples of the residual do work.
         position: current positions (m).
         loads, carried: spatial forces and couples of the loads, and carried ones, complete on owned rows.
@@ -172,6 +174,7 @@ class Equilibrium:
     loads: np.ndarray
     carried: np.ndarray
     terms: list[tuple[str, np.ndarray]]
+    tied: dict[int, np.ndarray]
     nodes: Nodes | None = None
     points_moved: bool = False
 
@@ -183,17 +186,22 @@ class Equilibrium:
         for piece in system.terms.pieces:
             name, forces = terms.get(id(piece.of), (piece.name, np.zeros_like(x)))
             terms[id(piece.of)] = name, forces - system.terms.forces(x, partial(operator.is_, piece))
+        ties, residual = system.prescribed.ties, system.residual
+        tied: dict[int, np.ndarray] = {}
+        if ties is not None:
+            residual, tied = ties.shares(residual)
         return cls(
             system.comm,
             system.prescribed.supports,
             system.prescribed.masks,
             system.nodes.owned,
-            system.residual,
+            residual,
             x[:, d:].copy(),
             system.positions(),
             system.spatial_loads(),
             system.carried.copy(),
             list(terms.values()),
+            tied,
             system.nodes,
         )
 
@@ -205,6 +213,8 @@ class Equilibrium:
         rows["held"] = np.array(self.masks, dtype=np.uint8).reshape(-1, n).T
         rows["owned"] = (np.arange(n) < self.owned).astype(np.uint8)
         rows |= {f"term {k}": forces for k, (_, forces) in enumerate(self.terms)}
+        rows |= {f"tied {k}": forces for k, forces in self.tied.items()}
+        names["tied"] = [self.supports[k].name for k in self.tied]
         return names | {"terms": [name for name, _ in self.terms]}, rows
 
     @classmethod
@@ -237,6 +247,7 @@ class Equilibrium:
             loads,
             carried,
             [(name, rows[f"term {k}"]) for k, name in enumerate(names["terms"])],
+            {k: rows[f"tied {k}"] for k in map(names["supports"].index, names.get("tied", []))},
         )
 
     # sums ---------------------------------------------------------------------------------------------
@@ -274,6 +285,8 @@ class Equilibrium:
         for column in support.columns:
             meant[:, column] = self.masks[at][:own]
         forces = np.where(meant & (first == at), self.residual[:own], 0.0)
+        if at in self.tied:
+            forces = forces + self.tied[at][:own]
         comm, others = self.comm, {}
         for number, one in enumerate(self.supports[:at]):
             rows = meant & (first == number)
@@ -299,7 +312,7 @@ class Equilibrium:
                 if one is not support and one in still and column in one.columns:
                     rows &= ~self.masks[number]
             out[rows, column] = self.residual[rows, column]
-        return out
+        return out + self.tied[at] if at in self.tied else out
 
     # balance ------------------------------------------------------------------------------------------
     def _shares(self) -> Iterator[tuple[str, np.ndarray]]:

@@ -185,7 +185,7 @@ class Releasable(Conditions):
     def _left(self, nodes: Nodes) -> np.ndarray:
         """Unknowns (nodes, block) of supports that have been released since the last converged step."""
         left = [s for s in self._leaving if isinstance(s, Support)]
-        return Prescribed(nodes, left, self.layout, self.comm).fixed
+        return Prescribed(nodes, left, self.layout, self.comm).touched
 
     def _note_handed(self, handed: list[HandedOver], factor: float) -> None:
         """The loads of the last converged step include what was handed over then."""
