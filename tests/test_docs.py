@@ -92,6 +92,16 @@ def test_recipes_are_quoted_as_they_are_tested():
     assert sorted(blocks) == sorted(quoted)
 
 
+def test_code_of_generalised_continua_runs():
+    """As it stands on its page."""
+    blocks = re.findall(
+        r"^```python\n(.*?)^```$", (ROOT / "docs" / "generalised.md").read_text(), re.M | re.S
+    )
+    assert len(blocks) == 2
+    for block in blocks:
+        exec(compile(block, "generalised.md", "exec"), {})
+
+
 def test_hooks_do_what_lint_does():
     """Each check of scripts/lint.sh is a hook, and nothing else is."""
     hooks = re.findall(r"entry: (.+)$", (ROOT / ".pre-commit-config.yaml").read_text(), re.MULTILINE)

@@ -1,0 +1,89 @@
+"""Micro-spaces in bodies: bending with lengths against closed forms, on elements and on material points."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import polarmpm as pm
+from tests.helpers.bodies import box
+
+E, H, LENGTH, CURVATURE = 1e3, 1.0, 4.0, 1e-4
+
+
+def bending_energy(material: pm.Material, nu: float) -> float:
+    """Of an arc of small curvature in plane strain over the classical one, quadratic elements.
+    Rotations are held at the ends."""
+    mesh = box("quadrilateral", (4, 1), (LENGTH, H))
+    problem = pm.QuasiStaticFEM(pm.Elements(mesh, material=material, degree=2))
+    theta = {"theta": 0} if material.micropolar else {}
+    problem.fix(lambda x: x[:, 0] < 1e-9, ux=0, **theta)
+    problem.fix(lambda x: (x[:, 0] < 1e-9) & (x[:, 1] < 1e-9), uy=0)
+    theta = {"theta": CURVATURE * LENGTH} if material.micropolar else {}
+    problem.fix(
+        lambda x: x[:, 0] > LENGTH - 1e-9,
+        ux=lambda t, x: -t * CURVATURE * LENGTH * (x[:, 1] - H / 2),
+        **theta,
+    )
+    for _ in problem.march(1):
+        pass
+    classical = E * H**3 / (12 * (1 - nu**2)) * CURVATURE**2 * LENGTH / 2
+    return float(problem.energies()["stored"] / classical)
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.3])
+def test_bending_of_a_cubic_micro_space(nu):
+    """1 + (1 - nu)(l/h)^2."""
+    for l in (0.0, 0.3, 1.0):
+        found = bending_energy(pm.MicropolarElastic.from_microspace(E=E, nu=nu, l=l), nu)
+        assert found == pytest.approx(1 + (1 - nu) * (l / H) ** 2, rel=3e-4)
+
+
+@pytest.mark.parametrize(
+    ("along", "share"), [(0, 0.7), (1, 0.7**2 / 0.4), (2, 0.0)], ids=["along", "across", "out of plane"]
+)
+def test_bending_of_rigid_fibres(along, share):
+    """1 + (1 - nu)(l/h)^2 along the layer, (1 - nu)^2/(1 - 2 nu) across it; none about the
+    axis of bending, whose spin a fibre doesn't feel. Fibres have no sense."""
+    l = np.zeros(3)
+    l[along] = 0.6
+    for triad in (np.eye(3), -np.eye(3)):
+        material = pm.OrientedMicropolar.from_engineering(E=E, nu=0.3, lengths=l, directors=triad)
+        assert bending_energy(material, 0.3) == pytest.approx(1 + share * 0.36, rel=3e-4)
+
+
+# material points ------------------------------------------------------------------------------------
+ELASTIC = {
+    "svk": pm.SaintVenantKirchhoff.from_engineering(E=E, nu=0.0),
+    "neo-hookean": pm.NeoHookean.from_engineering(E=E, nu=0.0),
+    "rubber": pm.ArrudaBoyce.from_engineering(E=E, nu=0.0, N=8, chain="series"),
+}
+
+
+def tip(material: pm.Material) -> np.ndarray:
+    """Mean displacement of the end of a cantilever of splines, 4 x 1 m."""
+    grid = pm.Grid.box((0, -0.5), (4.5, 1.5), 0.5)
+    points = pm.seed(grid, bounds=((0, 0), (4, 1)), points_per_cell=3, material=material)
+    problem = pm.QuasiStatic(grid, points)
+    problem.fix(pm.plane(x=0.0), u=0)
+    end = points.where(lambda x: x[:, 0] > 3.8)
+    problem.load(end, force=(0, -0.05))
+    for _ in problem.march(1):
+        pass
+    return points.mean_displacement(end)
+
+
+@pytest.mark.parametrize("elastic", ELASTIC.values(), ids=ELASTIC.keys())
+def test_cantilevers_stiffen_with_any_energy(elastic):
+    """A director across the layer makes it 1 + (l/h)^2 times as stiff, nu = 0; one along it hardly does. All
+    energies agree at small strain, and the full strain does, too."""
+    soft = tip(pm.GradientElastic(elastic, (1e-6, 1e-6)))[1]
+    stiff = tip(pm.GradientElastic(elastic, 0.5, [[0, 1]]))[1]
+    # bending; the share of shear, and the last 0.1 m, aren't stiffened
+    assert soft / stiff == pytest.approx(1.25, abs=0.02)
+    along = tip(pm.GradientElastic(elastic, 0.5, [[1, 0]]))[1]
+    assert 1 < soft / along < 1.03
+    full = tip(pm.GradientElastic(elastic, 0.5, [[0, 1]], full=True))[1]
+    assert full == pytest.approx(stiff, rel=1e-3)
+    normals = tip(pm.GradientElastic(elastic, 0.5, [[0, 1]], normals=True))[1]
+    assert soft / normals == pytest.approx(1.25, abs=0.02)
