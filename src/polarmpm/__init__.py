@@ -58,6 +58,7 @@ from .tools import ends
 ends.install()
 
 if TYPE_CHECKING:
+    from .materials.clay import CamClay, Houlsby
     from .materials.cones import DruckerPrager, VonMises
     from .materials.plastic import Continuation, Plastic, UserPlasticity
     from .materials.pyramids import MohrCoulomb, Tresca
@@ -66,6 +67,7 @@ if TYPE_CHECKING:
 _PLASTIC = {
     **dict.fromkeys(("DruckerPrager", "VonMises"), "cones"),
     **dict.fromkeys(("MohrCoulomb", "Tresca"), "pyramids"),
+    **dict.fromkeys(("CamClay", "Houlsby"), "clay"),
     **dict.fromkeys(("Continuation", "Plastic", "UserPlasticity"), "plastic"),
     **dict.fromkeys(("ConeApex", "Edge", "Region", "SmoothPart", "YieldSurface"), "regions"),
 }
@@ -85,6 +87,7 @@ __all__ = [
     "ArrudaBoyce",
     "Basis",
     "Boxes",
+    "CamClay",
     "ConeApex",
     "Continuation",
     "Controls",
@@ -100,6 +103,7 @@ __all__ = [
     "GradientElastic",
     "Grid",
     "Hencky",
+    "Houlsby",
     "InputError",
     "KernelError",
     "Material",

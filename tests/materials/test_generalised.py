@@ -192,6 +192,8 @@ MATERIALS = {
 @pytest.mark.parametrize("dim", [2, 3])
 def test_residual_and_tangent_are_derivatives(material, dim):
     """Of the energy, by differences."""
+    if dim == 3 and material.normals and material.full:
+        pytest.skip("tens of thousands of lines, of which either half is tested")
     if dim == 2 and material.directors[0][2]:
         material = pm.GradientElastic(material.elastic, L[:1], full=material.full, normals=material.normals)
     form = PointForm(material, dim)

@@ -145,10 +145,14 @@ class PointForm:
         terminals = {c: i for i, c in enumerate(self._tangent_terminals())}
         return compat.expression_signature(expr, {**terminals, self.space.domain: 0})
 
+    @property
+    def _waist(self) -> int:
+        """Means over a micro-space have many strains of many unknowns: bundles halve the code."""
+        return 3 if self.material.second_gradient else 0
+
     def _source(self) -> str:
         n = self.layout.unknowns
-        # a mean over a micro-space has many strains of many unknowns: half of the code, or less
-        scalarise = Scalariser(self._tangent_terminals(), waist=3 if self.material.second_gradient else 0)
+        scalarise = Scalariser(self._tangent_terminals(), waist=self._waist)
         forms = self.residual, self.iteration_tangent
         r, k = (scalarise.scalar(codegen.expand(codegen.integrand(f))) for f in forms)
         r, k = scalarise.flat(r), scalarise.flat(k)
@@ -166,7 +170,8 @@ class PointForm:
             self.packing(comm)
         n = self.layout.unknowns
         signature = self._signature(codegen.integrand(self.iteration_tangent))
-        lib = jit.library(jit.digest(generator_version(), "blocks", signature), self._source, comm)
+        key = jit.digest(generator_version(), f"blocks {self._waist}", signature)
+        lib = jit.library(key, self._source, comm)
         size, inputs = n + n * (n + 1) // 2, self.inputs + (n if self.predicts else 0)
         return Kernel(lib, "residual", self.inputs, n), Kernel(lib, "blocks", inputs, size)
 

@@ -27,7 +27,6 @@ from .returns import Return
 # Yield function over elastic modulus from which on a point counts as yielding. A point that yielded in the
 # last step sits on the surface: its tangent at the start of a step is the elastoplastic one.
 _YIELD = -1e-10
-_HOPELESS = 10.0  # iterates that diverge have larger ones: no attempt is made
 _TOLERANCE = 1e-13  # of the local residual, as a strain
 _LOOSE = 1e-9  # accepted where rounding ends the iteration; T 4.3.3 uses it throughout
 _BACKWARDS = -1e-8  # a strain: flow that is no more than rounding
@@ -99,8 +98,9 @@ class ReturnMapping:
         trial, modulus = self._trial(inputs), form.material.modulus
         known = n + len(form.surfaces)
         f = trial[:, n:known].max(axis=1)
+        most = self.form.material.farthest * modulus
         with np.errstate(invalid="ignore"):
-            finite = np.all(np.isfinite(trial[:, :known]), axis=1) & (f < _HOPELESS * modulus)
+            finite = np.all(np.isfinite(trial[:, :known]), axis=1) & (f < most)
         least = -_YIELD if self.start_elastic else _YIELD
         rows = np.flatnonzero((f > least * modulus) & finite)
         lost = self.ids[~finite]

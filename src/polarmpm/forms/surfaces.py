@@ -18,7 +18,7 @@ from ..kernels.codegen import Scalariser
 from ..kernels.csource import write_c
 from ..kernels.kernel import Kernel, PointSpace, generator_version, matrix
 from ..kinematics import tensors as kin
-from ..kinematics.layout import SURFACE, Layout
+from ..kinematics.layout import SURFACE, Layout, Part
 from ..tools import compat
 
 
@@ -28,28 +28,35 @@ class SurfaceForm:
     Attributes:
         slots: of y.
         size: length of y.
+        parts: of y, in the words of `kinematics.layout`.
         data: numbers of each of the form's coefficients.
         symmetric: the derivative is symmetric.
     """
 
+    parts: tuple[Part, ...] = SURFACE
     data: tuple[int, ...]
     symmetric = True
 
     def __init__(self, layout: Layout, *data: int):
         self.layout, self.data = layout, data
         self.space = PointSpace(compat.point_domain())
-        self.slots = Layout(layout.dim, layout.rotations, SURFACE)
+        self.slots = Layout(layout.dim, layout.rotations, self.parts)
         self.size = self.slots.unknowns
         self.y = self.space.coefficient(self.size)
         self.coefficients = [self.space.coefficient(n) for n in data]
         space = self.space.function_space(self.size)
         self.test, self._trial = ufl.TestFunction(space), ufl.TrialFunction(space)
-        self.residual = self.virtual_work() * ufl.dx(domain=self.space.domain, degree=1)
-        self.tangent = ufl.derivative(self.residual, self.y, self._trial)
+        self.dx = ufl.dx(domain=self.space.domain, degree=1)
+        self.residual = self.virtual_work() * self.dx
+        self.tangent = self.linearised()
 
     def virtual_work(self) -> Any:
         """Residual: what the point adds to the internal virtual work, a UFL scalar linear in `test`."""
         raise NotImplementedError
+
+    def linearised(self) -> ufl.Form:
+        """Tangent: the derivative of the residual by y."""
+        return ufl.derivative(self.residual, self.y, self._trial)
 
     # parts of y -------------------------------------------------------------------------------------
     def _displacement(self, y: Any) -> Any:
@@ -72,10 +79,12 @@ class SurfaceForm:
     def _source(self) -> str:
         scalarise, n = Scalariser(self._terminals()), self.size
         zero = scalarise.graph.zero
-        nodes = self._entries(scalarise, self.residual, (n,)) + (
-            [zero] * n**2 if self.tangent.empty() else self._entries(scalarise, self.tangent, (n, n))
-        )
-        return write_c(scalarise.graph, {"surface": nodes})
+        nodes, tangent = self._entries(scalarise, self.residual, (n,)), [zero] * n**2
+        if not self.tangent.empty():
+            tangent = self._entries(scalarise, self.tangent, (n, n))
+        if self.symmetric:  # code for one half only
+            tangent = [tangent[min(i, j) * n + max(i, j)] for i in range(n) for j in range(n)]
+        return write_c(scalarise.graph, {"surface": nodes + tangent})
 
     def _entries(self, scalarise: Scalariser, form: Any, shape: tuple[int, ...]) -> list[int]:
         scalar = scalarise.scalar(codegen.expand(codegen.integrand(form)))
@@ -87,8 +96,9 @@ class SurfaceForm:
         signature = compat.expression_signature(
             codegen.integrand(self.residual), {**order, self.space.domain: 0}
         )
-        key = jit.digest(generator_version(), "surface", f"{self.layout}", signature)
-        lib = jit.library(key, self._source, comm)
+        kind = "surface" if self.symmetric else "surface, unsymmetric"
+        key = jit.digest(generator_version(), kind, f"{self.layout}", signature)
+        lib = jit.library(key, self._source, comm, few_rows=True)
         return Kernel(lib, "surface", self.size + sum(self.data), self.size + self.size**2)
 
 

@@ -27,6 +27,10 @@ _FLAGS = [
     "-fno-trapping-math",
     "-w",
 ]
+_LONG = (
+    4000,
+    40_000,
+)  # lines of code for few rows that aren't optimised; beyond, that would take a large stack
 cache_directory = cache.directory  # for scripts that ask where kernels are
 _loaded: dict[str, tuple[Path, ctypes.CDLL]] = {}  # by key: checked once a process
 
@@ -50,12 +54,13 @@ def _compiler() -> list[str]:
     return command or [shutil.which("cc") or shutil.which("gcc") or "cc"]
 
 
-def _build(source: str, work: Path) -> Path:
+def _build(source: str, work: Path, few_rows: bool) -> Path:
     """Compile a library in a folder."""
     code, library = work / "kernel.c", work / "kernel.so"
     code.write_text(source)
     compiler = _compiler()
-    command = [*compiler, *_FLAGS, str(code), "-o", str(library), "-lm"]
+    hasty = few_rows and _LONG[0] < source.count("\n") < _LONG[1]
+    command = [*compiler, *_FLAGS, *["-O0"] * hasty, str(code), "-o", str(library), "-lm"]
     shown = f"the C compiler ({shlex.join(compiler)})"
     try:
         run = subprocess.run(
@@ -77,8 +82,9 @@ def _build(source: str, work: Path) -> Path:
     return library
 
 
-def library(key: str, source: Callable[[], str], comm: MPI.Comm) -> ctypes.CDLL:
-    """The compiled library `key`; `source` is only called where the cache doesn't have it.
+def library(key: str, source: Callable[[], str], comm: MPI.Comm, *, few_rows: bool = False) -> ctypes.CDLL:
+    """The compiled library `key`; `source` is only called where the cache doesn't have it. Long code for
+    `few_rows` isn't optimised, which would take longer than it saves.
 
     Collective: one rank compiles, the others wait; an error is raised on every rank.
 
@@ -87,7 +93,7 @@ def library(key: str, source: Callable[[], str], comm: MPI.Comm) -> ctypes.CDLL:
     """
 
     def build(work: Path) -> tuple[Path, None]:
-        return _build(source(), work), None
+        return _build(source(), work, few_rows), None
 
     def get(near: Path | None, announced: bool) -> tuple[Path, ctypes.CDLL]:
         if key not in _loaded:

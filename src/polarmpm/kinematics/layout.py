@@ -48,6 +48,7 @@ class Slot(NamedTuple):
 POINT = (Part("displacement", 1), Part("rotation", 0), Part("rotation", 1))  # z of a material point
 SECOND = (Part("displacement", 1), Part("displacement", 2))  # z of one with second gradients
 SURFACE = (Part("displacement", 0), Part("rotation", 0), Part("displacement", 1))  # y of a point on a surface
+STRESSED_SURFACE = (*SURFACE, Part("rotation", 1))  # where the stresses there are asked for
 
 
 @dataclasses.dataclass(frozen=True)

@@ -40,14 +40,19 @@ def check_flow(material: Any, name: str) -> None:
         )
 
 
-def generalised_stress(tau: Any, nu: Any, length: Any, tip: Any = None) -> Any:
-    """q = sqrt(3/2 (s : s + nu : nu / l_p^2)) with a rounded tip, s the deviator of sym tau;
-    T (4.37)-(4.38)."""
+def generalised_square(tau: Any, nu: Any, length: Any) -> Any:
+    """q^2 = 3/2 (s : s + nu : nu / l_p^2) with the deviator s of sym tau, T (4.37)-(4.38)."""
     s = ufl.dev(ufl.sym(tau))
     square = ufl.inner(s, s)
     if nu is not None:
         square += ufl.inner(nu, nu) / length**2
-    return ufl.sqrt(1.5 * square if tip is None else 1.5 * square + tip**2)
+    return 1.5 * square
+
+
+def generalised_stress(tau: Any, nu: Any, length: Any, tip: Any = None) -> Any:
+    """q, with a rounded tip, see `generalised_square`."""
+    square = generalised_square(tau, nu, length)
+    return ufl.sqrt(square if tip is None else square + tip**2)
 
 
 def cone_slopes(cone: str, phi: float, psi: float) -> tuple[float, float, float]:

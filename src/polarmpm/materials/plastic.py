@@ -55,6 +55,8 @@ class Plastic(Material):
         elastic: the elastic part. A classical one has no couple stress: nu is zero.
         length: a length (m) that makes wryness a strain, for measures of the local iteration.
         regions: of the yield surface, in the order in which a return is attempted; see `first_region`.
+        farthest: yield function over elastic modulus beyond which no return is attempted: only iterates that
+            diverge have larger ones.
         continuation: how a start is found where no attempt succeeds, on the first of the regions.
     """
 
@@ -81,6 +83,10 @@ class Plastic(Material):
     @property
     def length(self) -> float:
         return 1.0
+
+    @property
+    def farthest(self) -> float:
+        return 10.0
 
     def __repr__(self) -> str:
         given: dict[str, Any] = {}

@@ -98,6 +98,10 @@ class Conditions(Whole, Turns):
         """The surface that the name of a group of boundary facets means, where that's a surface."""
         return where
 
+    def _surface_of(self, where: Any) -> Any:
+        """The surface that is meant where a support has a method."""
+        return where
+
     @property
     @abstractmethod
     def cell_size(self) -> float:
@@ -108,6 +112,7 @@ class Conditions(Whole, Turns):
         self,
         where: Any,
         *,
+        method: str | None = None,
         stiffness: float | None = None,
         rotation_stiffness: float | None = None,
         augment: bool = False,
@@ -115,13 +120,12 @@ class Conditions(Whole, Turns):
         counts: str | None = None,
         **components: Any,
     ) -> Support | SurfaceSupport:
-        """Prescribe displacements and rotations, of nodes or by springs on a surface.
+        """Prescribe displacements and rotations, of nodes or on a surface.
 
         Args:
             where: `plane(x=0.0)` or a predicate of node positions (n, d) -> (n,) bool; for finite elements
-                also facets, or the name of a physical group. Or a `Surface` (also one that doesn't follow the
-                grid; `elements.surface(...)`), which the body carries: springs hold it; of points from a mesh
-                also the name of a group of its facets (`points.surface(name)`).
+                also facets, or the name of a physical group. Or a `Surface` (`elements.surface(...)`), which
+                the body carries, of points from a mesh also the name of a group of its facets.
             **components: u, theta (all components), or ux, uy, uz, theta_x, theta_y, theta_z (theta in
                 plane strain), in m and rad. A number is ramped with the load factor; a function of the
                 factor, or of (factor, positions), gives the displacement or rotation; positions are
@@ -133,16 +137,16 @@ class Conditions(Whole, Turns):
                 body, so that u=0 brings it back to it in the next step. Default: before the first load step
                 the total, later from now on. (The displacement of a grid's node is that of the material
                 points, fitted with the basis.)
+            method: how a surface is held (docs/conventions.md): "nitsche" by the material's own tractions,
+                and springs for what these miss; "nitsche-unsymmetric" likewise, stable however thinly it cuts
+                cells; "penalty" by springs alone. Facets of elements are held so where it is given.
             stiffness: of a surface's springs (Pa/m): the virtual work per undeformed area is
-                stiffness (u - prescribed u) . du, and the same for rotations. Default: 1000 times the
-                stiffest material's lam + 2 mu over the size of a cell: they give way like a layer of a
-                thousandth of a cell.
-            rotation_stiffness: (N/m); default: 1000 times gamma over the size of a cell, plus mu times it.
-            augment: keep the springs' forces after each converged step and let the springs start anew, so
-                that what they give way under a load that stays vanishes over steps (augmented Lagrange
-                method).
-            normal: displacement along a surface's undeformed normals (m): rollers. Not together with other
-                displacements.
+                stiffness (u - prescribed u) . du, and the same for rotations. By default as stiff as a layer
+                of a twentieth of a cell, with "penalty" of a thousandth.
+            rotation_stiffness: the same for rotations (N/m).
+            augment: with "penalty": keep the springs' forces after each converged step and let the springs
+                start anew, so that what they give way under a load that stays vanishes over steps.
+            normal: displacement along a surface's undeformed normals (m): rollers. Not beside displacements.
 
         Returns:
             The support, for `reaction` and `release`. Of a surface, `support.gap` (n,) tells by how much (m)
@@ -150,16 +154,17 @@ class Conditions(Whole, Turns):
 
         Raises:
             InputError: unknown component or none, plane without nodes, value that isn't finite; of a surface,
-                a stiffness that isn't positive, materials that don't name their moduli; springs elsewhere.
-                When the next step begins, a support at whose nodes there is nothing of the body.
+                a stiffness or a method that can't be; springs elsewhere. When the next step begins, a support
+                at whose nodes there is nothing of the body.
         """
         self._check_outside("fix")
         check_counts("fix", counts)
-        where = self._named(where)
         springs = {"stiffness": stiffness, "rotation_stiffness": rotation_stiffness, "normal": normal}
+        where = self._named(where) if method is None else self._surface_of(self._named(where))
         if isinstance(where, Surface):
-            return surfaces.add_support(self, where, components, augment=augment, counts=counts, **springs)
-        given = [name for name, value in springs.items() if value is not None]
+            options = {**springs, "method": method, "augment": augment, "counts": counts}
+            return surfaces.add_support(self, where, components, **options)
+        given = [name for name, value in {"method": method, **springs}.items() if value is not None]
         given += ["augment"] * checks.flag("fix: augment", augment)
         if given:
             raise InputError(f"fix: {given[0]} belongs to springs on a Surface; where = {shown(where)}")

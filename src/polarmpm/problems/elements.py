@@ -175,6 +175,9 @@ class QuasiStaticFEM(Problem):
                 held.count_from(self.elements.displacement)
             self._held[support] = held
 
+    def _surface_of(self, where: Any) -> Any:
+        return where if isinstance(where, Surface) else self.elements.surface(where)
+
     @property
     def surface_loads(self) -> tuple[SurfaceLoad, ...]:
         """Tractions, couple tractions and pressures on facets."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+from mpi4py import MPI
+
 import numpy as np
 
 from ..bodies.points import Points
@@ -11,22 +13,28 @@ from ..conditions.supports import Support, make_support
 from ..errors import InputError
 from ..geometry.surfaces import Surface
 from ..kinematics.layout import Layout
-from ..materials.base import Material
 from ..terms.base import Term
+from ..terms.nitsche import ConsistentSupport
 from ..terms.surfaces import Pressure, SurfaceSupport, Traction
+from ..terms.surfaceterms import SurfaceCondition
 from ..tools import checks
+from .behind import Found, default_stiffness, find_behind
 from .state import Progress
 
-_PENALTY = 1e3  # default springs: a layer of a thousandth of a cell, of the body's stiffness
+METHODS = ("nitsche", "nitsche-unsymmetric", "penalty")
 
 
 class Loaded(Protocol):
     """The problem to which surfaces belong."""
 
+    comm: MPI.Comm
     layout: Layout
     points: Points
     progress: Progress
     knows_undeformed: bool
+
+    @property
+    def surfaces(self) -> list[SurfaceCondition]: ...
 
     def surface_name(self, kind: str) -> str: ...
 
@@ -73,6 +81,7 @@ def add_support(
     surface: Surface,
     components: dict[str, Any],
     *,
+    method: str | None,
     stiffness: float | None,
     rotation_stiffness: float | None,
     augment: bool,
@@ -98,28 +107,61 @@ def add_support(
     if components or normal is None:
         support = make_support(_nowhere, name, components, layout, 0)
     augment = checks.flag(f"{name}: augment", augment)
-    springs = _stiffness(problem, f"{name}: stiffness", stiffness, 0)
-    turning = 0.0
+    given = {"stiffness": stiffness}
     if _turns(support, layout):
-        turning = _stiffness(problem, f"{name}: rotation_stiffness", rotation_stiffness, 1)
-    made = SurfaceSupport(
-        name,
-        surface,
-        support=support,
-        normal=normal,
-        stiffness=springs,
-        rotation_stiffness=turning,
-        augment=augment,
+        given["rotation_stiffness"] = rotation_stiffness
+    beside = (
+        method is not None and method != METHODS[-1]
+    )  # the material's tractions hold without springs, too
+    for key, value in given.items():
+        if value is not None:
+            least, above = (0.0, -np.inf) if beside else (-np.inf, 0.0)
+            given[key] = checks.number(f"{name}: {key}", value, least=least, above=above)
+    if surface.dim != layout.dim:
+        raise InputError(f"{name}: the surface has {surface.dim} dimensions, the body has {layout.dim}")
+    found = find_behind(problem, surface)
+    columns = range(layout.dim) if support is None else support.columns
+    now = late and not problem.knows_undeformed
+    twice = [c.name for c in problem.surfaces if _holds_too(c, surface, columns, now=now)]
+    if twice and not found.no_stress:
+        found.no_stress = f"{twice[0]} does the work of the tractions there already"
+    method = _choose(
+        name, method, found, [*(k for k, v in given.items() if v is not None), *["augment"] * augment]
     )
+    options: dict[str, Any] = {"support": support, "normal": normal, "augment": augment}
+    options |= default_stiffness(problem, surface, name, found, given, method)
+    made = SurfaceSupport(name, surface, **options)
+    if method != "penalty":
+        symmetric = method == "nitsche"
+        made = ConsistentSupport(name, surface, behind=found.behind, symmetric=symmetric, **options)
     problem.add(made, counts=counts or ("from now" if late else "total"))
     return made
 
 
-def _stiffness(problem: Loaded, argument: str, value: float | None, rotation: int) -> float:
-    if value is None:
-        size = problem.cell_size
-        return max(_springs(argument, m, size, rotation) for m in problem.points.materials)
-    return checks.number(argument, value, above=0.0)
+def _holds_too(condition: Any, surface: Surface, columns: Any, now: bool) -> bool:
+    """Whether a support by tractions holds some of these components of a surface, which is given where it is
+    `now`, or in the undeformed body."""
+    if not isinstance(condition, ConsistentSupport) or condition.faded:
+        return False
+    return condition.also_held(surface.x, columns, now=now)
+
+
+def _choose(name: str, method: str | None, found: Found, given: list[str]) -> str:
+    """The method that is meant, `given` what asks for springs."""
+    if method is None:
+        if given or found.no_stress:
+            return METHODS[2]
+        return METHODS[0] if found.fitted else METHODS[1]
+    method = checks.choice(f"{name}: method", method, METHODS)
+    if method != "penalty" and "augment" in given:
+        raise InputError(
+            f"{name}: augment belongs to method='penalty'; method = {method!r} leaves no gap to it"
+        )
+    if method != "penalty" and found.no_stress:
+        raise InputError(
+            f"{name}: method = {method!r}: {found.no_stress}; method='penalty' holds it by springs"
+        )
+    return method
 
 
 def _turns(support: Support | None, layout: Layout) -> bool:
@@ -129,17 +171,3 @@ def _turns(support: Support | None, layout: Layout) -> bool:
 
 def _nowhere(x: np.ndarray) -> np.ndarray:
     return np.zeros(len(x), dtype=bool)
-
-
-def _springs(argument: str, material: Material, size: float, rotation: int) -> float:
-    """Default stiffness of a surface's springs."""
-    needed = ("mu", "gamma") if rotation else ("lam", "mu")
-    p = material.moduli(*needed)
-    if len(p) < len(needed):
-        raise InputError(
-            f"{argument}: {type(material).__name__} has no parameters named {' and '.join(needed)}; give "
-            f"{argument.split(': ')[-1]}"
-        )
-    if rotation:
-        return _PENALTY * (p["gamma"] / size + p["mu"] * size)
-    return _PENALTY * (p["lam"] + 2 * p["mu"]) / size

@@ -98,7 +98,7 @@ class SurfaceSupport(SurfaceCondition):
     Args:
         support: prescribed components, or None.
         normal: displacement along the undeformed normals (m), or None.
-        stiffness, rotation_stiffness: springs per area (Pa/m, N/m).
+        stiffness, rotation_stiffness: springs per area (Pa/m, N/m), or one (n,) for each point.
         augment: after each converged step the springs' forces are kept, so that the gap of a load that stays
             vanishes over steps (augmented Lagrange method).
 
@@ -115,9 +115,9 @@ class SurfaceSupport(SurfaceCondition):
         *,
         support: Support | None,
         normal: Any,
-        stiffness: float,
-        rotation_stiffness: float,
-        augment: bool,
+        stiffness: float | np.ndarray,
+        rotation_stiffness: float | np.ndarray,
+        augment: bool = False,
     ):
         super().__init__(name, surface)
         self._columns = support.columns if support else {}
@@ -131,7 +131,8 @@ class SurfaceSupport(SurfaceCondition):
 
     def attach(self, layout: Layout, comm: MPI.Comm) -> None:
         super().attach(layout, comm)
-        self._springs, self._from_now = self._make_springs(), False
+        self._springs = self._on_held(self._stiffness, self._rotation_stiffness)
+        self._from_now = False
         self._last: np.ndarray = np.zeros((len(self.surface), layout.block))
         self.multiplier: np.ndarray = np.zeros((len(self.surface), layout.block))
         self._offset: np.ndarray = np.zeros((len(self.surface), layout.dim))
@@ -156,14 +157,16 @@ class SurfaceSupport(SurfaceCondition):
     def make_form(self) -> SurfaceForm:
         return Penalty(self.layout)
 
-    def _make_springs(self) -> np.ndarray:
+    def _on_held(self, displaced: float | np.ndarray, turned: float | np.ndarray) -> np.ndarray:
+        """A number on what is held of displacements, another on what is held of rotations, (n, b, b)."""
         n, d, b = len(self.surface), self.layout.dim, self.layout.block
         p = np.zeros((n, b, b))
         for column in self._columns:
-            p[:, column, column] = self._stiffness if column < d else self._rotation_stiffness
+            p[:, column, column] = displaced if column < d else turned
         if self._normal is not None:
             normal = self.surface.normal
-            p[:, :d, :d] += self._stiffness * normal[:, :, None] * normal[:, None, :]
+            along = normal[:, :, None] * normal[:, None, :]
+            p[:, :d, :d] += np.broadcast_to(displaced, n)[:, None, None] * along
         return p
 
     def _target(self, factor: float) -> np.ndarray:
@@ -204,23 +207,31 @@ class SurfaceSupport(SurfaceCondition):
 
     def converged(self, y: np.ndarray) -> None:
         d, b = self.layout.dim, self.layout.block
-        every = np.arange(len(y))
-        force = self.evaluate(y, every)[:, :b]
+        force = self.evaluate(y, np.arange(len(y)))[:, :b]
         self.gap = self._gap(y)
         on_body = -self.surface.area[:, None] * force
         if self.layout.rotations == 3:
             on_body[:, d:] = rotations.couples_on_spins(self.form.slots.part(y, "rotation"), on_body[:, d:])
         self.reaction = on_body[:, :d].sum(axis=0), on_body[:, d:].sum(axis=0)
         place, couples = self.surface.x + self.u, on_body[:, d:]
-        self.moment = moments(place, on_body[:, :d], couples).sum(axis=0)
+        self.moment = moments(place, on_body[:, :d], couples).sum(axis=0) + self._moment_of_gradients(y)
         if self._faded is None:
             self._last = force
         if self.augment and self._faded is None:
             self.multiplier = force
 
+    def _moment_of_gradients(self, y: np.ndarray) -> np.ndarray | float:
+        """Of what does work on the displacement's gradient (N m)."""
+        return 0.0
+
+    @property
+    def _aim(self) -> np.ndarray:
+        """What `_target` gave for the present load factor."""
+        return self._data[1]
+
     def _gap(self, y: np.ndarray) -> np.ndarray:
         """How far the prescribed displacements are missed (n,) (m)."""
-        d, (_, target, _) = self.layout.dim, self._data
+        d, target = self.layout.dim, self._aim
         miss = self.form.slots.part(y, "displacement") - target[:, :d]
         if self._normal is not None:
             distance: np.ndarray = np.abs(np.sum(miss * self.surface.normal, axis=1))

@@ -28,8 +28,6 @@ from ..kinematics.layout import Layout
 from ..tools import checks
 from .base import Carried, Piece, Setting, Term
 
-_STATE = ("u", "F", "theta", "q")
-
 
 class SurfacePiece(Piece):
     """Forces of a surface's points on this rank between two resets."""
@@ -52,19 +50,17 @@ class SurfacePiece(Piece):
         y: np.ndarray = np.einsum("myk,mk->my", self._map, x.reshape(len(x), self._map.shape[2]))
         return y
 
-    def _values(self, x: np.ndarray) -> np.ndarray:
-        values: np.ndarray = self.term.evaluate(self._y(x), self.rows) * self._area[:, None]
-        return values
-
     def forces(self, x: np.ndarray) -> np.ndarray:
-        residual = self._values(x)[:, : self._map.shape[1]]
+        values = self.term.evaluate(self._y(x), self.rows)
+        residual = values[:, : self._map.shape[1]] * self._area[:, None]
         forces: np.ndarray = np.einsum("myk,my->mk", self._map, residual).reshape(x.shape)
         return forces
 
     def matrices(self, x: np.ndarray) -> np.ndarray:
         m, n, b = x.shape
         size = self._map.shape[1]
-        moduli = self._values(x)[:, size:].reshape(m, size, size)
+        moduli = self.term.moduli(self._y(x), self.rows).reshape(m, size, size)
+        moduli = moduli * self._area[:, None, None]
         dense = np.swapaxes(self._map, 1, 2) @ moduli @ self._map
         blocks: np.ndarray = dense.reshape(m, n, b, n, b).transpose(0, 1, 3, 2, 4).reshape(m, n, n, b * b)
         return blocks
@@ -85,6 +81,7 @@ class SurfaceCondition(Term):
 
     linear: bool = True
     external: bool = True
+    moved: tuple[str, ...] = ("u", "F", "theta", "q")  # what a converged step moves on
     form: SurfaceForm
     u: np.ndarray
     F: np.ndarray
@@ -117,7 +114,7 @@ class SurfaceCondition(Term):
         n, d = len(surface), layout.dim
         self.u, self.F = np.zeros((n, d)), np.tile(np.eye(d), (n, 1, 1))
         self.theta, self.q = np.zeros((n, layout.rotations)), rotations.identity(n)
-        self._at = {name: getattr(self, name).copy() for name in _STATE}
+        self._at = {name: getattr(self, name).copy() for name in self.moved}
 
     def start_from(self, u: np.ndarray, F: np.ndarray) -> None:
         """The body has carried the surface already when it is added: displacements (n, d) (m), deformation
@@ -178,6 +175,10 @@ class SurfaceCondition(Term):
         assert self._kernel is not None
         return self._kernel(y, *(d[rows] for d in self._data)) if len(rows) else np.zeros((0, self._outputs))
 
+    def moduli(self, y: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """What iterations take for the tangent (m, size^2) per area of points `rows`."""
+        return self.evaluate(y, rows)[:, self.form.size :]
+
     @property
     def _outputs(self) -> int:
         return self.form.size * (1 + self.form.size)
@@ -203,7 +204,7 @@ class SurfaceCondition(Term):
 
     # restart ------------------------------------------------------------------------------------------
     def state(self) -> dict[str, np.ndarray]:
-        now = {name: getattr(self, name) for name in _STATE}
+        now = {name: getattr(self, name) for name in self.moved}
         return {**now, **{f"{name}_at": a for name, a in self._at.items()}}
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
@@ -213,7 +214,7 @@ class SurfaceCondition(Term):
                 raise InputError(
                     f"{self.name}: the saved {name} has the shape {found}; {old.shape} is needed"
                 )
-        for name in _STATE:
+        for name in self.moved:
             setattr(self, name, np.array(arrays[name], dtype=float))
             self._at[name] = np.array(arrays[f"{name}_at"], dtype=float)
 
@@ -277,13 +278,8 @@ class SurfaceTerm(SurfaceCondition):
         if conservative == (kind.virtual_work is not SurfaceTerm.virtual_work):
             raise InputError(f"{self.name}: {kind.__name__} needs one of energy and virtual_work")
         function = self.energy if conservative else self.virtual_work
-        try:
+        with checks.evaluating(f"{self.name}: {kind.__name__}.{function.__name__}"):
             return SurfaceEnergyForm(self.layout, function, list(self.numbers), conservative)
-        except InputError:
-            raise
-        except Exception as e:  # a user's function and UFL may raise anything
-            what = f"{kind.__name__}.{function.__name__}"
-            raise InputError(f"{self.name}: {what} can't be evaluated: {type(e).__name__}: {e}") from e
 
     def values(self, factor: float) -> list[np.ndarray]:
         n = len(self.surface)

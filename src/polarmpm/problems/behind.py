@@ -1,0 +1,166 @@
+"""What of a body is behind a surface that is to be held: its materials, their state, their stiffness."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..bodies.facets import FacetSurface
+from ..bodies.nearby import of_nearest
+from ..bodies.points import Points
+from ..errors import InputError
+from ..forms.rest import stiffness_across
+from ..geometry.surfaces import Surface
+from ..kinematics import rotations
+from ..kinematics.layout import Layout
+from ..materials.base import Material
+from ..terms.nitsche import Behind
+from .state import Progress
+
+_CUT = 1e3  # the same of the symmetric method where cells are cut, down to a thousandth of them
+_SPRINGS = 1e3  # default of springs alone: a layer of a thousandth of a cell, of the body's stiffness
+_COERCIVE = (
+    20.0  # the same beside the material's own tractions, which keeps a support stable (docs/theory.md)
+)
+
+
+class Body(Protocol):
+    """A problem, as far as it is asked here."""
+
+    comm: MPI.Comm
+    layout: Layout
+    points: Points
+    progress: Progress
+    knows_undeformed: bool
+
+    @property
+    def cell_size(self) -> float: ...
+
+
+@dataclass
+class Found:
+    """The body behind a surface.
+
+    Attributes:
+        no_stress: why its tractions can't be told; "": they can.
+        fitted: the surface is made of faces of elements. One that cuts cells of a grid may leave slivers of
+            them.
+    """
+
+    behind: Behind
+    no_stress: str
+    fitted: bool
+
+
+def find_behind(problem: Body, surface: Surface) -> Found:
+    """The body behind a surface that is given as it is now; of elements, as it was at first. Collective."""
+    points, comm = problem.points, problem.comm
+    late = problem.progress.step > 0
+    now = late and not problem.knows_undeformed
+    place, volume = (points.x, points.volume) if now else (points.X, points.volume0)
+    size = np.maximum(volume ** (1.0 / points.dim), 2.0 * points.half_length0.max(axis=1, initial=0.0))
+    columns = [size, points.material, points.F.reshape(-1, 9), points.q, points.wryness.reshape(-1, 9)]
+    values = np.column_stack([np.asarray(c, dtype=float) for c in columns])
+    _, found = of_nearest(comm, place, values, surface.x)
+    material, n = np.rint(found[:, 1]).astype(np.int64), len(surface)
+    F, q, wryness = np.tile(np.eye(3), (n, 1, 1)), rotations.identity(n), np.zeros((n, 3, 3))
+    if late:
+        q, wryness = found[:, 11:15], found[:, 15:].reshape(-1, 3, 3)
+    if now:
+        F = found[:, 2:11].reshape(-1, 3, 3)
+    beyond, fitted = 0.0, isinstance(surface, FacetSurface)
+    if not fitted:
+        beyond = _share_inside(comm, place, surface, found[:, :1])
+    behind = Behind(points.materials, material, F, q, wryness)
+    return Found(behind, _why_not(points.materials, material, beyond), fitted)
+
+
+def _share_inside(comm: MPI.Comm, place: np.ndarray, surface: Surface, size: np.ndarray) -> float:
+    """Share of a surface's points that have the body on the side of their normals, too: of its points,
+    spaced by a size (n, 1) (m), the next one on that side is ahead. Collective."""
+    ahead = surface.x + 0.75 * size * surface.normal
+    distance, nearest = of_nearest(comm, place, place, ahead)
+    along = np.sum((nearest - surface.x) * surface.normal, axis=1)
+    return float(np.mean((along > 0.2 * size[:, 0]) & (distance < size[:, 0])))
+
+
+def _why_not(materials: tuple[Material, ...], rows: np.ndarray, beyond: float) -> str:
+    for row in np.unique(rows):
+        material, kind = materials[row], type(materials[row]).__name__
+        if material.plastic:
+            return f"the stress at the surface of a plastic body ({kind}) isn't known without its flow there"
+        if material.second_gradient:
+            return f"the traction of {kind} has derivatives of the double stresses in it, which aren't known"
+    if beyond > 0.5:
+        return (
+            "the body is on the side of the normals, too: the tractions are known on its boundary only, "
+            "with normals outward from it"
+        )
+    return ""
+
+
+def default_stiffness(
+    problem: Body,
+    surface: Surface,
+    name: str,
+    found: Found,
+    given: dict[str, float | None],
+    method: str,
+) -> dict[str, Any]:
+    """Springs (Pa/m, N/m) of a surface: numbers that are given, else multiples of the body's own stiffness.
+    Collective.
+
+    Args:
+        given: by name; what isn't in it isn't needed.
+    """
+    out: dict[str, Any] = {"stiffness": 0.0, "rotation_stiffness": 0.0}
+    own: dict[str, Any] = {}
+    if all(value is not None for value in given.values()):
+        own = given
+    elif method == "penalty":
+        own = _springs(problem, name)
+    else:
+        times = _CUT if method == "nitsche" and not found.fitted else _COERCIVE
+        own = _beside_tractions(problem, surface, found.behind, times)
+    for key, value in given.items():
+        out[key] = own[key] if value is None else value
+        if value is None and not np.all(out[key] > 0.0):
+            kinds = ", ".join(dict.fromkeys(type(m).__name__ for m in found.behind.materials))
+            raise InputError(
+                f"{name}: {key}: {kinds} has no stiffness in the undeformed state from which to take it; "
+                f"give {key}"
+            )
+    return out
+
+
+def _springs(problem: Body, name: str) -> dict[str, float]:
+    """A thousand times the stiffest material over a cell: the clamp gives way like a thousandth of it."""
+    size, dim = problem.cell_size, problem.layout.dim
+    own: np.ndarray = np.zeros(2)
+    for material in problem.points.materials:
+        p = material.moduli("lam", "mu", "gamma")
+        if len(p) == 3 or (len(p) == 2 and not material.micropolar):
+            found = p["lam"] + 2 * p["mu"], p.get("gamma", 0.0) / size + p["mu"] * size
+        elif material.second_gradient:
+            kind = type(material).__name__
+            raise InputError(f"{name}: stiffness: {kind} has no parameters named lam and mu; give stiffness")
+        else:
+            stretched, bent = stiffness_across(material, dim, np.eye(dim), problem.comm)
+            found = stretched.max(), bent.max() / size + stretched.max() * size
+        own = np.maximum(own, _SPRINGS * np.array(found))
+    return {"stiffness": own[0] / size, "rotation_stiffness": own[1]}
+
+
+def _beside_tractions(problem: Body, surface: Surface, behind: Behind, times: float) -> dict[str, np.ndarray]:
+    """A multiple of the material's stiffness against gradients across the surface over a cell, (n,)."""
+    own = np.zeros((2, len(surface)))
+    for row in np.unique(behind.material):
+        rows = behind.material == row
+        normal = surface.normal[rows]
+        own[:, rows] = stiffness_across(behind.materials[row], problem.layout.dim, normal, problem.comm)
+    own *= times / problem.cell_size
+    return {"stiffness": own[0], "rotation_stiffness": own[1]}
