@@ -6,6 +6,7 @@ length of 4 m its hoop stress is a quarter lower, and all remains axisymmetric. 
 one the classical stress grows with every refinement; with second gradients it doesn't.
 """
 
+import argparse
 import itertools
 
 from mpi4py import MPI
@@ -186,14 +187,21 @@ def round_one(args, folder):
         radial, hoop = -exact.stress(INNER)[:, 0]
         inward = -1e3 * exact.displacement(INNER)[0]
         found[f"{prefix}exact"] = {"hoop": hoop, "radial": radial, "displacement": inward}
-        errors, by_cell = {}, {}
+        errors, by_cell, by_elements = {}, {}, {}
         for cell in args.cells:
             file = folder / f"round_{length:g}m_{cell:g}m.pvd"
             problem = solve(of_points("round", length, cell, args), args, file)
             by_cell[f"{cell:g}"], spread = wall(problem, cell, args.share)
             errors[f"{cell:g}"] = error(problem, exact, args.share)
+            if args.elements:
+                file = folder / f"elements_{length:g}m_{cell:g}m.pvd"
+                by_elements[f"{cell:g}"] = wall(
+                    solve(of_elements(length, cell, args), args, file), cell, args.share
+                )[0]
         found |= {f"{prefix}wall": by_cell[f"{cell:g}"], f"{prefix}wall_spread": spread}
         found |= {f"{prefix}wall_by_cell": by_cell, f"{prefix}error": errors}
+        if args.elements:
+            found[f"{prefix}elements_wall_by_cell"] = by_elements
         found[f"{prefix}order"] = [
             float(np.log(errors[f"{a:g}"] / errors[f"{b:g}"]) / np.log(a / b))
             for a, b in itertools.pairwise(args.cells)
@@ -238,6 +246,11 @@ def main(argv=None):
                 "choices": ("predicate", "mesh"),
                 "default": "predicate",
                 "help": "of the round one: cells of the grid that circles cut, or rings",
+            },
+            "--elements": {
+                "action": argparse.BooleanOptionalAction,
+                "default": True,
+                "help": "the round one by elements of degree 2, too",
             },
             "--symmetry": {
                 "choices": ("whole", "displacement"),

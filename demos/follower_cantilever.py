@@ -19,29 +19,32 @@ LENGTH = 1.0
 YOUNG, POISSON = 1e6, 0.3
 
 
-def pressure(args):
+def material(kind, args):
+    if kind == "micropolar":
+        return pm.MicropolarElastic.from_microspace(E=YOUNG, nu=POISSON, l=args.height / 30)
+    if kind == "arruda-boyce":  # rubber, nearly incompressible
+        return pm.ArrudaBoyce(C_R=1e4, N=8.0, kappa=1e7)
+    return pm.SaintVenantKirchhoff.from_engineering(E=YOUNG, nu=POISSON)
+
+
+def pressure(solid, args):
     """p for the load c, with the EI of plane strain."""
-    return args.load * YOUNG / (1 - POISSON**2) * args.height**3 / 12 / LENGTH**3
-
-
-def material(kind, height):
-    if kind == "classical":
-        return pm.SaintVenantKirchhoff.from_engineering(E=YOUNG, nu=POISSON)
-    return pm.MicropolarElastic.from_microspace(E=YOUNG, nu=POISSON, l=height / 30)
+    lam, mu = (solid.moduli(name)[name] for name in ("lam", "mu"))
+    bending = 4 * mu * (lam + mu) / (lam + 2 * mu) * args.height**3 / 12  # E / (1 - nu^2) h^3 / 12
+    return args.load * bending / LENGTH**3
 
 
 def of_elements(kind, args):
     """The problem, and a function for the mean displacement of the free end."""
     corners = [(0.0, 0.0), (LENGTH, args.height)]
-    across = max(1, round(args.elements * args.height / LENGTH))
-    cells = mesh.create_rectangle(
-        MPI.COMM_WORLD, corners, [args.elements, across], mesh.CellType.quadrilateral
-    )
-    body = pm.Elements(cells, material=material(kind, args.height), degree=2)
+    along = args.elements * (2 if kind == "arruda-boyce" else 1)  # nearly incompressible ones are too stiff
+    across = max(1, round(along * args.height / LENGTH))
+    cells = mesh.create_rectangle(MPI.COMM_WORLD, corners, [along, across], mesh.CellType.quadrilateral)
+    body = pm.Elements(cells, material=material(kind, args), degree=2)
     problem = pm.QuasiStaticFEM(body)
-    root = {"u": 0} if kind == "classical" else {"u": 0, "theta": 0}
+    root = {"u": 0, "theta": 0} if kind == "micropolar" else {"u": 0}
     problem.fix(pm.plane(x=0.0), **root)
-    problem.pressure(pm.plane(y=args.height), pressure(args))
+    problem.pressure(pm.plane(y=args.height), pressure(body.points.materials[0], args))
     tip = body.farthest((1, 0))
     return problem, lambda: body.mean_displacement(tip)
 
@@ -55,14 +58,16 @@ def of_points(kind, args):
     points = pm.seed(
         grid,
         bounds=((0, 0), (LENGTH, args.height)),
-        material=material(kind, args.height),
+        material=material(kind, args),
         points_per_cell=args.points_per_cell,
     )
     problem = pm.QuasiStatic(grid, points)
     number = args.points_per_cell * int(np.ceil(LENGTH / cell))
     # the end comes round to the root: neither is on the border of the grid
     problem.fix(pm.Surface.line((0, args.height), (0, 0), 12), u=0)
-    problem.pressure(pm.Surface.line((LENGTH, args.height), (0, args.height), number), pressure(args))
+    problem.pressure(
+        pm.Surface.line((LENGTH, args.height), (0, args.height), number), pressure(points.materials[0], args)
+    )
     width = LENGTH - points.mean(points.X[:, 0], points.farthest((1, 0)))  # half a column's
     columns = [
         points.where(lambda x, k=k: np.abs(x[:, 0] - LENGTH + (2 * k + 1) * width) < width / 2)
@@ -110,6 +115,7 @@ def main(argv=None):
     scenes = {
         "elements": (of_elements, "classical"),
         "micropolar": (of_elements, "micropolar"),
+        "arruda-boyce": (of_elements, "arruda-boyce"),
         "points": (of_points, "classical"),
     }
     solved = {name: solve(name, *scene, args, folder) for name, scene in scenes.items()}
@@ -122,7 +128,11 @@ def main(argv=None):
         result[f"path_{name}"] = path
         result[f"distance_{name}"] = np.linalg.norm(path - exact, axis=1)
         result[f"iterations_{name}"] = sum(step.iterations for step in problem.steps)
-    options = {"load": args.load, "height": args.height, "points_per_cell": args.points_per_cell}
+    options = {
+        "load": args.load,
+        "height": args.height,
+        "points_per_cell": args.points_per_cell,
+    }
     return demo.report(args, "follower_cantilever", solved["points"][0], result, **options)
 
 
@@ -159,7 +169,7 @@ def draw(solved, loads, exact, height, file):
         apart, axes[2], xlabel="$pL^3/EI$ (-)", ylabel="distance from the elastica's end (h)"
     )
     if MPI.COMM_WORLD.rank == 0:
-        styles = dict(zip(solved, ("-", ":", "--"), strict=True))
+        styles = dict(zip(solved, ("-", ":", "-.", "--"), strict=True))
         for k, line in enumerate(axes[1].get_lines()[:-1]):
             line.set(marker="", color=f"C{k % 2}", linestyle=list(styles.values())[k // 2])
         axes[1].legend(frameon=False, fontsize=8)

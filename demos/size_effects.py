@@ -102,13 +102,14 @@ def beams(args, folder):
             with pm.Recorder(folder / f"beam_{name}_{nu:g}.pvd", problem) as record:
                 record(problem.steps[-1])
     rows["second gradient, closed"] = [1 + (FITTED / h) ** 2 for h in HEIGHTS]
-    row = rows["second gradient, points, nu = 0.3"] = []
-    for h in HEIGHTS:
-        plain = beam_of_points(h, classical(0.3), args)[1]
-        problem, deflection = beam_of_points(h, gradient(0.3, (0.0, FITTED)), args)
-        row.append(plain / deflection)
-    with pm.Recorder(folder / "beam_gradient.pvd", problem) as record:
-        record(problem.steps[-1])
+    for name, make in {"elements": beam_of_elements, "points": beam_of_points}.items():
+        row = rows[f"second gradient, {name}, nu = 0.3"] = []
+        for h in HEIGHTS:
+            plain = make(h, classical(0.3), args)[1]
+            problem, deflection = make(h, gradient(0.3, (0.0, FITTED)), args)
+            row.append(plain / deflection)
+        with pm.Recorder(folder / f"beam_gradient_{name}.pvd", problem) as record:
+            record(problem.steps[-1])
     return rows, problem
 
 
@@ -163,6 +164,7 @@ def bars(args, folder):
     rows, problem = {}, None
     scenes = {
         ("micropolar", "elements"): (bar_of_elements, micropolar(0.3, BONE)),
+        ("second gradient", "elements"): (bar_of_elements, gradient(0.3, (0.0, BONE, BONE))),
         ("second gradient", "points"): (bar_of_points, gradient(0.3, (0.0, BONE, BONE))),
     }
     for (kind, method), (make, material) in scenes.items():
@@ -213,6 +215,11 @@ def sheets(args, folder):
         for h, deflection in zip(SHEETS, plain, strict=True):
             problem, found = sheet(h, micropolar(0.3, SHEET_LENGTH), args, held)
             row.append(deflection / found)
+    rows["second gradient, closed"] = [1 + (SHEET_LENGTH / h) ** 2 for h in SHEETS]
+    row = rows["second gradient, elements"] = []
+    for h, deflection in zip(SHEETS, plain, strict=True):
+        problem, found = sheet(h, gradient(0.3, (0.0, 0.0, SHEET_LENGTH)), args, True)
+        row.append(deflection / found)
     with pm.Recorder(folder / "sheet.pvd", problem) as record:
         record(problem.steps[-1])
     return rows, problem
