@@ -307,9 +307,9 @@ class GradientForms(ElementForms):
 
 def _length(table: Table, dim: int) -> np.ndarray:
     """h of the penalty (m, q): the size of the face, not less than the height of the cell over it, nor more
-    than four times that, by which the penalty stays large enough."""
+    than twice that, by which the penalty stays large enough."""
     size = table.weight.sum(axis=1, keepdims=True) ** (1 / (dim - 1))
-    found: np.ndarray = np.clip(size, table.height, 4 * table.height)
+    found: np.ndarray = np.clip(size, table.height, 2 * table.height)
     return found
 
 
