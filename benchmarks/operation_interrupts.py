@@ -141,6 +141,17 @@ def propped():
     return problem
 
 
+def halved():
+    """Half of a beam between two walls, on its plane of symmetry; the wall holds the slope."""
+    grid = pm.Grid.box((0.0, -0.5), (1.5, 1.5), 0.5)
+    points = pm.seed(grid, bounds=((0.0, 0.0), (1.5, 1.0)), material=ELASTIC, points_per_cell=2)
+    problem = pm.QuasiStatic(grid, points, reset=3)
+    problem.support = problem.symmetry(pm.plane(x=0.0))
+    problem.fix(pm.plane(x=1.5), u=0, slope=0, theta=0)
+    problem.body_load(force=(0.0, 2e4))
+    return problem
+
+
 def release(problem):
     """Let a support go, over a part of the load."""
     if problem.progress.step:  # else it's being restored, and the file knows
@@ -196,6 +207,7 @@ SCENES = {
     "surfaces": Scene(surfaces),
     "moving plane": Scene(upset),
     "fading support": Scene(propped, between={2: release}),
+    "fading symmetry": Scene(halved, between={2: release}),
     "other support": Scene(lambda: beam(force=(0.0, 5e3), reset=2), between={2: springs}),
     "load in mid-run": Scene(lambda: beam(reset=None), between={2: more}),
     "elements": Scene(mesh),

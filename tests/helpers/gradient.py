@@ -1,103 +1,30 @@
-"""Solids with second gradients and the bodies on which their closed forms are known."""
+"""A Saint-Venant-Kirchhoff solid with second gradients, W = psi(E) + sum l_a^2 / 12 psi(E,a)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import ufl
 
 import polarmpm as pm
-from tests.conftest import COMM
-from tests.helpers.bodies import box
 
 
-def micro_energy(lengths: Sequence[float]) -> Callable[[Any, Any, Any], Any]:
-    """W = psi(E) + sum_a l_a^2/12 psi(E,a) of St Venant and Kirchhoff, E,a = sym(F^T F,a)."""
+def _energy(F: Any, H: Any, p: Any) -> Any:
+    def psi(a: Any) -> Any:
+        return 0.5 * p.lam * ufl.tr(a) ** 2 + p.mu * ufl.inner(a, a)
 
-    def energy(F: Any, H: Any, p: Any) -> Any:
-        def psi(A: Any) -> Any:
-            return p.lam / 2 * ufl.tr(A) ** 2 + p.mu * ufl.inner(A, A)
-
-        w = psi((ufl.dot(F.T, F) - ufl.Identity(3)) / 2)
-        for a, length in enumerate(lengths):
-            along = ufl.as_tensor([[H[i, J, a] for J in range(3)] for i in range(3)])
-            w += length**2 / 12 * psi(ufl.sym(ufl.dot(F.T, along)))
-        return w
-
-    return energy
+    w = psi(0.5 * (ufl.dot(F.T, F) - ufl.Identity(3)))
+    i, j = ufl.indices(2)
+    for a, length in enumerate((p.l1, p.l2, p.l3)):
+        along = ufl.as_tensor(H[i, j, a], (i, j))
+        w += length**2 / 12 * psi(ufl.sym(ufl.dot(F.T, along)))
+    return w
 
 
 def gradient_solid(E: float, nu: float, lengths: Sequence[float]) -> pm.UserEnergy:
+    """Of Young's modulus E (Pa), Poisson's ratio nu, and lengths (m) of the directions of space."""
     lam, mu = E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
-    numbers = {"lam": lam, "mu": mu}
-    return pm.UserEnergy(micro_energy(lengths), numbers, micropolar=False, second_gradient=True)
-
-
-def ring(radial: int, around: int, cell: str = "quadrilateral", comm: Any = COMM) -> Any:
-    """Mesh of a quarter of a ring, radii 2 and 5."""
-    mesh = box(cell, (radial, around), comm=comm)
-    x = mesh.geometry.x
-    r, t = 2 + 3 * x[:, 0], np.pi / 2 * x[:, 1]
-    x[:, 0], x[:, 1] = r * np.cos(t), r * np.sin(t)
-    return mesh
-
-
-def ring_displacement(p: float, E: float, g: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Radial displacement of a ring of radii 2 and 5, nu = 0, under pressure from outside (small strains):
-    A r + B/r + C I1(r/g) + D K1(r/g), the energy's stationary point (Gao & Park 2007)."""
-    from scipy import special
-
-    a, b, mu = 2.0, 5.0, E / 2
-
-    def functions(r: np.ndarray) -> np.ndarray:
-        """Values, first and second derivatives (3, 4, n)."""
-        parts = [(r, 1 + 0 * r, 0 * r), (1 / r, -1 / r**2, 2 / r**3)]
-        for f, derivative, end in ((special.iv, special.ivp, b), (special.kv, special.kvp, a)):
-            of = [f(1, r / g), derivative(1, r / g) / g, derivative(1, r / g, 2) / g**2]
-            parts.append(tuple(v / f(1, end / g) for v in of))
-        return np.swapaxes(np.array(parts), 0, 1)
-
-    x, w = np.polynomial.legendre.leggauss(60)
-    r, w = (a + b) / 2 + (b - a) / 2 * x, w * (b - a) / 2
-    u, du, ddu = functions(r)
-    q = du / r - u / r**2
-    squares = [(1, du), (1, u / r), (g**2, ddu), (3 * g**2, q)]
-    matrix = 2 * mu * sum(c * np.einsum("ir,jr,r->ij", v, v, w * r) for c, v in squares)
-    factors = np.linalg.solve(matrix, -p * b * functions(np.array([b]))[0][:, 0])
-    return lambda r: factors @ functions(np.asarray(r))[0]
-
-
-def pressed_ring(
-    mesh: Any, *, slopes: bool = True, length: float = 4.0, load: float = 1e-5, **options: Any
-) -> pm.QuasiStaticFEM:
-    """A quarter of a ring under a pressure of 54.0189 MPa times `load`, E = 20 GPa."""
-    body = pm.Elements(mesh, material=gradient_solid(20e9, 0.0, (length, length)), degree=2)
-    problem = pm.QuasiStaticFEM(body, **options)
-    for axis in "xy":
-        where = pm.plane(**{axis: 0.0})
-        if slopes:
-            problem.symmetry(where)
-        else:
-            problem.fix(where, **{f"u{axis}": 0})
-
-    def pressure(t: float, X: np.ndarray) -> np.ndarray:
-        return -54.0189e6 * load * t * X / np.linalg.norm(X, axis=1)[:, None]
-
-    outer = body.facets(lambda x: np.linalg.norm(x, axis=1) > 5 - 1e-6)
-    problem.traction(outer, force=pressure)
-    return problem
-
-
-def clamped_beam(
-    cells: tuple[int, int], lengths: Sequence[float], *, held: bool, alpha: float = 2.0, **options: Any
-) -> pm.QuasiStaticFEM:
-    """A cantilever of 20 x 1 under a dead force at its tip, P L^2 / EI_eff = alpha."""
-    mesh = box("quadrilateral", cells, (20.0, 1.0))
-    body = pm.Elements(mesh, material=gradient_solid(1e6, 0.0, lengths), degree=2)
-    problem = pm.QuasiStaticFEM(body, **options)
-    problem.fix(pm.plane(x=0.0), u=0, **({"slope": 0} if held else {}))
-    force = alpha * 1e6 / 12 * (1 + lengths[1] ** 2) / 400
-    problem.load(pm.plane(x=20.0), force=(0.0, -force))
-    return problem
+    named = dict(zip(("l1", "l2", "l3"), (*lengths, 0.0, 0.0), strict=False))
+    numbers = {"lam": lam, "mu": mu, **named}
+    return pm.UserEnergy(_energy, numbers, micropolar=False, second_gradient=True)

@@ -14,7 +14,8 @@ import polarmpm as pm
 from polarmpm.io import restart
 from tests.conftest import COMM, NEO_HOOKEAN, by_id, rotation
 from tests.helpers.bodies import at_nodes, box, own_rows, prepared, put, residual_at, tangent_at
-from tests.helpers.gradient import clamped_beam, gradient_solid, pressed_ring, ring, ring_displacement
+from tests.helpers.gradient import gradient_solid
+from tests.helpers.gradientbodies import clamped_beam, pressed_ring, ring, ring_displacement
 from tests.helpers.ranks import close, on_ranks, report
 
 SOLID = gradient_solid(1e3, 0.3, (0.5, 0.8))
@@ -257,7 +258,7 @@ def test_beside_a_classical_material():
         E = (ufl.dot(F.T, F) - ufl.Identity(3)) / 2
         return p.lam / 2 * ufl.tr(E) ** 2 + p.mu * ufl.inner(E, E)
 
-    numbers = gradient_solid(1e3, 0.3, ()).parameters()
+    numbers = gradient_solid(1e3, 0.3, (0.0, 0.0)).parameters()
     classical = pm.UserEnergy(svk, numbers, micropolar=False)
     thin, thick = (gradient_solid(1e3, 0.3, (l, l)) for l in (1e-6, 0.5))
     plain = solved(classical, classical).elements.displacement

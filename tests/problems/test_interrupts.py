@@ -25,7 +25,15 @@ from tests.helpers.bodies import cantilever
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 SOME = (
     *("points", "reset", "rotation base", "plastic", "projection", "surfaces", "moving plane"),
-    *("fading support", "other support", "elements", "elements, surfaces", "plastic elements", "arc length"),
+    *(
+        "fading support",
+        "fading symmetry",
+        "other support",
+        "elements",
+        "elements, surfaces",
+        "plastic elements",
+        "arc length",
+    ),
 )
 alone = pytest.mark.skipif(COMM.size > 1, reason="an interrupt strikes one rank")
 

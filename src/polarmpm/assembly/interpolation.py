@@ -8,7 +8,7 @@ state when rotations get a new base.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -52,11 +52,11 @@ class Interpolation:
         forms: point form of each of the points' materials.
         reference: state at the last reset; default: the points' current state, which makes it a reset.
         terms: contributions to the nodal system besides the points' stresses.
-        boxes: the points integrate over their own boxes; those with second gradients never do.
+        boxes: the points integrate over their own boxes.
 
     Attributes:
         pieces: what the terms have made of this reset.
-        boxes: of each batch, None of one with second gradients; None: points stand for themselves alone.
+        boxes: of each batch; None: points stand for themselves alone.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Interpolation:
         cells = basis.supporting_cells(grid, r.x) if basis.sliver else None
         half = basis.domains(r.F, points.half_length0) if basis.uses_domains else None
         second = any(form.layout.second for form in forms)
-        filled = boxes and not all(form.layout.second for form in forms) and has_boxes(points)
+        filled = boxes and has_boxes(points)
         with errors_on_all_ranks(grid.comm):
             w = basis.weights(grid, r.x, half, cells, 3 if filled or second else 2)
             checks.instance(f"basis {basis.name!r}: weights", w, Weights, "Weights are")
@@ -99,12 +99,9 @@ class Interpolation:
         ]
         sides = [int(groups.count.max(initial=2)), *(max(b.count) for b in of_pieces)]
         self.reach = int(grid.comm.allreduce(max(sides) - 1, op=MPI.MAX))
-        self.boxes: list[PointBoxes | None] | None = None
+        self.boxes: list[PointBoxes] | None = None
         if filled:
-            self.boxes = [
-                None if b.form.layout.second else PointBoxes(b.batch, self.layout, points, b.rows, r)
-                for b in self.batches
-            ]
+            self.boxes = [PointBoxes(b.batch, b.form.layout, points, b.rows, r) for b in self.batches]
         self.pack()
 
     def _batch(
@@ -153,18 +150,14 @@ class Interpolation:
             plastic = p.plastic_state(b.rows)
             state = b.form.pack(r.F[b.rows], r.q[b.rows], r.wryness[b.rows], plastic, second)
             native.fill(b.batch, state=np.ascontiguousarray(state))
-        for boxes in self._boxed():
+        for boxes in self.boxes or ():
             boxes.pack(r)
-
-    def _boxed(self) -> Iterator[PointBoxes]:
-        """Boxes of the batches that have some."""
-        return (boxes for boxes in self.boxes or () if boxes is not None)
 
     def rebase_rotations(self, x: np.ndarray) -> None:
         """Count rotation increments from the points' current rotations on, at nodal increments x (nodes,
         block); weights and F stay."""
         self.reference.side_gradients = self.reference.side_gradients.copy()
-        for boxes in self._boxed():
+        for boxes in self.boxes or ():
             boxes.rebase_rotations(self.reference, x)
         self.reference.rebase_rotations(self.points)
         self.pack()

@@ -146,9 +146,8 @@ class LoadedPoints(NodalSystem):
         if self.couple_kernel is not None:
             rows, couples = self._couples[k]
             native.fill(kernels, couple=self.couple_kernel.address, couple_of=rows, couples=couples)
-        own = None if self._boxes is None else self._boxes[k]
-        if own is not None:
-            own.put(kernels, self.kernels[k][0])
+        if self._boxes is not None:
+            self._boxes[k].put(kernels, self.kernels[k][0])
         mapping = self.mappings[k]
         if mapping is not None:
             self._put_yielding(mapping, k, tangent, kernels)
@@ -283,8 +282,6 @@ class PointSystem(LoadedPoints):
             return
         whole = bool(np.any(self.x))  # right after a reset the sides have the moduli of the points
         for own, form, (_, kernel) in zip(boxes, self.interpolation.forms, self.kernels, strict=True):
-            if own is None:
-                continue
             before = self.before if form.predicts else None
             own.add_moduli(kernel, self.pattern.matrix, self.x, before, lifted, whole=whole)
         step.boxes = values.copy()

@@ -6,7 +6,8 @@
  *
  *     W(z) + share / 6 sum_k [W(z + z_k) + W(z - z_k) - 2 W(z)]     (docs/theory.md).
  *
- * Points with second gradients have none.
+ * With second gradients z_k has the derivatives of the gradients alone: third ones of the functions are left out, and
+ * their rows in `sides` stay zero.
  */
 #include "_points.h"
 
@@ -17,21 +18,21 @@ enum {
 /* Memory for LANES points and their boxes. */
 typedef struct {
     vec *first, *second;       /* [SIDES][sv], [PAIRS][sv]: derivatives of a point's functions */
-    vec *sides;                /* [side][lane][SHAPES][sv]: a point's shapes differentiated along the half axes */
+    vec *sides;                /* [side][lane][shapes_of(second)][sv]: a point's shapes differentiated along the half axes */
     double *zk, *before;       /* [side][nz][LANES]; of the nodal values before the last correction */
     double *sums;              /* [1 + side][nz][LANES]: sum_k [R(z + z_k) + R(z - z_k) - 2 R(z)], R(z + z_k) - R(z - z_k) */
     double *z, *up, *down;     /* inputs, and outputs on both sides */
     double *moduli;            /* [2 side + (0: up, 1: down)][outputs][LANES]: residuals and moduli on the sides */
-    vec *moved;                /* [lane][SHAPES][sv]: shapes on a side */
+    vec *moved;                /* [lane][shapes_of(second)][sv]: shapes on a side */
 } BoxWork;
 
 static int create_boxes(const Batch *b, int sv, int whole, BoxWork *w)
 {
-    const int nz = unknowns_of(b->dim, b->rot, 0), outputs = nz + nz * (nz + 1) / 2;
+    const int nz = unknowns_of(b->dim, b->rot, b->second), outputs = nz + nz * (nz + 1) / 2;
     const size_t stride = (size_t)sv * WIDTH, inputs = 2 * nz + b->nstate + b->nparam;
     *w = (BoxWork){.first = vectors(SIDES * stride), .second = vectors(PAIRS * stride),
-                   .sides = vectors(SIDES * LANES * SHAPES * stride), .zk = vectors(SIDES * nz * LANES),
-                   .before = vectors(SIDES * nz * LANES), .moved = vectors(LANES * SHAPES * stride),
+                   .sides = vectors(SIDES * LANES * shapes_of(b->second) * stride), .zk = vectors(SIDES * nz * LANES),
+                   .before = vectors(SIDES * nz * LANES), .moved = vectors(LANES * shapes_of(b->second) * stride),
                    .moduli = vectors(whole ? (size_t)2 * SIDES * outputs * LANES : 1), .sums = vectors((1 + SIDES) * nz * LANES), .z = vectors(inputs * LANES),
                    .up = vectors(nz * LANES), .down = vectors(nz * LANES)};
     return !(w->first && w->second && w->sides && w->zk && w->before && w->sums && w->z && w->up && w->down && w->moduli &&
@@ -67,24 +68,25 @@ INLINE void side_shapes(const int dim, int n, int nv, int sv, const double *axis
 }
 
 /* Shapes of lane l, point p, differentiated along its half axes. */
-INLINE void find_sides(const int dim, const Batch *b, const PointKernels *kernels, int64_t p, const int32_t *count, int n,
+INLINE void find_sides(const int dim, const int second, const Batch *b, const PointKernels *kernels, int64_t p, const int32_t *count, int n,
                        int sv, int l, BoxWork *w)
 {
     const int nv = (n + WIDTH - 1) / WIDTH;
     curved_shape(dim, b, p, count, sv * WIDTH, (double *)w->first, (double *)w->second);
     for (int k = 0; k < dim; ++k)
         side_shapes(dim, n, nv, sv, kernels->box_axes + (p * dim + k) * dim, b->state + p * b->nstate, w,
-                    w->sides + ((int64_t)k * LANES + l) * SHAPES * sv);
+                    w->sides + ((int64_t)k * LANES + l) * shapes_of(second) * sv);
 }
 
 /* z_k of lane l, point p, from its group's nodal values, written with a step. */
-INLINE void gather_sides(const int dim, const int rot, const PointKernels *kernels, int64_t p, int nv, int sv, const vec *x,
+INLINE void gather_sides(const int dim, const int rot, const int second, const PointKernels *kernels, int64_t p, int nv, int sv, const vec *x,
                          int l, const BoxWork *w, double *zk, const int step)
 {
-    const int nz = unknowns_of(dim, rot, 0);
+    const int nz = unknowns_of(dim, rot, second);
     for (int k = 0; k < dim; ++k) {
         double *own = zk + k * nz * step;
-        interpolate(dim, rot, 0, nv, sv, w->sides + ((int64_t)k * LANES + l) * SHAPES * sv, x, own, step);
+        for (int i = unknowns_of(dim, rot, 0); i < nz; ++i) own[i * step] = 0.0;
+        interpolate(dim, rot, 0, nv, sv, w->sides + ((int64_t)k * LANES + l) * shapes_of(second) * sv, x, own, step);
         const int turning = rot * (1 + dim);  /* rotations, then their gradients */
         for (int i = 0; i < turning; ++i)
             own[(value_slot(dim, rot, dim) + i) * step] += kernels->box_turns[(p * dim + k) * turning + i];
@@ -92,10 +94,10 @@ INLINE void gather_sides(const int dim, const int rot, const PointKernels *kerne
 }
 
 /* What the boxes' virtual work multiplies, from the kernel's inputs and its residual at z. */
-INLINE void evaluate_boxes(const int dim, const int rot, const Batch *b, kernel_t kernel, const double *in,
+INLINE void evaluate_boxes(const int dim, const int rot, const int second, const Batch *b, kernel_t kernel, const double *in,
                            const double *residual, BoxWork *w)
 {
-    const int nz = unknowns_of(dim, rot, 0), block = nz * LANES;
+    const int nz = unknowns_of(dim, rot, second), block = nz * LANES;
     memcpy(w->z + block, in + block, sizeof(double) * (b->nstate + b->nparam) * LANES);
     for (int i = 0; i < block; ++i) w->sums[i] = -2.0 * dim * residual[i];
     for (int k = 0; k < dim; ++k) {
@@ -113,22 +115,22 @@ INLINE void evaluate_boxes(const int dim, const int rot, const Batch *b, kernel_
 }
 
 /* The boxes' share in the residual r of a point on lane l, and what its sides add to the group's nodal forces. */
-INLINE void add_sides(const int dim, const int rot, int nv, int sv, const BoxWork *w, double weight, int l, double *r,
+INLINE void add_sides(const int dim, const int rot, const int second, int nv, int sv, const BoxWork *w, double weight, int l, double *r,
                       vec *f)
 {
-    const int nz = unknowns_of(dim, rot, 0);
+    const int nz = unknowns_of(dim, rot, second);
     double side[UNKNOWNS_MAX];
     for (int i = 0; i < nz; ++i) r[i] += weight * w->sums[i * LANES + l];
     for (int k = 0; k < dim; ++k) {
         for (int i = 0; i < nz; ++i) side[i] = weight * w->sums[((1 + k) * nz + i) * LANES + l];
-        add_residual(dim, rot, 0, nv, sv, w->sides + (k * LANES + l) * SHAPES * sv, side, f);
+        add_residual(dim, rot, 0, nv, sv, w->sides + (k * LANES + l) * shapes_of(second) * sv, side, f);
     }
 }
 
 /* Residuals and moduli at z + z_k and z - z_k, for all sides. */
-INLINE void evaluate_sides(const int dim, const int rot, const Batch *b, kernel_t kernel, const double *in, BoxWork *w)
+INLINE void evaluate_sides(const int dim, const int rot, const int second, const Batch *b, kernel_t kernel, const double *in, BoxWork *w)
 {
-    const int nz = unknowns_of(dim, rot, 0), block = nz * LANES, outputs = nz + nz * (nz + 1) / 2;
+    const int nz = unknowns_of(dim, rot, second), block = nz * LANES, outputs = nz + nz * (nz + 1) / 2;
     const int known = (b->nstate + b->nparam) * LANES;
     memcpy(w->z, in, sizeof(double) * (2 * block + known));
     for (int k = 0; k < dim; ++k)
@@ -143,7 +145,7 @@ INLINE void evaluate_sides(const int dim, const int rot, const Batch *b, kernel_
 }
 
 /* Shapes of lanes l .. end moved to the centre of a side, by sign times their derivatives. */
-INLINE void move_shapes(int sv, const vec *shapes, const vec *side, double sign, int l, int end, vec *out)
+INLINE void move_shapes(const int second, int sv, const vec *shapes, const vec *side, double sign, int l, int end, vec *out)
 {
-    for (int64_t i = (int64_t)l * SHAPES * sv; i < (int64_t)end * SHAPES * sv; ++i) out[i] = shapes[i] + sign * side[i];
+    for (int64_t i = (int64_t)l * shapes_of(second) * sv; i < (int64_t)end * shapes_of(second) * sv; ++i) out[i] = shapes[i] + sign * side[i];
 }

@@ -56,17 +56,8 @@ INLINE int second_slot(int dim, int rot, int component)
 /* Without second gradients, the slots before this one hold all that belongs to this component and to those before it. */
 INLINE int end_slot(int dim, int rot, int component) { return gradient_slot(dim, rot, component) + dim; }
 
-/* call(dim, rot, ...) with the sizes of a batch as constants; of one without second gradients. */
+/* call(dim, rot, second, ...) with the sizes of a batch as constants. */
 #define SPECIALISED(call, b, ...)                                                                                     \
-    do {                                                                                                              \
-        if ((b)->dim == 3 && (b)->rot == 3) call(3, 3, b, __VA_ARGS__);                                               \
-        else if ((b)->dim == 3) call(3, 0, b, __VA_ARGS__);                                                           \
-        else if ((b)->rot == 1) call(2, 1, b, __VA_ARGS__);                                                           \
-        else call(2, 0, b, __VA_ARGS__);                                                                              \
-    } while (0)
-
-/* call(dim, rot, second, ...), also with second gradients. */
-#define SPECIALISED_SECOND(call, b, ...)                                                                              \
     do {                                                                                                              \
         if ((b)->second && (b)->dim == 3) call(3, 0, 1, b, __VA_ARGS__);                                              \
         else if ((b)->second) call(2, 0, 1, b, __VA_ARGS__);                                                          \

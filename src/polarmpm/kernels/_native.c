@@ -130,11 +130,11 @@ INLINE int evaluate(const int dim, const int rot, const int second, const Batch 
         interpolate(dim, rot, second, nv, sv, s, w->x, w->in + l, LANES);
         if (kernels->before)
             interpolate(dim, rot, second, nv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l, LANES);
-        if (!second && kernels->box_axes) {
+        if (kernels->box_axes) {
             BoxWork *boxes = &w->boxes;
-            find_sides(dim, b, kernels, p, b->count + *group * dim, n, sv, l, boxes);
-            gather_sides(dim, rot, kernels, p, nv, sv, w->x, l, boxes, boxes->zk + l, LANES);
-            if (kernels->before) gather_sides(dim, rot, kernels, p, nv, sv, w->before, l, boxes, boxes->before + l, LANES);
+            find_sides(dim, second, b, kernels, p, b->count + *group * dim, n, sv, l, boxes);
+            gather_sides(dim, rot, second, kernels, p, nv, sv, w->x, l, boxes, boxes->zk + l, LANES);
+            if (kernels->before) gather_sides(dim, rot, second, kernels, p, nv, sv, w->before, l, boxes, boxes->before + l, LANES);
         }
         for (int k = 0; k < ns; ++k) w->in[(nz + k) * LANES + l] = b->state[p * ns + k];
         if (kernels->couple) {
@@ -151,13 +151,13 @@ INLINE int evaluate(const int dim, const int rot, const int second, const Batch 
         for (int k = nz + ns + np; kernels->before && k < 2 * nz + ns + np; ++k)
             w->in[k * LANES + l] = w->in[k * LANES + lanes - 1];
         for (int k = 0; k < 2 * SPIN; ++k) w->cin[k * LANES + l] = w->cin[k * LANES + lanes - 1];
-        for (int k = 0; !second && kernels->box_axes && k < dim * nz; ++k) {
+        for (int k = 0; kernels->box_axes && k < dim * nz; ++k) {
             w->boxes.zk[k * LANES + l] = w->boxes.zk[k * LANES + lanes - 1];
             w->boxes.before[k * LANES + l] = w->boxes.before[k * LANES + lanes - 1];
         }
     }
     if (open || kernels->box_axes) kernels->kernel(w->in, w->out);
-    if (!second && kernels->box_kernel) evaluate_boxes(dim, rot, b, kernels->box_kernel, w->in, w->out, &w->boxes);
+    if (kernels->box_kernel) evaluate_boxes(dim, rot, second, b, kernels->box_kernel, w->in, w->out, &w->boxes);
     if (*coupled) kernels->couple(w->cin, w->cout);
     if (kernels->initial) evaluate_initial(dim, rot, second, kernels, start, lanes, w);
     return lanes;
@@ -246,7 +246,7 @@ FAST int polarmpm_gather(const Batch *b, const double *x, int32_t framed, double
 {
     Work w;
     const int failed = create_work(b, 0, 0, 0, &w);
-    if (!failed) SPECIALISED_SECOND(gather, b, x, framed, z, value, &w);
+    if (!failed) SPECIALISED(gather, b, x, framed, z, value, &w);
     free_work(&w);
     return failed;
 }
@@ -260,9 +260,9 @@ INLINE void add_points(const int dim, const int rot, const int second, const Bat
     for (int q = l; q < end; ++q) {
         double r[UNKNOWNS_MAX];
         point_terms(dim, rot, second, b, kernels, w, start + q, q, coupled, r, M ? w->A + q * nz * nz : NULL);
-        if (!second && kernels->box_kernel) {
+        if (kernels->box_kernel) {
             const double weight = b->volume[start + q] * kernels->box_share[start + q] / 6.0;
-            add_sides(dim, rot, nv, sv, &w->boxes, weight, q, r, w->f);
+            add_sides(dim, rot, second, nv, sv, &w->boxes, weight, q, r, w->f);
         }
         add_residual(dim, rot, second, nv, sv, w->shapes + q * shapes * sv, r, w->f);
     }
@@ -306,17 +306,17 @@ FAST int polarmpm_assemble(const Batch *b, const PointKernels *kernels, const Ma
     if (b->npoints == 0) return 0;
     Work w;
     const int failed = create_work(b, M != NULL, 1, kernels->box_axes != NULL, &w);
-    if (!failed) SPECIALISED_SECOND(assemble, b, kernels, M, x, force, rhs, &w);
+    if (!failed) SPECIALISED(assemble, b, kernels, M, x, force, rhs, &w);
     free_work(&w);
     return failed;
 }
 
 /* scale B^T A B of points l .. end of these lanes, all of group g, with the moduli of `out` and shapes [lane]. */
-INLINE void add_box_moduli(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const Matrix *M,
+INLINE void add_box_moduli(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Matrix *M,
                            const Work *w, const double *out, const vec *shapes, double scale, int first, int64_t start,
                            int64_t g, int l, int end)
 {
-    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot, 0), sv = w->sv;
+    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot, second), sv = w->sv;
     for (int q = l; q < end; ++q) {
         const double weight = scale * b->volume[start + q] * kernels->box_share[start + q];
         const double *upper = out + nz * LANES + q;
@@ -326,45 +326,45 @@ INLINE void add_box_moduli(const int dim, const int rot, const Batch *b, const P
     }
     for (int P; l < end; l += P) {
         P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
-        add_tangents(dim, rot, 0, nv, M->half, P, first && start + l == b->offsets[g], n, w->A + l * nz * nz,
-                     shapes + l * SHAPES * sv, sv, w->K);
+        add_tangents(dim, rot, second, nv, M->half, P, first && start + l == b->offsets[g], n, w->A + l * nz * nz,
+                     shapes + l * shapes_of(second) * sv, sv, w->K);
     }
 }
 
 /* The tangent of the boxes of points l .. end of these lanes into their group's sums; see polarmpm_assemble_boxes. */
-INLINE void add_boxes(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const Matrix *M,
+INLINE void add_boxes(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Matrix *M,
                       int32_t whole, const Work *w, int64_t start, int64_t g, int l, int end)
 {
     const BoxWork *boxes = &w->boxes;
-    const int sv = w->sv, nz = unknowns_of(dim, rot, 0), outputs = nz + nz * (nz + 1) / 2;
+    const int sv = w->sv, nz = unknowns_of(dim, rot, second), outputs = nz + nz * (nz + 1) / 2;
     if (whole)
-        add_box_moduli(dim, rot, b, kernels, M, w, w->out, w->shapes, -dim / 3.0, 1, start, g, l, end);
+        add_box_moduli(dim, rot, second, b, kernels, M, w, w->out, w->shapes, -dim / 3.0, 1, start, g, l, end);
     for (int k = 0; k < dim; ++k) {
-        const vec *side = boxes->sides + (int64_t)k * LANES * SHAPES * sv;
+        const vec *side = boxes->sides + (int64_t)k * LANES * shapes_of(second) * sv;
         if (!whole) {
-            add_box_moduli(dim, rot, b, kernels, M, w, w->out, side, 1.0 / 3.0, k == 0, start, g, l, end);
+            add_box_moduli(dim, rot, second, b, kernels, M, w, w->out, side, 1.0 / 3.0, k == 0, start, g, l, end);
             continue;
         }
         for (int down = 0; down < 2; ++down) {
-            move_shapes(sv, w->shapes, side, down ? -1.0 : 1.0, l, end, boxes->moved);
-            add_box_moduli(dim, rot, b, kernels, M, w, boxes->moduli + (2 * k + down) * outputs * LANES, boxes->moved,
+            move_shapes(second, sv, w->shapes, side, down ? -1.0 : 1.0, l, end, boxes->moved);
+            add_box_moduli(dim, rot, second, b, kernels, M, w, boxes->moduli + (2 * k + down) * outputs * LANES, boxes->moved,
                            1.0 / 6.0, 0, start, g, l, end);
         }
     }
 }
 
-INLINE void assemble_boxes(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const Matrix *M,
+INLINE void assemble_boxes(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Matrix *M,
                            int32_t whole, const double *x, double *rhs, Work *w)
 {
     int64_t group = 0, group_of[LANES];
     for (int64_t start = 0; start < b->npoints; start += LANES) {
         int coupled;
-        const int lanes = evaluate(dim, rot, 0, b, kernels, x, start, &group, group_of, w, &coupled);
-        if (whole) evaluate_sides(dim, rot, b, kernels->kernel, w->in, &w->boxes);
+        const int lanes = evaluate(dim, rot, second, b, kernels, x, start, &group, group_of, w, &coupled);
+        if (whole) evaluate_sides(dim, rot, second, b, kernels->kernel, w->in, &w->boxes);
         for (int l = 0, end; l < lanes; l = end) {
             const int64_t g = group_of[l];
             for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
-            add_boxes(dim, rot, b, kernels, M, whole, w, start, g, l, end);
+            add_boxes(dim, rot, second, b, kernels, M, whole, w, start, g, l, end);
             if (start + end < b->offsets[g + 1]) continue;
             const int n = nodes_of(b, g);
             flush_matrix(b, M, g, dim + rot, n, (n + WIDTH - 1) / WIDTH, (double *)w->K, w->at, rhs);
@@ -385,19 +385,20 @@ FAST int polarmpm_assemble_boxes(const Batch *b, const PointKernels *kernels, co
     return failed;
 }
 
-INLINE void gather_boxes(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const double *x,
+INLINE void gather_boxes(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const double *x,
                          double *z, double *zk, Work *w)
 {
-    const int nb = dim + rot, nz = unknowns_of(dim, rot, 0), sv = w->sv;
+    const int nb = dim + rot, nz = unknowns_of(dim, rot, second), sv = w->sv;
     for (int64_t g = 0; g < b->ngroups; ++g) {
         const int32_t *count = b->count + g * dim;
         const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH;
         gather_group(nb, n, sv, b->nodes + b->node_offsets[g], x, w->x);
         for (int64_t p = b->offsets[g]; p < b->offsets[g + 1]; ++p) {
             shape(dim, b, p, count, b->state + p * b->nstate, sv * WIDTH, (double *)w->shapes);
-            interpolate(dim, rot, 0, nv, sv, w->shapes, w->x, z + p * nz, 1);
-            find_sides(dim, b, kernels, p, count, n, sv, 0, &w->boxes);
-            gather_sides(dim, rot, kernels, p, nv, sv, w->x, 0, &w->boxes, zk + p * dim * nz, 1);
+            if (second) second_shape(dim, b, p, count, b->state + p * b->nstate, n, sv, w->raw, w->shapes);
+            interpolate(dim, rot, second, nv, sv, w->shapes, w->x, z + p * nz, 1);
+            find_sides(dim, second, b, kernels, p, count, n, sv, 0, &w->boxes);
+            gather_sides(dim, rot, second, kernels, p, nv, sv, w->x, 0, &w->boxes, zk + p * dim * nz, 1);
         }
     }
 }
@@ -413,21 +414,21 @@ FAST int polarmpm_gather_boxes(const Batch *b, const PointKernels *kernels, cons
     return failed;
 }
 
-INLINE void box_work(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const double *from,
+INLINE void box_work(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const double *from,
                      const double *to, double *inside, double *whole, Work *w, double *old)
 {
-    const int nz = unknowns_of(dim, rot, 0), block = nz * LANES, sides = (1 + dim) * block;
+    const int nz = unknowns_of(dim, rot, second), block = nz * LANES, sides = (1 + dim) * block;
     double *z = old, *r = z + block, *zk = r + block, *sums = zk + dim * block;
     const BoxWork *boxes = &w->boxes;
     int64_t group = 0, group_of[LANES];
     for (int64_t start = 0; start < b->npoints; start += LANES) {
         int coupled;
         int64_t first = group;
-        evaluate(dim, rot, 0, b, kernels, from, start, &first, group_of, w, &coupled);
+        evaluate(dim, rot, second, b, kernels, from, start, &first, group_of, w, &coupled);
         memcpy(z, w->in, sizeof(double) * block), memcpy(r, w->out, sizeof(double) * block);
         memcpy(zk, boxes->zk, sizeof(double) * dim * block), memcpy(sums, boxes->sums, sizeof(double) * sides);
         w->gathered = -1;  /* the same group at other nodal values */
-        const int lanes = evaluate(dim, rot, 0, b, kernels, to, start, &group, group_of, w, &coupled);
+        const int lanes = evaluate(dim, rot, second, b, kernels, to, start, &group, group_of, w, &coupled);
         w->gathered = -1;
         for (int l = 0; l < lanes; ++l) {
             const double volume = b->volume[start + l], weight = volume * kernels->box_share[start + l] / 6.0;
@@ -452,7 +453,7 @@ FAST int polarmpm_box_work(const Batch *b, const PointKernels *kernels, const do
 {
     if (b->npoints == 0) return 0;
     Work w;
-    double *old = vectors((size_t)(3 + 2 * SIDES) * unknowns_of(b->dim, b->rot, 0) * LANES);
+    double *old = vectors((size_t)(3 + 2 * SIDES) * unknowns_of(b->dim, b->rot, b->second) * LANES);
     const int failed = create_work(b, 0, 0, 1, &w) || !old;
     if (!failed) SPECIALISED(box_work, b, kernels, from, to, inside, whole, &w, old);
     free_work(&w);

@@ -166,8 +166,8 @@ INLINE void curved_shape(const int dim, const Batch *b, int64_t p, const int32_t
 
 /* Second derivatives of a point's weighting functions, behind those that `shape` has written to s, in the layout of
  * `pair_of`; with a frame F~, which H~ follows, w,JK = w,mn F~_mJ F~_nK + w,m H~_mJK. `raw`: room for 3 + PAIRS rows. */
-INLINE void second_shape(const int dim, const Batch *b, int64_t p, const int32_t *count, const double *frame, int n,
-                         int sv, vec *raw, vec *s)
+INLINE void find_second_shape(const int dim, const Batch *b, int64_t p, const int32_t *count, const double *frame, int n,
+                              int sv, vec *raw, vec *s)
 {
     const int pairs = pairs_of(dim), nv = (n + WIDTH - 1) / WIDTH, stride = sv * WIDTH;
     double *first = (double *)raw, *second = (double *)(raw + 3 * sv), turn[PAIRS][PAIRS];
@@ -196,6 +196,14 @@ INLINE void second_shape(const int dim, const Batch *b, int64_t p, const int32_t
             }
             out[k * sv + v] = sum;
         }
+}
+
+/* The same, compiled once: within the loops over points it would be there dozens of times. */
+FAST static void second_shape(int dim, const Batch *b, int64_t p, const int32_t *count, const double *frame, int n, int sv,
+                              vec *raw, vec *s)
+{
+    if (dim == 3) find_second_shape(3, b, p, count, frame, n, sv, raw, s);
+    else find_second_shape(2, b, p, count, frame, n, sv, raw, s);
 }
 
 INLINE double dot(const int nv, const vec *a, const vec *b)

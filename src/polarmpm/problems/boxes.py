@@ -51,8 +51,6 @@ class BoxRecord:
         if not self._kernels:
             self._kernels = [form.compile_energy(self.comm) for form in self.forms]
         for boxes, kernel in zip(system.interpolation.boxes, self._kernels, strict=True):
-            if boxes is None:
-                continue
             out[boxes.rows] = boxes.energies(kernel, system.x)
         return out
 
@@ -72,8 +70,6 @@ class BoxRecord:
             return None
         inside, whole = np.zeros(len(self.points)), np.zeros(len(self.points))
         for boxes, (kernel, _) in zip(system.interpolation.boxes, system.kernels, strict=True):
-            if boxes is None:
-                continue
             inside[boxes.rows], whole[boxes.rows] = boxes.work(kernel, start, system.x)
         own, (initial, residual) = slice(0, system.nodes.owned), (system.step.initial, system.residual)
         assert initial is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -25,10 +26,11 @@ from ..errors import InputError
 from ..forms.couples import CoupleForm
 from ..forms.points import PointForm
 from ..geometry.grid import Grid
-from ..geometry.planes import Plane
+from ..geometry.planes import Plane, PlaneSpec
 from ..kernels.kernel import Kernel
 from ..kinematics.motion import Motion
 from ..tools.disposal import dispose_of_dropped
+from . import slopes
 from .balancing import BalancedResets
 from .base import Problem
 from .boxes import BoxRecord
@@ -48,6 +50,7 @@ class OnGrid(Problem):
     """What `QuasiStatic` does on the grid. Its attributes are described there."""
 
     grid: Grid
+    initial_grid: Grid
     basis: Basis
     forms: Sequence[PointForm]
     assembly: str
@@ -65,6 +68,21 @@ class OnGrid(Problem):
     _arrangement: int  # of the points, see `Points.arrangements`
     _attempted: tuple[np.ndarray, np.ndarray] | None
     _converged_loads: tuple[np.ndarray, np.ndarray] | None
+
+    def _beside(self, where: PlaneSpec) -> PlaneSpec:
+        self.basis.check_plane(where, self.initial_grid)
+        return slopes.beside(where, self.initial_grid, self.points, self.grid)
+
+    def _tie(self, where: Any, support: Support, even: dict[int, bool]) -> None:
+        if all(even.values()):
+            slopes.check_slopes(self.basis)
+        slopes.tie(support, even, self.basis, self.grid)
+
+    def _admit(self, where: Any, support: Support) -> None:
+        self._moving.admit(where, support, self.supports, self.progress.step > 0)
+
+    def _dismiss(self, support: Support) -> None:
+        self._moving.dismiss(support, self.progress.factor if self.progress.step else None)
 
     @abstractmethod
     def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:

@@ -20,7 +20,6 @@ from ..bodies.selection import Selection
 from ..bodies.validity import Seal, check_state
 from ..conditions.loads import Applied, HandedOver, Load, point_loads
 from ..conditions.movinggrid import MovingGrid
-from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.choice import make_form
 from ..forms.stresses import MaterialField
@@ -38,7 +37,6 @@ from ..terms.ghost import Ghost, GhostPenalty, make_penalty
 from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks, values_by_number
-from . import slopes
 from .balancing import BalancedResets
 from .boxes import BoxRecord
 from .conservation import Conservation
@@ -237,24 +235,9 @@ class QuasiStatic(OnGrid):
             where, "__name__", "predicate"
         )
 
-    def _beside(self, where: PlaneSpec) -> PlaneSpec:
-        self.basis.check_plane(where, self.initial_grid)
-        return slopes.beside(where, self.initial_grid, self.points)
-
-    def _tie(self, where: Any, support: Support, even: dict[int, bool]) -> None:
-        if all(even.values()):
-            slopes.check_slopes(self.basis)
-        slopes.tie(support, even, self.basis, self.grid)
-
     def _named(self, where: Any) -> Any:
         named = isinstance(where, str | int | np.integer) and not isinstance(where, bool)
         return self.points.surface(where) if named and self.points.surfaces else where
-
-    def _admit(self, where: Any, support: Support) -> None:
-        self._moving.admit(where, support, self.supports, self.progress.step > 0)
-
-    def _dismiss(self, support: Support) -> None:
-        self._moving.dismiss(support, self.progress.factor if self.progress.step else None)
 
     def _note_handed(self, handed: list[HandedOver], factor: float) -> None:
         if self._converged_loads is not None:

@@ -96,14 +96,15 @@ def tie(support: Support, even: dict[int, bool], basis: Basis, grid: Grid) -> No
         support.where = replace(where, side=0)  # beyond the plane nodes follow
 
 
-def beside(where: PlaneSpec, grid: Grid, points: Any) -> PlaneSpec:
-    """A plane of symmetry, with the side on which the body isn't. Collective.
+def beside(where: PlaneSpec, grid: Grid, points: Any, now: Grid) -> PlaneSpec:
+    """A plane of symmetry of a grid, with the side on which the body isn't; `now` is the grid as it has been
+    stretched since. Collective.
 
     Raises:
         InputError: the body is on both.
     """
     spec = replace(where, beyond="auto")
-    if not spec.resolve(grid, points).side:
+    if not spec.resolve(grid, points, now).side:
         raise InputError(
             f"symmetry: plane {where.name}: the body has points on both sides of it; of a symmetric body the "
             "half on one side is computed"
