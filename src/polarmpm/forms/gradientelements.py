@@ -307,9 +307,9 @@ class GradientForms(ElementForms):
 
 def _length(table: Table, dim: int) -> np.ndarray:
     """h of the penalty (m, q): the size of the face, not less than the height of the cell over it, nor more
-    than four times that, by which the penalty stays large enough."""
+    than twice that, by which the penalty stays large enough."""
     size = table.weight.sum(axis=1, keepdims=True) ** (1 / (dim - 1))
-    found: np.ndarray = np.clip(size, table.height, 4 * table.height)
+    found: np.ndarray = np.clip(size, table.height, 2 * table.height)
     return found
 
 
@@ -317,7 +317,7 @@ def _rows_of_cells(elements: Elements) -> np.ndarray:
     """Row of the material of each local cell, ghosts too (cells,). Collective."""
     from dolfinx import fem
 
-    space = compat.cellwise_space(elements.mesh)
+    space = compat.quadrature_space(elements.mesh, 1, 1)  # one point a cell
     row, own = fem.Function(space), len(elements.body.owned_cells)
     dofs = compat.cell_dofs(space)[:, 0]
     row.x.array[dofs[:own]] = elements.points.material[:: len(elements.reference_points)]

@@ -53,8 +53,8 @@ def derivatives(elements: Elements, cells: np.ndarray, xi: np.ndarray) -> tuple[
     back = np.linalg.inv(jacobian)  # [r, i] = dxi_r/dX_i
     first = np.einsum("cqri,rqn->cqin", back, compat.tabulate(body.cell, elements.degree, xi)[1:])
     x = body.mesh.geometry.x[compat.cell_geometry(body.mesh)[cells]][:, :, :d]
-    bent = np.einsum("sqa,cak->cqsk", compat.tabulate_second(body.cell, body.degree, xi), x)
-    of_reference = compat.tabulate_second(body.cell, elements.degree, xi)
+    bent = np.einsum("sqa,cak->cqsk", _second(body.cell, body.degree, xi), x)
+    of_reference = _second(body.cell, elements.degree, xi)
     full = of_reference.transpose(1, 0, 2)[None] - np.einsum("cqsk,cqkn->cqsn", bent, first)
     place = np.zeros((d, d), dtype=int)
     place[i, j] = place[j, i] = np.arange(len(i))
@@ -119,3 +119,13 @@ def _faces(e: Elements, cells: np.ndarray, local: int, other: list[int]) -> tupl
         Table(both, here, size, cells[:, 0], normal, height),
         Table(both, across, size, cells[:, 1], normal, beyond),
     )
+
+
+def _second(cell: str, degree: int, xi: np.ndarray) -> np.ndarray:
+    """Second derivatives of Lagrange functions (d (d + 1) / 2, q, nodes) at positions (q, d) of the reference
+    cell: by xx, xy, (xz,) yy, (yz, zz)."""
+    import basix
+
+    kind = getattr(basix.CellType, cell)
+    element = basix.create_element(basix.ElementFamily.P, kind, degree, basix.LagrangeVariant.equispaced)
+    return np.asarray(element.tabulate(2, xi))[1 + xi.shape[1] :, :, :, 0]

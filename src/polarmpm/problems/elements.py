@@ -22,7 +22,6 @@ from ..conditions.loads import Applied, no_microrotation, point_loads
 from ..conditions.prescribed import Prescribed
 from ..conditions.supports import Support
 from ..errors import InputError
-from ..forms.elements import ElementForms
 from ..forms.trial import try_energy
 from ..geometry.planes import PlaneSpec
 from ..geometry.surfaces import Surface
@@ -45,18 +44,6 @@ from .given import Present
 from .state import Progress
 from .surfaces import add_load
 from .whole import Changing
-
-
-def _make_forms(elements: Elements, slope_penalty: float) -> ElementForms:
-    if any(m.second_gradient for m in elements.points.materials):
-        from ..forms.gradientelements import GradientForms  # lazy import: others need none of it
-
-        return GradientForms(elements, slope_penalty)
-    if not elements.points.plastic:
-        return ElementForms(elements)
-    from ..forms.plasticelements import PlasticElementForms  # lazy import: elastic scenes need no plasticity
-
-    return PlasticElementForms(elements)
 
 
 @dataclass(eq=False)
@@ -124,7 +111,7 @@ class QuasiStaticFEM(Problem):
         super().__init__(elements.comm, elements.points, elements.dim, controls)
         self.elements = elements
         slope_penalty = checks.number("slope_penalty", slope_penalty, above=0.0, allowed="a positive number")
-        self.forms = _make_forms(elements, slope_penalty)
+        self.forms = faceslopes.make_forms(elements, slope_penalty)
         _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
         for material in elements.points.materials:
             try_energy(material)
@@ -132,7 +119,7 @@ class QuasiStaticFEM(Problem):
             if elements.degree == 1 and elements.comm.rank == 0:
                 warn_of_locking(elements.points.materials, "elements of degree 1", "degree 2")
         self._surface_loads: list[SurfaceLoad] = []
-        self._held: dict[Support, Any] = {}  # slopes that supports hold
+        self.held_slopes: dict[Support, Any] = {}  # slopes that supports hold
         self.progress.reset_due = False
         self._system: ElementSystem | None = None
         self._last_loads: np.ndarray | None = None  # forces of the last converged state's loads
@@ -173,7 +160,7 @@ class QuasiStaticFEM(Problem):
         if held is not None:
             if self.progress.step:
                 held.count_from(self.elements.displacement)
-            self._held[support] = held
+            self.held_slopes[support] = held
 
     def _surface_of(self, where: Any) -> Any:
         return where if isinstance(where, Surface) else self.elements.surface(where)
@@ -305,7 +292,7 @@ class QuasiStaticFEM(Problem):
         dispose_of_dropped(self.comm)
         if self._system is not None:
             self._system.destroy()
-        self.forms.held = {s: self._held[s] for s in self.supports if s in self._held}
+        self.forms.held = {s: self.held_slopes[s] for s in self.supports if s in self.held_slopes}
         self._system = ElementSystem(
             self.forms, dead, varying, prescribed, self.timer, self.solver, self._pieces()
         )
@@ -440,11 +427,6 @@ class QuasiStaticFEM(Problem):
             self._system.destroy()
             self._system = None
         self._rebase(None)
-
-    @property
-    def held_slopes(self) -> dict[Support, Any]:
-        """What supports that have been given do to hold slopes."""
-        return self._held
 
     # results --------------------------------------------------------------------------------------
     @property

@@ -1,4 +1,4 @@
-"""Slopes that supports hold on facets of finite elements with second gradients."""
+"""Finite elements with second gradients: their forms, and slopes that supports hold on facets."""
 
 from __future__ import annotations
 
@@ -13,6 +13,19 @@ from ..errors import InputError
 from ..forms.elements import ElementForms
 from ..geometry.planes import PlaneSpec
 from ..tools.checks import shown
+
+
+def make_forms(elements: Elements, slope_penalty: float) -> ElementForms:
+    """The forms that the materials of a body need."""
+    if any(m.second_gradient for m in elements.points.materials):
+        from ..forms.gradientelements import GradientForms  # lazy import: others need none of it
+
+        return GradientForms(elements, slope_penalty)
+    if not elements.points.plastic:
+        return ElementForms(elements)
+    from ..forms.plasticelements import PlasticElementForms  # lazy import: elastic scenes need no plasticity
+
+    return PlasticElementForms(elements)
 
 
 def hold(elements: Elements, forms: ElementForms, where: Any, support: Support, even: dict[int, bool]) -> Any:

@@ -85,8 +85,7 @@ def create_mesh(
         cell: "triangle", "quadrilateral", "tetrahedron" or "hexahedron".
         degree: of the geometry, 1 or 2.
         sharing: ranks that have a node of each cell (m, any number), -1 stands for none; cells then stay on
-            their ranks. Default: dolfinx distributes them.
-        ghosts: ranks know the cells of others behind faces.
+            their ranks. Default: dolfinx distributes them. ghosts: ranks know others' cells behind faces.
     """
     from dolfinx import mesh
 
@@ -94,17 +93,14 @@ def create_mesh(
     parameters = list(inspect.signature(mesh.create_mesh).parameters)
     cells = np.ascontiguousarray(cells, dtype=np.int64)
     arguments = (positions, domain) if parameters[2] == "x" else (domain, positions)
+    old, shared = _by_ghosts(), mesh.GhostMode.shared_facet  # dolfinx 0.5 has ghosts by default
     if sharing is None:
-        options = {}
-        if ghosts and not _by_ghosts():  # dolfinx 0.5 has ghosts by default
-            options["partitioner"] = mesh.create_cell_partitioner(mesh.GhostMode.shared_facet)
+        options = {"partitioner": mesh.create_cell_partitioner(shared)} if ghosts and not old else {}
         return mesh.create_mesh(comm, cells, *arguments, **options)
     # dolfinx 0.5 finds out by ghost cells which ranks share a vertex, and its own partitions only have those
     # across facets: cells on two ranks that touch at a corner would be apart. It drops the ghosts later.
-    old = _by_ghosts()
     destinations = _destinations(comm.rank, sharing if old else sharing[:, :0])
-    kept = mesh.GhostMode.shared_facet if ghosts else mesh.GhostMode.none
-    options = {"ghost_mode": kept} if old else {}
+    options = {"ghost_mode": shared if ghosts else mesh.GhostMode.none} if old else {}
     return mesh.create_mesh(comm, cells, *arguments, **options, partitioner=lambda *_: destinations)
 
 
@@ -204,16 +200,6 @@ def tabulate(cell: str, degree: int, xi: np.ndarray) -> np.ndarray:
     return np.asarray(element.tabulate(1, xi))[:, :, :, 0]
 
 
-def tabulate_second(cell: str, degree: int, xi: np.ndarray) -> np.ndarray:
-    """Second derivatives of Lagrange functions (d (d + 1) / 2, q, nodes) at positions (q, d) of the reference
-    cell: by xx, xy, (xz,) yy, (yz, zz)."""
-    import basix
-
-    kind = getattr(basix.CellType, cell)
-    element = basix.create_element(basix.ElementFamily.P, kind, degree, basix.LagrangeVariant.equispaced)
-    return np.asarray(element.tabulate(2, xi))[1 + xi.shape[1] :, :, :, 0]
-
-
 def cell_geometry(mesh: Any) -> np.ndarray:
     """Rows of `mesh.geometry.x` of this rank's cells, ghosts included, (cells, nodes)."""
     listed = mesh.geometry.dofmap
@@ -282,13 +268,6 @@ def function_space(mesh: Any, size: int, degree: int) -> Any:
     else:
         element = ufl.VectorElement("Lagrange", mesh.ufl_cell(), degree, dim=size)
     return _space(mesh, element)
-
-
-def cellwise_space(mesh: Any) -> Any:
-    """Space of functions that are constant on each cell."""
-    if _HAS_BASIX_ELEMENTS:
-        return _space(mesh, _basix_ufl.element("DG", cell_name(mesh), 0))
-    return _space(mesh, ufl.FiniteElement("DG", mesh.ufl_cell(), 0))
 
 
 def quadrature_space(mesh: Any, size: int, degree: int) -> Any:
