@@ -13,7 +13,7 @@ import numpy as np
 from ..bodies.points import Points
 from ..bodies.selection import Selection
 from ..conditions.amplitudes import Amplitude, check_counts
-from ..conditions.loads import AnyLoad, Applied, HandedOver, Load, make_loads
+from ..conditions.loads import AnyLoad, Applied, Load, make_loads
 from ..conditions.supports import Support, make_support
 from ..errors import InputError
 from ..geometry.planes import Plane, PlaneSpec
@@ -28,12 +28,13 @@ from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from . import slopes, surfaces
 from .given import Given, Present, Register
+from .keeping import Keeping
 from .state import Progress
 from .turns import Turns
 from .whole import Changing, Whole
 
 
-class Conditions(Whole, Turns):
+class Conditions(Keeping, Whole, Turns):
     """Supports, loads and terms of a problem. All methods are collective.
 
     Attributes:
@@ -53,10 +54,7 @@ class Conditions(Whole, Turns):
             raise InputError("points: micropolar and classical materials can't be mixed in one body")
         self.layout = layouts.pop()
         self._supports: list[Support] = []
-        self._loads: list[AnyLoad] = []
-        self._terms: list[Term] = []
-        # released since the last converged step: a balanced reset must not carry along what they did
-        self._leaving: list[Support | Term] = []
+        self._loads, self._terms, self._leaving = [], [], []
         self.given = Register()
         self._leave()
         self._stale = False  # conditions have changed since the system was built
@@ -371,68 +369,12 @@ class Conditions(Whole, Turns):
         self.given.add(Given(applied.name, applied, self.progress.factor, counts), "load")
         self._stale = True
 
-    @property
-    def _handed(self) -> list[HandedOver]:
-        return [load for load in self._loads if isinstance(load, HandedOver)]
-
-    @property
-    def _working_terms(self) -> list[Term]:
-        """Terms, with those that have been released since the last converged step."""
-        return [*self._terms, *(t for t in self._leaving if isinstance(t, Term))]
-
     def _set_terms(self, factor: float, carrying: bool = False) -> None:
         terms = self._working_terms
         if terms:
             with errors_on_all_ranks(self.comm):
                 for term in terms:
                     term.set_factor(factor, carrying)
-
-    def term_state(self) -> dict[str, np.ndarray]:
-        """What a restart needs of the terms, the same on every rank, by names such as "0/u"."""
-        return {f"{k}/{name}": a for k, term in enumerate(self._terms) for name, a in term.state().items()}
-
-    def term_rows(self) -> dict[str, np.ndarray]:
-        """The terms' rows of the local points, by names such as "term 0.mass"."""
-        terms = enumerate(self._working_terms)
-        return {f"term {k}.{name}": a for k, term in terms for name, a in term.rows.items()}
-
-    def restore_term_rows(self, rows: dict[str, np.ndarray]) -> None:
-        """Put in rows such as those of `term_rows`, of which there may be others."""
-        for k, term in enumerate(self._working_terms):
-            start = f"term {k}."
-            term.rows = {name[len(start) :]: a for name, a in rows.items() if name.startswith(start)}
-
-    def restore_terms(self, arrays: dict[str, np.ndarray], known: int | None = None) -> None:
-        """Put in what `term_state` gave, before `restore`; the problem has the same terms.
-
-        Args:
-            known: how many there were; those that come after them are new.
-
-        Raises:
-            InputError: other terms.
-        """
-        with_state = [k for k, term in enumerate(self._terms[:known]) if term.state()]
-        saved = {int(key.split("/")[0]) for key in arrays}
-        if saved != set(with_state):
-            raise InputError(
-                f"the saved state has {len(saved)} term(s) with a state of their own, the problem has "
-                f"{len(with_state)}"
-            )
-        for term in self._terms[:known]:
-            term.committed = True
-        for k in with_state:
-            start = f"{k}/"
-            of_this = {key[len(start) :]: a for key, a in arrays.items() if key.startswith(start)}
-            self._terms[k].restore(of_this)
-
-    def load_rows(self) -> dict[str, np.ndarray]:
-        """Rows of the local points of the reactions that were handed over, by name."""
-        return {f"handed {k}": load.values for k, load in enumerate(self._handed)}
-
-    def restore_load_rows(self, rows: dict[str, np.ndarray]) -> None:
-        """Put in rows such as those of `load_rows`, of which there may be others."""
-        for k, load in enumerate(self._handed):
-            load.values = rows[f"handed {k}"]
 
     def _load_places(self) -> list[tuple[Amplitude, np.ndarray]]:
         """All loads, and the positions (n, d) of this rank where they act.
