@@ -53,6 +53,7 @@ class Support:
         met: how many nodes of the body it held at first, and the body's mean volume at one of them (m^3);
             None before.
         mirror: what it says of slopes; None: nothing.
+        on_facets: it holds slopes on facets of finite elements.
     """
 
     name: str
@@ -62,9 +63,12 @@ class Support:
     committed: bool = False
     met: tuple[float, float] | None = None
     mirror: Mirror | None = None
+    on_facets: bool = False
 
     def __repr__(self) -> str:
         prescribed = dict.fromkeys(a.name.split(", ")[-1] for a, _ in self.columns.values())
+        if self.on_facets:
+            prescribed["slopes"] = None
         if self.mirror is not None:
             prescribed["slopes" if all(self.mirror.even.values()) else "symmetry"] = None
         return f"Support({self.name!r}: {', '.join(prescribed)})"

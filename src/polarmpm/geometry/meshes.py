@@ -125,8 +125,12 @@ class BodyMesh:
     @property
     def original_cells(self) -> np.ndarray:
         """Numbers of the own cells in the order of their input, the same on any number of ranks."""
+        return self.original_local_cells[: len(self.owned_cells)]
+
+    @property
+    def original_local_cells(self) -> np.ndarray:
+        """The same of the own cells and, after them, of ghosts."""
         numbers = np.asarray(self.mesh.topology.original_cell_index, dtype=np.int64)
-        numbers = numbers[: len(self.owned_cells)]
         return numbers if self.given is None else self.given[numbers]
 
     @property

@@ -157,9 +157,9 @@ def _samples(material: Material) -> Iterator[tuple[str, float | None]]:
 
 def _energy(material: Material, a: Any, b: Any, numbers: Any) -> Any:
     if material.second_gradient:
-        i, j, k = ufl.indices(3)
-        second = ufl.as_tensor(a[i, j] * b[k, i] + a[i, k] * b[j, i], (i, j, k))
-        strains = material.measures(ufl.Identity(3) + a, second)
+        n = range(3)
+        second = [[[a[i, j] * b[k, i] + a[i, k] * b[j, i] for k in n] for j in n] for i in n]
+        strains = material.measures(ufl.Identity(3) + a, ufl.as_tensor(second))
     else:
         strains = (a, b) if material.micropolar else material.measures(ufl.Identity(3) + a)
     return evaluate_energy(material, strains, numbers)

@@ -69,7 +69,7 @@ def find(problem: QuasiStaticFEM, rows: dict[str, np.ndarray], path: Any) -> Fou
     )
     names = tuple(name[5:] for name in rows if name.startswith("kept/") and name != "kept/id")
     kept, has_kept = _find(problem, rows, "kept", names, p.id) if names else ({}, True)
-    numbers = np.asarray(e.mesh.topology.original_cell_index, dtype=np.int64)  # ghosts too
+    numbers = e.body.original_local_cells
     slopes = tuple(name for name in _slopes(problem) if f"cells/{name}" in rows)
     of_cells, has_cells = _find(problem, rows, "cells", (*_OF_CELLS, *slopes), numbers)
     near, error = _NEAR * e.cell_size, None

@@ -178,14 +178,14 @@ class Conditions(Keeping, Whole, Turns):
         mid-run all of it counts from now on.
 
         Args:
-            where: such as `plane(x=0.0)`; with splines a wall of the grid.
+            where: such as `plane(x=0.0)`; with splines a wall of the grid; of finite elements also facets.
 
         Returns:
             The support, for `reaction` and `release`.
 
         Raises:
             InputError: not a plane, not one on which the body's basis can prescribe values, or one with the
-                body on both sides; second-gradient bodies of finite elements.
+                body on both sides.
         """
         self._check_outside("symmetry")
         zero, even = slopes.symmetric(self._normal_axis(where), where, self.layout)

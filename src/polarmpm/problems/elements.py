@@ -160,7 +160,7 @@ class QuasiStaticFEM(Problem):
         if held is not None:
             if self.progress.step:
                 held.count_from(self.elements.displacement)
-            self.held_slopes[support] = held
+            self.held_slopes[support], support.on_facets = held, True
 
     def _surface_of(self, where: Any) -> Any:
         return where if isinstance(where, Surface) else self.elements.surface(where)

@@ -152,6 +152,7 @@ def _held(system: NodalSystem, parts: Parts, real: np.ndarray) -> list[list[str]
         counts = system.comm.allreduce(np.bincount(parts.nodes[rows], minlength=len(out)))
         for part in np.flatnonzero(counts):
             slopes = [] if support.mirror is None else ["slopes"]
+            slopes += ["slopes"] if support.on_facets else []
             held = [*(names[c] for c in sorted(support.columns)), *slopes]
             out[part].append(f"{support.name}: {', '.join(held)}")
     for piece, rows in zip(system.terms.pieces, system.terms.rows, strict=True):
