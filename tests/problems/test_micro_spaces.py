@@ -86,3 +86,43 @@ def test_cantilevers_stiffen_with_any_energy(elastic):
     assert soft / normals == pytest.approx(1.239, abs=2e-3)
     along = tip(pm.GradientElastic(elastic, 0.5, [[1, 0]]))
     assert 1 < tip(pm.GradientElastic(elastic, (1e-6, 1e-6))) / along < 1.03
+
+
+# restart files --------------------------------------------------------------------------------------
+def small(material: pm.Material) -> pm.QuasiStatic:
+    grid = pm.Grid.box((0, 0), (2, 1), 0.5)
+    points = pm.seed(grid, bounds=((0, 0), (2, 1)), points_per_cell=2, material=material)
+    problem = pm.QuasiStatic(grid, points)
+    problem.fix(pm.plane(x=0.0), u=0, **({"theta": 0} if material.micropolar else {}))
+    problem.fix(pm.plane(x=2.0), ux=0.01)
+    return problem
+
+
+SVK, SERIES = ELASTIC["svk"], ELASTIC["rubber"]
+EXACT = pm.ArrudaBoyce(C_R=SERIES.C_R, N=8, kappa=SERIES.kappa)
+
+
+@pytest.mark.parametrize(
+    ("saved", "other", "differs"),
+    [
+        (pm.GradientElastic(SVK, 0.1, [[1, 0]]), pm.GradientElastic(SVK, 0.1, [[0, 1]]), "d_1"),
+        (pm.GradientElastic(SVK, 0.1, [[1, 0]]), pm.GradientElastic(SVK, 0.2, [[1, 0]]), "l_1"),
+        (pm.GradientElastic(SVK, 0.1, [[1, 0]]), pm.GradientElastic(SVK, 0.1, [[1, 0]], full=True), "full"),
+        (SERIES, EXACT, "chain"),
+        (
+            pm.OrientedMicropolar(1e3, 1e3, 0.1),
+            pm.OrientedMicropolar(1e3, 1e3, 0.1, [[0, 1, 0], [1, 0, 0], [0, 0, 1]]),
+            "d_1",
+        ),
+    ],
+)
+def test_a_restart_needs_the_same_directors(saved, other, differs, folder):
+    """And the same choices; numbers are compared anyway."""
+    problem = small(saved)
+    for _ in problem.march(1):
+        pass
+    file = folder / "saved.h5"
+    pm.save_restart(problem, file)
+    pm.load_restart(small(saved), file)
+    with pytest.raises(pm.InputError, match=differs):
+        pm.load_restart(small(other), file)
