@@ -7,7 +7,7 @@ import pytest
 
 from polarmpm.forms.initialstress import InitialStressForm
 from polarmpm.kinematics import rotations
-from polarmpm.kinematics.layout import Layout
+from polarmpm.kinematics.layout import SECOND, Layout
 from tests.conftest import COMM, rotation
 
 LAYOUTS = [(2, 0, False), (2, 0, True), (2, 1, False), (3, 0, False), (3, 0, True), (3, 3, False)]
@@ -106,3 +106,56 @@ def test_micropolar_measures(dim):
     wryness = change if dim == 2 else rotations.right_tangent(w) @ change
     expected = np.sum(c.stress * np.concatenate([strain, wryness], axis=1), axis=(1, 2))
     np.testing.assert_allclose(c.energy(c.in_frame(gradient, w, change)), expected, atol=1e-12)
+
+
+class Second:
+    """Kernels of points with second gradients, and their stresses, frames and H~."""
+
+    def __init__(self, dim: int):
+        rng = np.random.default_rng(dim)
+        self.layout = Layout(dim, 0, SECOND)
+        self.kernels = InitialStressForm(self.layout).compile(COMM)
+        stress, pairs = rng.normal(size=(N, dim, dim)), len(self.layout.axes(2))
+        work = rng.normal(size=(N, dim, pairs))
+        self.stress = np.concatenate([stress + np.swapaxes(stress, 1, 2), work], axis=2)
+        self.frame = np.eye(dim) + 0.1 * rng.normal(size=(N, dim, dim))
+        self.grown = 0.3 * rng.normal(size=(N, dim, pairs))
+        self.packed = self.kernels.form.pack(self.stress, self.frame, self.grown)
+        self.z = 0.1 * rng.normal(size=(N, self.layout.unknowns))
+
+    def energy(self, z: np.ndarray) -> np.ndarray:
+        return self.kernels.energy(z, self.frame, self.packed)[:, 0]
+
+    def in_frame(self, gradient: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """z of du/dx~ (N, d, d) and its symmetric gradient (N, d, d, d)."""
+        h = np.einsum("nimp,nmj,npk->nijk", second, self.frame, self.frame)
+        h = h + np.einsum("nim,nmjk->nijk", gradient, self.layout.symmetric(self.grown))
+        return self.layout.pack(np.zeros((N, self.layout.dim)), gradient @ self.frame, h)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_second_gradients(dim):
+    """Derivatives, the work at the reset, and no energy of a rigid motion."""
+    c, h, rng = Second(dim), 1e-5, np.random.default_rng(0)
+    steps, upper = h * np.eye(c.layout.unknowns), np.triu_indices(c.layout.unknowns)
+    first = np.stack([(c.energy(c.z + s) - c.energy(c.z - s)) / (2 * h) for s in steps], axis=1)
+
+    def residual(z):
+        return c.kernels.residual(z, c.frame, c.packed)
+
+    second = np.stack([(residual(c.z + s) - residual(c.z - s)) / (2 * h) for s in steps], axis=2)
+    blocks = c.kernels.blocks(c.z, c.frame, c.packed)
+    np.testing.assert_allclose(residual(c.z), first, atol=1e-6)
+    np.testing.assert_allclose(blocks[:, c.layout.unknowns :], second[:, upper[0], upper[1]], atol=1e-6)
+    # at the reset
+    gradient, half = rng.normal(size=(N, dim, dim)), rng.normal(size=(N, dim, dim, dim))
+    curved, pairs = half + np.swapaxes(half, 2, 3), c.layout.pairs
+    work = np.sum(residual(np.zeros_like(c.z)) * c.in_frame(gradient, curved), axis=1)
+    expected = np.sum(c.stress[:, :, :dim] * gradient, axis=(1, 2))
+    expected += np.sum(c.stress[:, :, dim:] * curved[:, :, pairs[0], pairs[1]], axis=(1, 2))
+    np.testing.assert_allclose(work, expected, atol=1e-11)
+    # turned
+    vector = np.array([0.0, 0.0, 0.7]) if dim == 2 else np.array([0.5, -0.4, 0.8])
+    turn = np.broadcast_to(rotation(vector)[:dim, :dim] - np.eye(dim), (N, dim, dim))
+    still = c.in_frame(turn, np.zeros((N, dim, dim, dim)))
+    np.testing.assert_allclose(c.energy(still), 0.0, atol=1e-11)

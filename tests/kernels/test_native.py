@@ -40,7 +40,7 @@ def test_structures_are_as_large_as_in_c(structure):
 def test_fields_are_those_of_the_header():
     """Several fields a line, comments, pointers, const, kernels."""
     fields = native.Batch.declared
-    assert list(fields)[:6] == ["dim", "rot", "slots", "orders", "nstate", "nparam"]
+    assert list(fields)[:7] == ["dim", "rot", "second", "slots", "orders", "nstate", "nparam"]
     assert fields["count"].dtype == np.int32
     assert fields["weights"].pointer
     assert native.PointKernels.declared["kernel"].kind == "kernel_t"

@@ -46,13 +46,10 @@ class Moduli:
         assert system.initial is not None
         kernels, frame = system.initial.kernels[k], batch.batch.frames
         stress = self.stresses(of_material[:, :nz])
-        geometric = kernels.blocks(still, frame, kernels.form.pack(stress, frame))
+        geometric = kernels.blocks(still, frame, kernels.form.pack(stress, frame, batch.grown))
         self.blocks: np.ndarray = np.zeros((n, nz + nz * nz))
         a, upper = self._matrices, np.triu_indices(nz)
         a[:, upper[0], upper[1]] = a[:, upper[1], upper[0]] = (of_material - geometric)[:, nz:]
-        if layout.second:  # an initial stress does no work on second gradients
-            at = layout.where("displacement", 2)
-            a[:, at], a[:, :, at] = 0.0, 0.0
         diagonal = np.einsum("nii->ni", a)
         self._shift = _SOFTEST * np.abs(diagonal)
         of_gradient = layout.where("displacement", 1)
@@ -66,10 +63,26 @@ class Moduli:
         return a
 
     def stresses(self, work: np.ndarray) -> np.ndarray:
-        """Stresses (n, b, d) that do the work (n, nz) on variations of z in the points' frames."""
-        rows = [self._layout.part(work, field, 1) for field in ("displacement", "rotation")]
-        stresses: np.ndarray = np.concatenate(rows, axis=1) @ np.swapaxes(self._batch.batch.frames, 1, 2)
-        return stresses
+        """Stresses (n, b, d), with second gradients (n, d, d + m), that do the work (n, nz) on variations
+        of z in the points' frames."""
+        rows, frame = (
+            [self._layout.part(work, field, 1) for field in ("displacement", "rotation")],
+            self._frames,
+        )
+        stresses: np.ndarray = np.concatenate(rows, axis=1) @ np.swapaxes(frame, 1, 2)
+        grown = self._batch.grown
+        if grown is None:
+            return stresses
+        j, k = self._layout.pairs
+        second = self._layout.part(work, "displacement", 2)
+        t = self._layout.symmetric(np.where(j == k, 1.0, 0.5) * second)
+        moved = np.einsum("nijk,naj,nbk->niab", t, frame, frame, optimize=True)[:, :, j, k]
+        stresses = stresses + second @ np.swapaxes(grown, 1, 2)
+        return np.concatenate([stresses, np.where(j == k, 1.0, 2.0) * moved], axis=2)
+
+    @property
+    def _frames(self) -> np.ndarray:
+        return self._batch.batch.frames
 
     def times(self, z: np.ndarray) -> np.ndarray:
         """Stresses a z (n, b, d) of z (n, nz)."""
@@ -115,7 +128,8 @@ def _stresses(system: LoadedPoints, moduli: Sequence[Moduli], w: np.ndarray) -> 
     i = system.interpolation
     out = np.zeros_like(i.reference.initial_stress)
     for b, a in zip(i.batches, moduli, strict=True):
-        out[b.rows] = a.times(i.kernel_inputs(b, w)[:, : b.form.layout.unknowns])
+        found = a.times(i.kernel_inputs(b, w)[:, : b.form.layout.unknowns])
+        out[b.rows, :, : found.shape[2]] = found
     return out
 
 

@@ -33,7 +33,7 @@ class InitialStress:
         stress = self.interpolation.reference.initial_stress
         self._any = bool(np.any(stress))
         self._packed = [
-            np.ascontiguousarray(own.form.pack(stress[b.rows], b.batch.frames))
+            np.ascontiguousarray(own.form.pack(stress[b.rows], b.batch.frames, b.grown))
             for b, own in zip(self.interpolation.batches, self.kernels, strict=True)
         ]
 

@@ -44,6 +44,16 @@ class PointBatch:
     rows: np.ndarray
     batch: native.Batch
 
+    @property
+    def grown(self) -> np.ndarray | None:
+        """Different second gradients H~ (n, d, m) of the state; None without."""
+        layout = self.form.layout
+        at = layout.state(rotated=False).at_second
+        if not layout.second:
+            return None
+        second: np.ndarray = self.batch.kept["state"][:, at].reshape(len(self.rows), layout.dim, -1)
+        return second
+
 
 class Interpolation:
     """Weighting functions of all points, their node sets and the active nodes. Collective.

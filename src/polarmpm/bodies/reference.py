@@ -22,7 +22,8 @@ class Reference:
             base, (np, d, r, d): dw/dx~ F~ of what has turned since the reset.
         initial_stress: what a balanced reset has added to the stresses, per reference volume, (np, b, d) for
             b unknowns of a node: S0 of a classical material; B0 (Pa) and below it M0 (N/m) of a micropolar
-            one (docs/theory.md).
+            one (docs/theory.md). In a body with second gradients (np, d, d + m): beside S0 the work T0
+            (N/m) on the m different second gradients.
         grad_F: as of `Points`; (np, 0) of a body without second gradients.
     """
 
@@ -39,7 +40,8 @@ class Reference:
     def of(cls, points: Points, block: int) -> Reference:
         """The points' current state, without an initial stress; `block`: unknowns of a node."""
         x, w, n, d = points.x, points.wryness, len(points), points.dim
-        sides, stress = np.zeros((n, d, block - d, d)), np.zeros((n, block, d))
+        sides, columns = np.zeros((n, d, block - d, d)), d + points.second_gradient * d * (d + 1) // 2
+        stress = np.zeros((n, block, columns))
         second = points.grad_F.copy() if points.second_gradient else np.zeros((n, 0))
         return cls(x.copy(), points.F.copy(), points.q.copy(), w.copy(), w.copy(), sides, stress, second)
 

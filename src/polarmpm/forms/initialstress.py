@@ -7,13 +7,19 @@ turn dQ = exp(hat(w)) since the reset (docs/theory.md):
 * micropolar: B0 : (dQ^T F_inc - I) + M0 : J_r(w) grad w;
 * classical, symmetric S0: S0 : [(C - I)/4 + (C - C^-1)/8], C = F_inc^T F_inc, which is U - I to second order;
 * classical, by Green's strain: S0 : (C - I)/2. The stress is then S0 convected with the body: F S0 F^T at the
-  next reset stands for the same stress.
+  next reset stands for the same stress;
+* with second gradients besides M0_ijk C_ij,k / 2, C_ij,k the gradient of C by x~. It does the work T0 on
+  second gradients at the reset where M0_ijk = T0_ijk + T0_jik - T0_kij.
 
 The kernels' z has gradients in the point's frame T, G = du/dx~ T, so that F_inc = (T + G) T^-1. T^-1 goes to
 the stresses once a reset (`pack`): with P = B0 T^-T, N = M0 T^-T and D = (T + G)^T (T + G)
 
     B0 : dQ^T F_inc = P : dQ^T (T + G),     M0 : J_r grad w = N : J_r Gw,
     S0 : C = (T^-1 S0 T^-T) : D,            S0 : C^-1 = (T^T S0 T) : D^-1.
+
+With M_LJK = T^-1_Li T^-1_Jj T^-1_Kk M0_ijk and N = T^-1 H~, where D = F^T F and H = H~ + h,
+
+    M0_ijk C_ij,k / 2 = M_LJK F_pL H_pJK - (M_LJK N_QJK) : D_LQ.
 """
 
 from __future__ import annotations
@@ -61,23 +67,49 @@ class InitialStressForm:
         self.layout, self._weights = layout, _GREEN if green else _MIXED
         d = layout.dim
         self.size = layout.block * d if layout.rotations else d * (d + 1)
+        self._second = self.size  # where what belongs to second gradients begins
+        if layout.second:
+            self.size += d * len(layout.axes(2)) + d * d
         self.space = PointSpace(compat.point_domain())
         sizes = layout.unknowns, d * d, self.size
         self.z, self._frame, self._stress = (self.space.coefficient(n) for n in sizes)
         self.terminals = {self.z: 0, self._frame: sizes[0], self._stress: sizes[0] + sizes[1]}
         self.inputs = sum(sizes)
 
-    def pack(self, stress: np.ndarray, frame: np.ndarray) -> np.ndarray:
-        """What kernels take (n, size) of stresses (n, b, d), see `Reference.initial_stress`, in frames (n, d,
-        d)."""
-        n, back = len(stress), np.linalg.inv(frame)
+    def pack(self, stress: np.ndarray, frame: np.ndarray, grown: np.ndarray | None = None) -> np.ndarray:
+        """What kernels take (n, size) of stresses (n, b, d), see `Reference.initial_stress`, in frames (n,
+        d, d); with second gradients of stresses (n, d, d + m) and the points' H~, `grown` (n, d, m)."""
+        d, second = self.layout.dim, stress[:, :, self.layout.dim :]
+        n, back, stress = len(stress), np.linalg.inv(frame), stress[:, :, :d]
         if self.layout.rotations:
             packed: np.ndarray = (stress @ np.swapaxes(back, 1, 2)).reshape(n, -1)
             return packed
         upper = np.triu_indices(self.layout.dim)
         of_square = self._weights[0] * (back @ stress @ np.swapaxes(back, 1, 2))
         of_inverse = self._weights[1] * (np.swapaxes(frame, 1, 2) @ stress @ frame)
-        return np.hstack([of_square[:, upper[0], upper[1]], of_inverse[:, upper[0], upper[1]]])
+        more: list[np.ndarray] = []
+        if self.layout.second:
+            assert grown is not None
+            of_second, of_frame, less = self._pack_second(second, back, self.layout.symmetric(grown))
+            of_square, more = of_square - less, [of_second, of_frame]
+        return np.hstack([of_square[:, upper[0], upper[1]], of_inverse[:, upper[0], upper[1]], *more])
+
+    def _pack_second(
+        self, work: np.ndarray, back: np.ndarray, grown: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of work T0 (n, d, m): M of the different second gradients, M H~ (n, d d), and sym(M N) (n, d,
+        d).
+        """
+        n, (j, k) = len(work), self.layout.pairs
+        t = self.layout.symmetric(np.where(j == k, 1.0, 0.5) * work)
+        m0 = t + np.swapaxes(t, 1, 2) - np.transpose(t, (0, 2, 3, 1))
+        m = np.einsum("nli,naj,nbk,nijk->nlab", back, back, back, m0, optimize=True)
+        m = 0.5 * (m + np.swapaxes(m, 2, 3))
+        of_second = m[:, :, j, k] * np.where(j == k, 1.0, 2.0)
+        of_frame = np.einsum("nljk,npjk->npl", m, grown)
+        less = back @ of_frame
+        less = 0.5 * (less + np.swapaxes(less, 1, 2))
+        return of_second.reshape(n, -1), of_frame.reshape(n, -1), less
 
     def _symmetric(self, first: int) -> Any:
         d = self.layout.dim
@@ -98,7 +130,7 @@ class InitialStressForm:
             total = ufl.inner(self._symmetric(0), square - start)
             if self._weights[1]:
                 total += ufl.inner(self._symmetric(half), ufl.inv(square) - ufl.inv(start))
-            return total
+            return total + self._energy_of_second(now, before)
         w, change = self.layout.value(self.z, "rotation"), self.layout.derivative(self.z, "rotation")
         if d == 2:
             turn = kin.plane_exp_map(w[2])
@@ -107,6 +139,20 @@ class InitialStressForm:
             turn, change = kin.exp_map(w), ufl.dot(kin.right_tangent(w), change)
         total = ufl.inner(matrix(self._stress, d, d), ufl.dot(ufl.transpose(turn), now) - before)
         return total + ufl.inner(matrix(self._stress, r, d, d * d), change)
+
+    def _energy_of_second(self, now: Any, before: Any) -> Any:
+        """M_LJK F_pL H_pJK, less what it is at z = 0."""
+        d, axes, total = self.layout.dim, self.layout.axes(2), ufl.as_ufl(0.0)
+        if not self.layout.second:
+            return total
+        first, at, h = self._second, self._second + d * len(axes), self.layout.where("displacement", 2).start
+        for p in range(d):
+            for l in range(d):
+                total += self._stress[at + d * p + l] * (now[p, l] - before[p, l])
+                for k in range(len(axes)):
+                    m = self._stress[first + len(axes) * l + k]
+                    total += m * now[p, l] * self.z[h + len(axes) * p + k]
+        return total
 
     def compile(self, comm: MPI.Comm) -> InitialKernels:
         """Collective."""

@@ -14,7 +14,7 @@ enum {
     SECOND_SHAPES = 10,        /* and its second derivatives, too */
     PAIRS = 6,                 /* different second derivatives in space */
     UNKNOWNS_MAX = 27,         /* length of z in space with second gradients; 21 with rotations */
-    INITIAL_MAX = 18,          /* numbers of an initial stress, in space with rotations */
+    INITIAL_MAX = 39,          /* numbers of an initial stress, in space with second gradients; 18 with rotations */
     SPIN = 3                   /* components of a rotation, and of a couple, in space */
 };
 
