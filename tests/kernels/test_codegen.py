@@ -9,7 +9,7 @@ import pytest
 import ufl
 
 import polarmpm as pm
-from polarmpm.kernels import codegen, jit
+from polarmpm.kernels import codegen, csource, jit
 from polarmpm.kernels.codegen import FREE, Graph, Scalariser
 from polarmpm.kernels.csource import write_c
 from polarmpm.kernels.kernel import Kernel, PointSpace, compile_expressions
@@ -195,6 +195,30 @@ def test_coefficients_of_arguments():
     expected[:, 0, 1] = x / y
     expected[:, 2, 2], expected[:, 1, 0] = x < y, x >= y
     np.testing.assert_allclose(kernel(VALUES), expected.reshape(ROWS, -1), rtol=1e-14)
+
+
+@pytest.mark.parametrize("part", [1, 3, 10, 1000])
+def test_long_functions_are_the_same_in_parts(part, monkeypatch):
+    """What later parts need is handed on: values, masks, inputs, and constants among the outputs."""
+    mask = ufl.lt(C[0], C[1])
+    late = ufl.conditional(ufl.And(mask, ufl.gt(C[2], 0.1)), ufl.exp(C[3]), C[0] / C[4])
+    expressions = [ufl.dot(A(), B()), ufl.inv(A()), ufl.det(A()) * late, ufl.as_ufl(2.5), C[17], late]
+
+    def evaluated() -> np.ndarray:
+        scalariser = Scalariser(SLOTS)
+        nodes = []
+        for e in expressions:
+            data = scalariser(codegen.expand(e)).data
+            nodes += [scalariser.plain(data[index]) for index in np.ndindex(*data.shape)]
+        source = write_c(scalariser.graph, {"evaluate": nodes})
+        assert ("kept[" in source) == (csource._LONG == 0)
+        lib = jit.library(jit.digest("test", source), lambda: source, COMM)
+        return Kernel(lib, "evaluate", 18, len(nodes))(VALUES)
+
+    whole = evaluated()
+    monkeypatch.setattr(csource, "_LONG", 0)
+    monkeypatch.setattr(csource, "_PART", part)
+    np.testing.assert_allclose(evaluated(), whole, rtol=1e-12)  # other products are fused with sums
 
 
 def test_cancelling_arguments_leave_nothing():

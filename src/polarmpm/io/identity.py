@@ -116,8 +116,10 @@ def _of_material(material: Material) -> dict[str, Any]:
     facts |= {"micropolar": material.micropolar, "plastic": material.plastic}
     facts |= {"second gradient": True} if material.second_gradient else {}
     facts |= {name: float(value) for name, value in material.parameters().items()}
-    given = (type(one).__module__.split(".")[0] != __package__.split(".")[0] for one in (material, elastic))
-    if any(given) or any(type(one).__name__.startswith("User") for one in (material, elastic)):
+    facts |= elastic.choices()
+    parts = material, elastic, getattr(elastic, "elastic", elastic)  # a mean is one of another material
+    given = (type(one).__module__.split(".")[0] != __package__.split(".")[0] for one in parts)
+    if any(given) or any(type(one).__name__.startswith("User") for one in parts):
         facts |= _sample(material)
     return facts
 

@@ -63,6 +63,10 @@ class Material:
         """Numbers of the energy by name. They enter the compiled code as inputs."""
         return {}
 
+    def choices(self) -> dict[str, str | bool]:
+        """What else makes the energy, besides class and numbers, by name; restart files compare it."""
+        return {}
+
     def energy(self, *strains_and_parameters: Any) -> Any:
         """W(E, Gamma, p) of a micropolar material, W(F, p) of a classical one, W(F, H, p) of one with second
         gradients (W(*measures(...), p) if it has measures of its own); p.name is a parameter.

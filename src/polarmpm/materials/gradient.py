@@ -104,6 +104,11 @@ class GradientElastic(Material):
         """Those of the elastic material, and the lengths l_1, ... of the directors."""
         return {**self.elastic.parameters(), **self._named_lengths}
 
+    def choices(self) -> dict[str, str | bool]:
+        own: dict[str, str | bool] = {"full": bool(self.full), "normals": self.normals}
+        kind = {"mean of": type(self.elastic).__qualname__, **self.elastic.choices()}
+        return {**kind, **own, **self._space.described()}
+
     def moduli(self, *names: str) -> dict[str, float]:
         return self.elastic.moduli(*names)
 

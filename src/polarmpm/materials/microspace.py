@@ -50,6 +50,10 @@ class MicroSpace(NamedTuple):
         rows = np.array(self.directors)
         return bool(np.abs(rows @ rows.T - np.eye(len(rows))).max() <= _UNIT)
 
+    def described(self) -> dict[str, str | bool]:
+        """Directors by name, with all their digits."""
+        return {f"d_{a}": ", ".join(map(repr, d)) for a, d in enumerate(self.directors, 1)}
+
     def check_dimension(self, dim: int) -> None:
         """Raise InputError where a director leaves the plane of a plane problem at an angle."""
         rows = np.array(self.directors)

@@ -80,6 +80,9 @@ class OrientedMicropolar(Material):
         named = {f"l_{a}": length for a, length in enumerate(self._space.lengths, 1)}
         return {"lam": self.lam, "mu": self.mu, **named}
 
+    def choices(self) -> dict[str, str | bool]:
+        return self._space.described()
+
     def check_dimension(self, dim: int) -> None:
         self._space.check_dimension(dim)
 

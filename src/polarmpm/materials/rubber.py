@@ -69,6 +69,9 @@ class ArrudaBoyce(Material):
     def parameters(self) -> dict[str, float]:
         return {"C_R": self.C_R, "N": self.N, "kappa": self.kappa}
 
+    def choices(self) -> dict[str, str | bool]:
+        return {"chain": self.chain}
+
     def moduli(self, *names: str) -> dict[str, float]:
         """Also Lame's constants at rest: lam, mu."""
         if self.chain == "series":
