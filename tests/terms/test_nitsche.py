@@ -323,6 +323,26 @@ def test_bodies_of_two_materials():
     assert np.abs(near.gap).max() < 1e-8
 
 
+def test_elements_of_two_materials():
+    """The same of a mesh, whose facets know their elements."""
+    from dolfinx import mesh as dmesh
+
+    mesh = box("quadrilateral", (3, 4), (2.3, 1.5))
+    number = mesh.topology.index_map(2).size_local + mesh.topology.index_map(2).num_ghosts
+    cells = np.arange(number, dtype=np.int32)
+    middle = dmesh.compute_midpoints(mesh, 2, cells)
+    tags = dmesh.meshtags(mesh, 2, cells, (1 + (middle[:, 1] > 0.75)).astype(np.int32))
+    soft, stiff = pm.NeoHookean(lam=0.0, mu=2e3), pm.NeoHookean(lam=0.0, mu=2e6)
+    elements = pm.Elements(mesh, material={1: soft, 2: stiff}, cells=tags, degree=1)
+    problem = pm.QuasiStaticFEM(elements)
+    near = problem.fix(pm.plane(x=0.0), ux=0, method="nitsche")
+    problem.fix(pm.plane(y=0.0), uy=0)
+    problem.fix(elements.surface(pm.plane(x=2.3)), ux=0.01)
+    list(problem.march(1, progress=False))
+    assert np.abs(elements.points.F[:, 0, 0] - 1 - 0.01 / 2.3).max(initial=0.0) < 1e-7
+    assert np.abs(near.gap).max() < 1e-8
+
+
 def test_release_and_mid_run():
     """A support that is added to a loaded body holds it where it is, when the load is gone, too; released
     over load factors, the body goes back."""

@@ -60,7 +60,8 @@ class FacetSurface(Surface):
     Attributes:
         elements: the body.
         rows: which of the points are on this rank (m,).
-        nodes: local nodes of their cells (m, n).
+        cells: their local cells (m,).
+        nodes: local nodes of these (m, n).
         table: values of the nodes' functions, and gradients by X (1/m), (m, 1 + d, n).
     """
 
@@ -77,7 +78,7 @@ class FacetSurface(Surface):
         mine = cells < len(e.body.owned_cells)
         cells, sides = cells[mine], sides[mine]
         rule = compat.facet_rule(e.body.cell, e.quadrature_degree)
-        d, found, nodes, tables = e.dim, [], [], []
+        d, found, nodes, tables, behind = e.dim, [], [], [], []
         for side in np.unique(sides):
             here = cells[sides == side]
             *points, xi, back = _on_side(e.body, here, int(side), rule)
@@ -86,9 +87,11 @@ class FacetSurface(Surface):
             table[:, :, 0] = functions[0]
             table[:, :, 1:] = np.einsum("cqji,jqn->cqin", back, functions[1:])
             found.append(points)
+            behind.append(np.repeat(here, len(xi)))
             nodes.append(np.repeat(e.cell_nodes[here], len(xi), axis=0))
             tables.append(table.reshape(-1, *table.shape[2:]))
         count = e.cell_nodes.shape[1]
+        self.cells = np.concatenate([np.zeros(0, dtype=np.int64), *behind])
         self.nodes = np.concatenate([np.zeros((0, count), dtype=np.int32), *nodes])
         self.table = np.concatenate([np.zeros((0, 1 + d, count)), *tables])
         return _flat(found, d)

@@ -74,10 +74,21 @@ def find_behind(problem: Body, surface: Surface) -> Found:
     if now:
         F = found[:, 2:11].reshape(-1, 3, 3)
     beyond, fitted = 0.0, isinstance(surface, FacetSurface)
-    if not fitted:
+    if isinstance(surface, FacetSurface):
+        material = _of_cells(comm, points, surface)
+    else:
         beyond = _share_inside(comm, place, surface, found[:, :1])
     behind = Behind(points.materials, material, F, q, wryness)
     return Found(behind, _why_not(points.materials, material, beyond), fitted)
+
+
+def _of_cells(comm: MPI.Comm, points: Points, surface: FacetSurface) -> np.ndarray:
+    """Rows of the materials of the elements behind each point of a surface (n,). Collective."""
+    material = np.zeros(len(surface), dtype=np.int64)
+    in_cell = len(points) // max(1, len(surface.elements.body.owned_cells))
+    material[surface.rows] = points.material[surface.cells * in_cell]
+    comm.Allreduce(MPI.IN_PLACE, material)
+    return material
 
 
 def _share_inside(comm: MPI.Comm, place: np.ndarray, surface: Surface, size: np.ndarray) -> float:
