@@ -125,7 +125,7 @@ class Interpolation:
             rot=self.layout.rotations,
             slots=w.table.shape[-1],
             orders=w.table.shape[-2],
-            nstate=form.state_size,
+            nstate=form.packed_size,
             nparam=len(parameters),
             npoints=len(rows),
             ngroups=end - begin,
@@ -161,7 +161,7 @@ class Interpolation:
     def kernel_inputs(self, batch: PointBatch, x: np.ndarray) -> np.ndarray:
         """Inputs (n, form.inputs) of the residual's kernel at nodal increments x (nodes, block)."""
         form, b = batch.form, batch.batch
-        nz, ns = self.layout.unknowns, form.state_size
+        nz, ns = self.layout.unknowns, form.packed_size
         out = np.empty((len(batch.rows), form.inputs))
         z = np.empty((len(batch.rows), nz))
         _gather(b, x, 1, z, None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ..materials.base import Material
 from .points import PointForm
+from .projected import ProjectedForm
 
 
 def make_form(material: Material, dim: int) -> PointForm:
@@ -13,3 +14,12 @@ def make_form(material: Material, dim: int) -> PointForm:
     from .plastic import PlasticForm  # lazy import: elastic scenes need no plasticity
 
     return PlasticForm(material, dim)
+
+
+def make_projected(material: Material, dim: int, *, rotation: bool = False) -> ProjectedForm:
+    """The same with projected scalars; with `rotation` also the relative one, see `ProjectedForm`."""
+    if not material.plastic:
+        return ProjectedForm(material, dim, rotation=rotation)
+    from .projectedplastic import ProjectedPlasticForm  # lazy import: elastic scenes need no plasticity
+
+    return ProjectedPlasticForm(material, dim, rotation=rotation)
