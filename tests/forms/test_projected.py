@@ -28,7 +28,8 @@ class Case:
     """A few points in a deformed state with increments, and the kernels of their form."""
 
     def __init__(self, material: pm.Material, dim: int, rotation: bool):
-        self.form = form = make_projected(material, dim, rotation=rotation)
+        stiffness = 0.0 if material.plastic else 0.7
+        self.form = form = make_projected(material, dim, rotation=rotation, stabilisation=stiffness)
         rng, n, r = np.random.default_rng(1), 4, form.layout.rotations
         F, wryness, turn = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3, 3)), np.zeros((n, 3))
         F[:, :dim, :dim] += 0.1 * rng.standard_normal((n, dim, dim))
@@ -38,8 +39,7 @@ class Case:
         plastic = (np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3, 3)), np.zeros(n)) if material.plastic else ()
         self.m, self.nz = form.scalars, form.layout.unknowns
         state = form.pack(F, rotations.from_vector(turn), wryness, plastic)
-        stiffness = 0.0 if material.plastic else 0.7
-        self.state = form.extend(state, 0.03 * rng.standard_normal((n, self.m)), stiffness)
+        self.state = form.extend(state, 0.03 * rng.standard_normal((n, self.m)))
         self.parameters = np.tile(parameter_values(material), (n, 1))
         self.y = 0.05 * rng.standard_normal((n, self.nz + self.m))
         self.pi = 0.5 * rng.standard_normal((n, self.m))

@@ -52,6 +52,7 @@ class StepState:
             the first tangent.
         tangents: how many there have been.
         boxes: values of the matrix that the points' boxes have given; None before the first tangent.
+        projected: what the last tangent says of projected stresses, by batch; None before the first one.
     """
 
     lift: np.ndarray
@@ -62,6 +63,7 @@ class StepState:
     rounding: np.ndarray | None = None
     tangents: int = 0
     boxes: np.ndarray | None = None
+    projected: list[Any] | None = None
 
 
 class NodalSystem(ABC):

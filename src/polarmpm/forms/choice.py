@@ -16,10 +16,12 @@ def make_form(material: Material, dim: int) -> PointForm:
     return PlasticForm(material, dim)
 
 
-def make_projected(material: Material, dim: int, *, rotation: bool = False) -> ProjectedForm:
-    """The same with projected scalars; with `rotation` also the relative one, see `ProjectedForm`."""
+def make_projected(
+    material: Material, dim: int, *, rotation: bool = False, stabilisation: float = 0.0
+) -> ProjectedForm:
+    """The same with projected scalars, see `ProjectedForm`."""
     if not material.plastic:
-        return ProjectedForm(material, dim, rotation=rotation)
+        return ProjectedForm(material, dim, rotation=rotation, stabilisation=stabilisation)
     from .projectedplastic import ProjectedPlasticForm  # lazy import: elastic scenes need no plasticity
 
-    return ProjectedPlasticForm(material, dim, rotation=rotation)
+    return ProjectedPlasticForm(material, dim, rotation=rotation, stabilisation=stabilisation)

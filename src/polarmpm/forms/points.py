@@ -36,6 +36,8 @@ from .strains import predicts, strains, tangent_work, virtual_work
 class PointForm:
     """Residual and tangent of a material at points in `dim` dimensions, as UFL forms and compiled."""
 
+    scalars: int = 0  # that are projected, see `projected`
+
     def __init__(self, material: Material, dim: int):
         self.material, self.layout = material, Layout.of(material, dim)
         self.space = PointSpace(compat.point_domain())

@@ -54,28 +54,37 @@ class ScalarKernels:
     moved: Kernel
 
 
+class Unrotated(PointForm):
+    """A form whose state is in the unloaded body's frame, whatever its material allows."""
+
+    @property
+    def rotated(self) -> bool:
+        return False
+
+
 class ProjectedForm(PointForm):
     """Form of an elastic material whose stiff scalars are projected.
 
     Args:
         rotation: the relative rotation is projected, too; of a micropolar material, where there is a measure
             of it: in the plane, and in space of those that measure "trace".
+        stabilisation: s (Pa), with which the points' own volumes are held to the projected ones.
 
     Attributes:
         scalars: how many there are; the volume, or the trace, comes first.
     """
 
-    def __init__(self, material: Material, dim: int, *, rotation: bool = False):
+    def __init__(self, material: Material, dim: int, *, rotation: bool = False, stabilisation: float = 0.0):
         turning = rotation and material.micropolar and (dim == 2 or material.measure == "trace")
         self.turns = (1 if dim == 2 else 3) if turning else 0
+        self.scalars = 1 + self.turns
+        self.stabilisation = stabilisation
+        self._kernels: ScalarKernels | None = None
+        self._plain_kernel: Kernel | None = None
         super().__init__(material, dim)
         self.extra = self.space.coefficient(2 * self.scalars + 1)  # pi, base and s
 
     # sizes ----------------------------------------------------------------------------------------
-    @property
-    def scalars(self) -> int:
-        return 1 + self.turns
-
     @property
     def unknowns(self) -> int:
         return self.layout.unknowns + self.scalars
@@ -104,15 +113,10 @@ class ProjectedForm(PointForm):
     def predicts(self) -> bool:
         return False  # but for pi, see `assembly.patches`
 
-    def extend(self, state: np.ndarray, base: np.ndarray, stabilisation: float) -> np.ndarray:
-        """States (n, packed_size) of packed ones; t and pi are zero.
-
-        Args:
-            base: (n, scalars).
-            stabilisation: s (Pa).
-        """
+    def extend(self, state: np.ndarray, base: np.ndarray) -> np.ndarray:
+        """States (n, packed_size) of packed ones and `base` (n, scalars or more); t and pi are zero."""
         n, m = len(state), self.scalars
-        return np.hstack([state, np.zeros((n, 2 * m)), base[:, :m], np.full((n, 1), stabilisation)])
+        return np.hstack([state, np.zeros((n, 2 * m)), base[:, :m], np.full((n, 1), self.stabilisation)])
 
     # kinematics -----------------------------------------------------------------------------------
     @property
@@ -148,6 +152,18 @@ class ProjectedForm(PointForm):
             if self.turns:
                 found.append(proj.relative_rotation(now.stretch) - proj.relative_rotation(U))
         return [e + b for e, b in zip(found, base, strict=True)]
+
+    @cached_property
+    def plain(self) -> PointForm:
+        """The form of the elastic material without any projection, in the same frame."""
+        form = PointForm(self.material.elastic_part, self.layout.dim)
+        return form if form.rotated == self.rotated else Unrotated(self.material.elastic_part, self.layout.dim)
+
+    def compile_plain(self, comm: MPI.Comm) -> Kernel:
+        """Residual and tangent of `plain`, compiled when they are asked for first. Collective."""
+        if self._plain_kernel is None:
+            self._plain_kernel = self.plain.compile(comm)[1]
+        return self._plain_kernel
 
     @cached_property
     def moved(self) -> Moved:
@@ -230,7 +246,12 @@ class ProjectedForm(PointForm):
         return Kernel(lib, "residual", self.inputs, nz), Kernel(lib, "blocks", self.inputs, size)
 
     def compile_scalars(self, comm: MPI.Comm) -> ScalarKernels:
-        """Kernels of the stiff scalars. Collective."""
+        """Kernels of the stiff scalars, compiled when they are asked for first. Collective."""
+        if self._kernels is None:
+            self._kernels = self._compile_scalars(comm)
+        return self._kernels
+
+    def _compile_scalars(self, comm: MPI.Comm) -> ScalarKernels:
         nz, m, n, lib = self.layout.unknowns, self.scalars, self.inputs, self._library(comm)
         moved = compile_expressions([self.moved.F], self.terminals, n, self.space.domain, comm)
         return ScalarKernels(

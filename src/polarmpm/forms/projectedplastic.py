@@ -17,5 +17,9 @@ class ProjectedPlasticForm(ProjectedForm, PlasticForm):
         now = self.moved
         return now.F, now.Q, now.wryness
 
+    @cached_property
+    def plain(self) -> PlasticForm:
+        return PlasticForm(self.material, self.layout.dim)
+
     def strains(self) -> tuple[Any, ...]:
         return PlasticForm.strains(self)

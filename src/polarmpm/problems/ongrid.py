@@ -220,6 +220,7 @@ class OnGrid(Problem):
         system = kind(interpolation, c.kernels, c.couple, prescribed, self.timer, self.solver)
         if x is not None:
             system.x[:] = x
+            system.place()
             prescribed.start_from(self.progress.factor, x)
         if prescribed.needs_motion and self.progress.step:
             prescribed.put_motion(*motion_of(system, self.points))

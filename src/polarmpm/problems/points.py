@@ -22,7 +22,6 @@ from ..conditions.loads import Applied, HandedOver, Load, point_loads
 from ..conditions.movinggrid import MovingGrid
 from ..conditions.supports import Support
 from ..errors import InputError
-from ..forms.choice import make_form
 from ..forms.stresses import MaterialField
 from ..forms.trial import try_energy
 from ..geometry.grid import Grid
@@ -42,6 +41,7 @@ from .balancing import BalancedResets
 from .boxes import BoxRecord
 from .conservation import Conservation
 from .described import described, of_rank
+from .locking import check_locking, choose_form
 from .ongrid import Compiled, OnGrid
 from .state import Fields, Progress
 from .surfaces import add_load
@@ -51,7 +51,7 @@ ASSEMBLIES = ("direct", "projection")
 _DISTORTED = WhenDistorted()
 _SPLINES_LOCK = 0.495  # Poisson's ratio beyond which functions of higher degree lock on coarse cells, too
 # The papers' method, for what they publish: `QuasiStatic(grid, points, **PUBLISHED)`.
-PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": False}
+PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": False, "locking": None}
 
 
 def _check_assembly(assembly: str, basis: Basis) -> str:
@@ -148,6 +148,7 @@ class QuasiStatic(OnGrid):
         controls: Controls | None = None,
         solver: str = "auto",
         boxes: bool | None = None,
+        locking: str | None = "auto",
     ):
         _check_body(grid, points)
         balanced_reset = checks.flag("balanced_reset", balanced_reset)
@@ -156,7 +157,9 @@ class QuasiStatic(OnGrid):
         self.basis, self.policy = basis_of(basis), make_policy(reset)
         self.assembly, self.solver = _check_assembly(assembly, self.basis), check_solver(solver)
         super().__init__(grid.comm, points, grid.dim, controls)
-        self.forms = [make_form(m, grid.dim) for m in points.materials]
+        self.locking = check_locking(locking)
+        of_points = None if assembly == "projection" else self.locking
+        self.forms = [choose_form(of_points, m, grid.dim, self.basis) for m in points.materials]
         for form in self.forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
             try_energy(form.material)
@@ -322,6 +325,7 @@ class QuasiStatic(OnGrid):
         assert self._compiled.motion is not None
         self._size = float(np.abs(increments.gradient).max(initial=0.0))
         system.interpolation.update_points(increments, self._compiled.motion)
+        system.put_projected()
         self._conservation.check(system.interpolation, system.x)
         if self.points.plastic:
             self._with_boxes(lambda: self._flow(system))
