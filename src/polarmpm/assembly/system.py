@@ -262,6 +262,10 @@ class NodalSystem(ABC):
         """Energy (J) of initial stresses at increments (nodes, block), on this rank."""
         return 0.0
 
+    def holding_energy(self, x: np.ndarray) -> float:
+        """Energy (J) that holds points to patches at increments (nodes, block), on this rank."""
+        return 0.0
+
     def imbalance(self) -> np.ndarray:
         """Internal minus external forces (nodes, block) at free unknowns, complete on owned rows, but for
         terms that a reset doesn't carry along or that have just been added. Collective."""
