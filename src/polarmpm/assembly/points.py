@@ -110,8 +110,7 @@ class LoadedPoints(NodalSystem):
 
     def _project(self, *, tangent: bool) -> None:
         """Project the points' stiff scalars and what they do work on. Collective."""
-        before, forms = self.step.projected, self.interpolation.forms
-        predicted = before if self.before is not self.x else None
+        predicted, forms = self.step.projected, self.interpolation.forms
         for k, projected in enumerate(self.projected):
             if projected is None:
                 continue
@@ -269,7 +268,9 @@ class LoadedPoints(NodalSystem):
             LocalFailure: at some points there is no solution.
         """
         batch, patched = self.interpolation.batches[k], self._patched[k]
-        if patched is not None and patched.returned is not None:
+        if patched is not None:
+            if patched.returned is None:
+                return
             rows, returned = patched.returned
             returned_of = np.full(len(batch.rows), -1, dtype=np.int32)
             returned_of[rows] = np.arange(len(rows))

@@ -70,7 +70,8 @@ class Evaluated:
         b, g, h: vectors of the modes, see `patches`; the latter two with a tangent only.
         exact: factors (patches, modes) of pi.
         taken: of the pi that the points' kernels take.
-        returned: of points that yield, in the place of the kernels: rows of the batch, and what `native` takes.
+        returned: of points that yield, in the place of the kernels: rows of the batch, and what `native` takes;
+            None where there are none.
     """
 
     b: np.ndarray
@@ -186,7 +187,7 @@ class StiffScalars:
             matrices = self.patches.products(tt.whole.reshape(n, m, m))
             of_z = found.g if zt.at_points is tz.at_points else self._vectors(tz, kernels)
             found.h = of_z + self.patches.combined(matrices, b)
-        if yielding is not None:
+        if yielding is not None and len(yielding.rows):
             found.returned = yielding.rows, self._returned(yielding, measure, tangent=tangent)
         return found
 

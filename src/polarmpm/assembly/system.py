@@ -401,6 +401,7 @@ class NodalSystem(ABC):
     def jump(self, x: np.ndarray) -> None:
         """Put in nodal increments (nodes, block) that no correction has led to."""
         self.before = self.x = x
+        self.step.projected = None
 
     def backtrack(self) -> bool:
         s = self.step

@@ -120,13 +120,19 @@ class QuasiStatic(OnGrid):
             "gimpm" or "mpm" and assembly "direct".
         rebalance: on several ranks, when points move to other ranks at a reset: when the most work of a rank,
             over the mean, or the share of nodes at the borders between ranks has grown by this factor since
-            they were distributed last; None for never.
+            they were distributed last; None for never. Where `locking` is cured, they are at every reset, as
+            the points of a patch have to be on one rank.
         controls: tolerances of Newton's method.
         solver: of linear systems: "direct" (MUMPS), "multigrid" (a Krylov method with algebraic multigrid:
             less time and memory in large problems in space), or "auto", which chooses by the number of
             unknowns.
         boxes: points integrate the strain energy over their own boxes (docs/theory.md), so that few of them
             see that a thin body bends; by default with all bases that have second derivatives, the splines.
+        locking: nearly incompressible materials, plastic ones and micropolar ones of a large kappa lock on
+            coarse cells. "auto": those with Poisson's ratio above 0.4, with a yield surface or with kappa > mu /
+            10 see the mean volume (and relative rotation) of a patch of cells instead of their points' own
+            (docs/theory.md); "always": all materials do; None: none, as in the papers. With bases "mpm",
+            "gimpm", "bspline", "bspline-averaged" and assembly "direct".
 
     Raises:
         InputError: an argument is out of range; materials that don't go together.
@@ -183,7 +189,7 @@ class QuasiStatic(OnGrid):
         # forces and couples at the points of the last attempt and of the last converged step
         self._attempted: tuple[np.ndarray, np.ndarray] | None = None
         self._converged_loads: tuple[np.ndarray, np.ndarray] | None = None
-        if self.load_shares.due():
+        if self.load_shares.due() or self._in_patches:
             self._migrate()
 
     def _warn_of_locking(self) -> None:
