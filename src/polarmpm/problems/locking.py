@@ -14,7 +14,7 @@ from ..tools import checks
 
 LOCKING = ("auto", "always")
 INCOMPRESSIBLE = 0.4  # Poisson's ratio above which volume locks
-COUPLED = 0.1  # kappa / mu above which relative rotations lock
+COUPLED = 10.0  # kappa / mu above which relative rotations lock elastic bodies
 
 
 def check_locking(locking: Any) -> str | None:
