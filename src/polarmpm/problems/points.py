@@ -193,13 +193,13 @@ class QuasiStatic(OnGrid):
         """On one rank; an error where the script makes errors of warnings."""
         if self.comm.rank == 0:
             functions = f"the functions of basis={self.basis.name!r}"
+            left = [form.material for form in self.forms if not form.scalars]
             if self.basis.locks:
-                warn_of_locking(self.points.materials, functions, "basis='bspline'")
+                warn_of_locking(left, functions, "locking='auto' with assembly='direct', or basis='bspline'")
             else:
                 few = "displacements are 2 to 6 % too small with 32 and 16 cells across a body that bends"
-                warn_of_locking(
-                    self.points.materials, functions, "smaller cells", beyond=_SPLINES_LOCK, how=few
-                )
+                remedy = "locking='auto' with basis='bspline', or smaller cells"
+                warn_of_locking(left, functions, remedy, beyond=_SPLINES_LOCK, how=few)
 
     def _changing(self) -> Iterator[Changing]:
         yield from super()._changing()
