@@ -26,7 +26,8 @@ from . import sparsity
 from .folding import Folding
 from .initialstress import InitialStress
 from .interpolation import Interpolation, PointBatch
-from .system import Assembled, NodalSystem
+from .projectedpoints import ProjectedPoints
+from .system import Assembled
 
 if TYPE_CHECKING:
     from ..forms.returnmapping import ReturnMapping
@@ -37,7 +38,7 @@ _UNFELT = 1e-12  # of a tangent's diagonal, added to it where there are fewer po
 _WEAK = 0.2  # share of a cell: nodes beyond edges of the body, and beyond faces that hardly enter a cell
 
 
-class LoadedPoints(NodalSystem):
+class LoadedPoints(ProjectedPoints):
     """Kernels and loads of the points. How their virtual work is summed is left to subclasses.
 
     Attributes:
@@ -58,9 +59,10 @@ class LoadedPoints(NodalSystem):
         grid, layout = interpolation.grid, interpolation.layout
         length, pieces = np.array(grid.smallest), interpolation.pieces
         super().__init__(interpolation.nodes, layout, prescribed, length, grid.comm, timer, pieces)
-        self.interpolation, self.kernels, self.couple_kernel = interpolation, kernels, couple_kernel
-        self._boxes = interpolation.boxes
+        self.kernels, self.couple_kernel = kernels, couple_kernel
+        self.interpolation, self._boxes = interpolation, interpolation.boxes
         self.mappings = [self._mapping(b) for b in interpolation.batches]
+        self.project_in(interpolation)
         self._at_points: tuple[np.ndarray, np.ndarray] | None = None  # forces and couples
         self._couples: list[tuple[np.ndarray, np.ndarray]] = [
             (np.full(len(b.rows), -1, dtype=np.int32), np.zeros((1, 3))) for b in interpolation.batches
@@ -87,6 +89,7 @@ class LoadedPoints(NodalSystem):
 
     def put_back(self) -> None:
         self.interpolation.pack()
+        self.place()
         if self.initial is not None:
             self.initial.pack()
 
@@ -180,7 +183,15 @@ class LoadedPoints(NodalSystem):
         Raises:
             LocalFailure: at some points there is no solution.
         """
-        batch = self.interpolation.batches[k]
+        batch, patched = self.interpolation.batches[k], self._patched[k]
+        if patched is not None:
+            if patched.returned is None:
+                return
+            rows, returned = patched.returned
+            returned_of = np.full(len(batch.rows), -1, dtype=np.int32)
+            returned_of[rows] = np.arange(len(rows))
+            native.fill(kernels, returned_of=returned_of, returned=returned)
+            return
         with self.timer("return mapping"):
             y = mapping.evaluate(self.interpolation.kernel_inputs(batch, self.x), tangent)
         returned_of = np.full(len(batch.rows), -1, dtype=np.int32)
@@ -197,10 +208,12 @@ class LoadedPoints(NodalSystem):
 
     def rebase_rotations(self) -> None:
         """Count rotation increments from the points' current rotations on. Collective."""
+        before = self.scalar_values()
         self.interpolation.rebase_rotations(self.x)
         if self.initial is not None:
             self.initial.pack()
         self.forget_rotations()
+        self.go_on(before)
 
 
 class PointSystem(LoadedPoints):
@@ -223,7 +236,13 @@ class PointSystem(LoadedPoints):
             # multigrid wants whole rows, which PETSc gets from a half only slowly on several ranks
             whole = self.comm.size > 1 and solver_of(solver, large).whole_rows
             self.pattern = sparsity.build(
-                self.nodes, batches, self.layout.block, symmetric, interpolation.reach, whole
+                self.nodes,
+                batches,
+                self.layout.block,
+                symmetric,
+                interpolation.reach,
+                whole,
+                [patches for patches in interpolation.patches if patches is not None],
             )
             self._fixed = np.ascontiguousarray(prescribed.fixed, dtype=np.uint8)
             native.fill(self.pattern.matrix, fixed=self._fixed)
@@ -246,11 +265,13 @@ class PointSystem(LoadedPoints):
         internal = np.zeros_like(self.x)
         lifted = None if lift is None else np.zeros_like(self.x)
         matrix = self.pattern.matrix
+        self.project_scalars(tangent=tangent)
         if tangent:
             native.fill(matrix, lift=lift)
             self._begin_tangent(lifted)
         for k, batch in enumerate(self.interpolation.batches):
             self._assemble(k, batch, matrix if tangent else None, internal, lifted)
+        self.add_patches(matrix if tangent else None, internal, lifted)
         self._check_sides(internal)
         self.nodes.add_to_owners(internal)
         self.external = self.loads

@@ -16,6 +16,8 @@ class Tents(Basis):
     gradients_jump = True
     no_slope = "its functions have kinks at the planes of the grid, and no slope there"
     locks = True
+    patch = 1
+    patch_stiffness = 0.5
 
     def lines(self, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
         return tents(grid.within(x, cells), grid.sizes(cells))

@@ -25,6 +25,7 @@ class Reference:
             one (docs/theory.md). In a body with second gradients (np, d, d + m): beside S0 the work T0
             (N/m) on the m different second gradients.
         grad_F: as of `Points`; (np, 0) of a body without second gradients.
+        stiff_scalars: what the points' stiff scalars have begun with at the base of the rotations, (np, 4).
     """
 
     x: np.ndarray
@@ -35,6 +36,7 @@ class Reference:
     side_gradients: np.ndarray
     initial_stress: np.ndarray
     grad_F: np.ndarray
+    stiff_scalars: np.ndarray
 
     @classmethod
     def of(cls, points: Points, block: int) -> Reference:
@@ -43,7 +45,10 @@ class Reference:
         sides, columns = np.zeros((n, d, block - d, d)), d + points.second_gradient * d * (d + 1) // 2
         stress = np.zeros((n, block, columns))
         second = points.grad_F.copy() if points.second_gradient else np.zeros((n, 0))
-        return cls(x.copy(), points.F.copy(), points.q.copy(), w.copy(), w.copy(), sides, stress, second)
+        scalars = np.zeros((n, 4))
+        return cls(
+            x.copy(), points.F.copy(), points.q.copy(), w.copy(), w.copy(), sides, stress, second, scalars
+        )
 
     def rebase_rotations(self, points: Points) -> None:
         """Count rotations from the points' current ones on; an initial stress turns with its base."""

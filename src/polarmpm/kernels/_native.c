@@ -474,6 +474,7 @@ void polarmpm_mirror(const Matrix *M, int32_t nb, int64_t pairs, const int32_t *
         }
 }
 
+#include "_patches.h"
 #include "_moments.h"
 #include "_return.h"
 
@@ -482,4 +483,5 @@ void polarmpm_mirror(const Matrix *M, int32_t nb, int64_t pairs, const int32_t *
 SIZE_OF(Batch);
 SIZE_OF(Matrix);
 SIZE_OF(PointKernels);
+SIZE_OF(Patches);
 SIZE_OF(Return);

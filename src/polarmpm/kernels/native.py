@@ -38,12 +38,17 @@ class PointKernels(Structure):
     """Compiled kernels of a batch."""
 
 
+@declared_in("_points.h")
+class Patches(Structure):
+    """Patches of a batch's points."""
+
+
 @declared_in("_return.h")
 class Return(Structure):
     """Kernels and controls of a return mapping."""
 
 
-STRUCTURES = (Batch, Matrix, PointKernels, Return)
+STRUCTURES = (Batch, Matrix, PointKernels, Patches, Return)
 
 
 def fill(structure: Structure, **values: Any) -> None:

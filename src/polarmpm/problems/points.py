@@ -21,7 +21,6 @@ from ..bodies.validity import Seal, check_state
 from ..conditions.loads import Applied, HandedOver, Load, point_loads
 from ..conditions.movinggrid import MovingGrid
 from ..errors import InputError
-from ..forms.choice import make_form
 from ..forms.stresses import MaterialField
 from ..forms.trial import try_energy
 from ..geometry.grid import Grid
@@ -41,6 +40,7 @@ from .balancing import BalancedResets
 from .boxes import BoxRecord
 from .conservation import Conservation
 from .described import described, of_rank
+from .locking import check_locking, choose_form
 from .ongrid import Compiled, OnGrid
 from .state import Fields, Progress
 from .surfaces import add_load
@@ -50,7 +50,7 @@ ASSEMBLIES = ("direct", "projection")
 _DISTORTED = WhenDistorted()
 _SPLINES_LOCK = 0.495  # Poisson's ratio beyond which functions of higher degree lock on coarse cells, too
 # The papers' method, for what they publish: `QuasiStatic(grid, points, **PUBLISHED)`.
-PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": False}
+PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": False, "locking": None}
 
 
 def _check_assembly(assembly: str, basis: Basis) -> str:
@@ -135,13 +135,16 @@ class QuasiStatic(OnGrid):
             "gimpm" or "mpm" and assembly "direct".
         rebalance: on several ranks, when points move to other ranks at a reset: when the most work of a rank,
             over the mean, or the share of nodes at the borders between ranks has grown by this factor since
-            they were distributed last; None for never.
+            they were distributed last; None for never. Where `locking` is cured, they are at every reset, as
+            the points of a patch have to be on one rank.
         controls: tolerances of Newton's method.
         solver: of linear systems: "direct" (MUMPS), "multigrid" (a Krylov method with algebraic multigrid:
             less time and memory in large problems in space), or "auto", which chooses by the number of
             unknowns.
         boxes: points integrate the strain energy over their own boxes (docs/theory.md), so that few of them
             see that a thin body bends; by default with all bases that have second derivatives, the splines.
+        locking: "auto": materials that lock on coarse cells (docs/stability.md) see the mean volume, and
+            relative rotation, of a patch of cells instead of their points' own; "always": all do; None: none.
 
     Raises:
         InputError: an argument is out of range; materials that don't go together.
@@ -163,6 +166,7 @@ class QuasiStatic(OnGrid):
         controls: Controls | None = None,
         solver: str = "auto",
         boxes: bool | None = None,
+        locking: str | None = "auto",
     ):
         _check_body(grid, points)
         balanced_reset = checks.flag("balanced_reset", balanced_reset)
@@ -172,7 +176,9 @@ class QuasiStatic(OnGrid):
         self.assembly, self.solver = _check_assembly(assembly, self.basis), check_solver(solver)
         _check_second_gradients(points, self.basis)
         super().__init__(grid.comm, points, grid.dim, controls)
-        self.forms = [make_form(m, grid.dim) for m in points.materials]
+        self.locking = check_locking(locking)
+        of_points = None if assembly == "projection" else self.locking
+        self.forms = [choose_form(of_points, m, grid.dim, self.basis) for m in points.materials]
         for form in self.forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
             try_energy(form.material)
@@ -196,20 +202,20 @@ class QuasiStatic(OnGrid):
         # forces and couples at the points of the last attempt and of the last converged step
         self._attempted: tuple[np.ndarray, np.ndarray] | None = None
         self._converged_loads: tuple[np.ndarray, np.ndarray] | None = None
-        if self.load_shares.due():
+        if self.load_shares.due() or self._in_patches:
             self._migrate()
 
     def _warn_of_locking(self) -> None:
         """On one rank; an error where the script makes errors of warnings."""
         if self.comm.rank == 0:
             functions = f"the functions of basis={self.basis.name!r}"
+            left = [form.material for form in self.forms if not form.scalars]
             if self.basis.locks:
-                warn_of_locking(self.points.materials, functions, "basis='bspline'")
+                warn_of_locking(left, functions, "locking='auto' with assembly='direct', or basis='bspline'")
             else:
                 few = "displacements are 2 to 6 % too small with 32 and 16 cells across a body that bends"
-                warn_of_locking(
-                    self.points.materials, functions, "smaller cells", beyond=_SPLINES_LOCK, how=few
-                )
+                remedy = "locking='auto' with basis='bspline', or smaller cells"
+                warn_of_locking(left, functions, remedy, beyond=_SPLINES_LOCK, how=few)
 
     def _changing(self) -> Iterator[Changing]:
         yield from super()._changing()
@@ -332,6 +338,7 @@ class QuasiStatic(OnGrid):
         assert self._compiled.motion is not None
         self._size = float(np.abs(increments.gradient).max(initial=0.0))
         system.interpolation.update_points(increments, self._compiled.motion)
+        system.put_projected()
         self._conservation.check(system.interpolation, system.x)
         if self.points.plastic:
             self._with_boxes(lambda: self._flow(system))
