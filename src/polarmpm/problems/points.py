@@ -11,16 +11,14 @@ import numpy as np
 
 from ..assembly.points import LoadedPoints
 from ..basis.base import Basis
-from ..basis.registry import basis_of, names
+from ..basis.registry import basis_of
 from ..bodies.partition import LoadShares
 from ..bodies.points import Points
 from ..bodies.reference import Increments, Reference
-from ..bodies.seeding import check_inside
 from ..bodies.selection import Selection
-from ..bodies.validity import Seal, check_state
+from ..bodies.validity import Seal
 from ..conditions.loads import Applied, HandedOver, Load, point_loads
 from ..conditions.movinggrid import MovingGrid
-from ..errors import InputError
 from ..forms.stresses import MaterialField
 from ..forms.trial import try_energy
 from ..geometry.grid import Grid
@@ -40,69 +38,17 @@ from .balancing import BalancedResets
 from .boxes import BoxRecord
 from .conservation import Conservation
 from .described import described, of_rank
+from .fitting import check_assembly, check_body, check_boxes, check_second_gradients
 from .locking import check_locking, choose_form
 from .ongrid import Compiled, OnGrid
 from .state import Fields, Progress
 from .surfaces import add_load
 from .whole import Changing
 
-ASSEMBLIES = ("direct", "projection")
 _DISTORTED = WhenDistorted()
 _SPLINES_LOCK = 0.495  # Poisson's ratio beyond which functions of higher degree lock on coarse cells, too
 # The papers' method, for what they publish: `QuasiStatic(grid, points, **PUBLISHED)`.
 PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": False, "locking": None}
-
-
-def _check_assembly(assembly: str, basis: Basis) -> str:
-    if not isinstance(assembly, str) or assembly not in ASSEMBLIES:
-        raise checks.refuse("assembly", assembly, f"allowed are {', '.join(ASSEMBLIES)}")
-    if assembly == "projection" and basis.no_projection:
-        raise InputError(
-            f"assembly = 'projection': basis = {basis.name!r}, allowed is "
-            f"{names(lambda b: not b.no_projection)}: {basis.no_projection}"
-        )
-    return assembly
-
-
-def _check_boxes(boxes: bool | None, basis: Basis) -> bool:
-    if boxes is not None and not isinstance(boxes, bool | np.bool_):
-        raise checks.refuse("boxes", boxes, "allowed are True, False and None")
-    if boxes and not basis.fills_boxes:
-        allowed = names(lambda b: b.fills_boxes)
-        raise InputError(
-            f"boxes = True: basis = {basis.name!r} has no second derivatives; allowed are {allowed}"
-        )
-    return basis.fills_boxes if boxes is None else bool(boxes)
-
-
-def _check_second_gradients(points: Points, basis: Basis) -> None:
-    """Raise InputError unless the functions have the square integrable second derivatives that materials
-    ask for.
-    """
-
-    def smooth(b: Basis) -> bool:
-        return b.fills_boxes and b.degree > 1 and not b.gradients_jump
-
-    if points.second_gradient and not smooth(basis):
-        kind = next(type(m).__name__ for m in points.materials if m.second_gradient)
-        raise InputError(
-            f"basis = {basis.name!r}: the energy of {kind} takes second gradients, and these functions' "
-            f"gradients jump from cell to cell; allowed are {names(smooth)}"
-        )
-
-
-def _check_body(grid: Grid, points: Points) -> None:
-    """Raise an error unless points lie in a grid. Collective."""
-    checks.instance("grid", grid, Grid, "a background grid, such as Grid.box makes, is")
-    checks.instance("points", points, Points, "material points, such as seed makes, are")
-    if points.dim != grid.dim:
-        raise InputError(f"points have {points.dim} dimensions, the grid has {grid.dim}")
-    if MPI.Comm.Compare(points.comm, grid.comm) not in (MPI.IDENT, MPI.CONGRUENT):
-        raise InputError("points: are on other ranks than the grid; give both the same comm")
-    if not points.total:
-        raise InputError("points: there is no point")
-    check_state(points)
-    check_inside(grid, points)
 
 
 class QuasiStatic(OnGrid):
@@ -168,13 +114,13 @@ class QuasiStatic(OnGrid):
         boxes: bool | None = None,
         locking: str | None = "auto",
     ):
-        _check_body(grid, points)
+        check_body(grid, points)
         balanced_reset = checks.flag("balanced_reset", balanced_reset)
         self.grid = self.initial_grid = grid
         self._moving = MovingGrid(grid)
         self.basis, self.policy = basis_of(basis), make_policy(reset)
-        self.assembly, self.solver = _check_assembly(assembly, self.basis), check_solver(solver)
-        _check_second_gradients(points, self.basis)
+        self.assembly, self.solver = check_assembly(assembly, self.basis), check_solver(solver)
+        check_second_gradients(points, self.basis)
         super().__init__(grid.comm, points, grid.dim, controls)
         self.locking = check_locking(locking)
         of_points = None if assembly == "projection" else self.locking
@@ -185,7 +131,7 @@ class QuasiStatic(OnGrid):
         with errors_on_all_ranks(grid.comm):
             self._warn_of_locking()
         self.rotation_limit = 1.0
-        self.boxes = _check_boxes(boxes, self.basis)
+        self.boxes = check_boxes(boxes, self.basis)
         self.box_record = BoxRecord(points, self.forms, grid.comm)
         self._size = 0.0  # largest gradient of the last step's increments on this rank
         self.load_shares = LoadShares(grid.comm, rebalance)

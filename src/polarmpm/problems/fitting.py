@@ -1,0 +1,70 @@
+"""Whether a grid, points, a basis and settings go together."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..basis.base import Basis
+from ..basis.registry import names
+from ..bodies.points import Points
+from ..bodies.seeding import check_inside
+from ..bodies.validity import check_state
+from ..errors import InputError
+from ..geometry.grid import Grid
+from ..tools import checks
+
+ASSEMBLIES = ("direct", "projection")
+
+
+def check_assembly(assembly: str, basis: Basis) -> str:
+    if not isinstance(assembly, str) or assembly not in ASSEMBLIES:
+        raise checks.refuse("assembly", assembly, f"allowed are {', '.join(ASSEMBLIES)}")
+    if assembly == "projection" and basis.no_projection:
+        raise InputError(
+            f"assembly = 'projection': basis = {basis.name!r}, allowed is "
+            f"{names(lambda b: not b.no_projection)}: {basis.no_projection}"
+        )
+    return assembly
+
+
+def check_boxes(boxes: bool | None, basis: Basis) -> bool:
+    if boxes is not None and not isinstance(boxes, bool | np.bool_):
+        raise checks.refuse("boxes", boxes, "allowed are True, False and None")
+    if boxes and not basis.fills_boxes:
+        allowed = names(lambda b: b.fills_boxes)
+        raise InputError(
+            f"boxes = True: basis = {basis.name!r} has no second derivatives; allowed are {allowed}"
+        )
+    return basis.fills_boxes if boxes is None else bool(boxes)
+
+
+def check_second_gradients(points: Points, basis: Basis) -> None:
+    """Raise InputError unless the functions have the square integrable second derivatives that materials
+    ask for.
+    """
+
+    def smooth(b: Basis) -> bool:
+        return b.fills_boxes and b.degree > 1 and not b.gradients_jump
+
+    if points.second_gradient and not smooth(basis):
+        kind = next(type(m).__name__ for m in points.materials if m.second_gradient)
+        raise InputError(
+            f"basis = {basis.name!r}: the energy of {kind} takes second gradients, and these functions' "
+            f"gradients jump from cell to cell; allowed are {names(smooth)}"
+        )
+
+
+def check_body(grid: Grid, points: Points) -> None:
+    """Raise an error unless points lie in a grid. Collective."""
+    checks.instance("grid", grid, Grid, "a background grid, such as Grid.box makes, is")
+    checks.instance("points", points, Points, "material points, such as seed makes, are")
+    if points.dim != grid.dim:
+        raise InputError(f"points have {points.dim} dimensions, the grid has {grid.dim}")
+    if MPI.Comm.Compare(points.comm, grid.comm) not in (MPI.IDENT, MPI.CONGRUENT):
+        raise InputError("points: are on other ranks than the grid; give both the same comm")
+    if not points.total:
+        raise InputError("points: there is no point")
+    check_state(points)
+    check_inside(grid, points)
