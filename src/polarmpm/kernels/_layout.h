@@ -67,4 +67,13 @@ INLINE int end_slot(int dim, int rot, int component) { return gradient_slot(dim,
         else call(2, 0, 0, b, __VA_ARGS__);                                                                           \
     } while (0)
 
+/* call(dim, rot, ...) of what has no second gradients. */
+#define SPECIALISED_PLAIN(call, b, ...)                                                                               \
+    do {                                                                                                              \
+        if ((b)->dim == 3 && (b)->rot == 3) call(3, 3, b, __VA_ARGS__);                                               \
+        else if ((b)->dim == 3) call(3, 0, b, __VA_ARGS__);                                                           \
+        else if ((b)->rot == 1) call(2, 1, b, __VA_ARGS__);                                                           \
+        else call(2, 0, b, __VA_ARGS__);                                                                              \
+    } while (0)
+
 #endif

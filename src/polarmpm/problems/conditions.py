@@ -133,8 +133,7 @@ class Conditions(Keeping, Whole, Turns):
             counts: "from now" or "total": whether these values count from the body's present place, so that
                 u=0 holds it there and it moves by what the values gain from now on; or from the undeformed
                 body, so that u=0 brings it back to it in the next step. Default: before the first load step
-                the total, later from now on. (The displacement of a grid's node is that of the material
-                points, fitted with the basis.)
+                the total, later from now on. (A grid's node has the points' displacement, by a fit.)
             method: how a surface is held (docs/conventions.md): "nitsche" by the material's own tractions,
                 and springs for what these miss; "nitsche-unsymmetric" likewise, stable however thinly it cuts
                 cells; "penalty" by springs alone. Facets of elements are held so where it is given.
