@@ -80,6 +80,18 @@ def test_oriented_sheets_are_mirror_images(run):
 
 
 @pytest.mark.slow
+def test_sheets_with_fibres_of_second_gradients_are_mirror_images(run):
+    result = run("oriented_sheet", "--model", "gradient", "--elements", "2", "--steps", "20")
+    one, other, plain = (result[name] for name in ("e_1", "e_2", "classical"))
+    np.testing.assert_allclose(
+        [other[k] for k in ("middle", "B", "A")], [one[k] for k in ("middle", "A", "B")], rtol=1e-9
+    )
+    assert plain["A"] == pytest.approx(plain["B"], rel=1e-9)
+    assert one["middle"] < plain["middle"]
+    assert one["A"] < one["B"]
+
+
+@pytest.mark.slow
 def test_large_deflection_of_oriented_sheets(run):
     result = run("oriented_sheet", "--sides", "6000", "3000", "1200", "600")
     for of_sides in result["linear_ratio"].values():
