@@ -15,7 +15,7 @@ typedef struct {
     int32_t nin, nx, nz, most; /* inputs without X, sizes, iterations allowed */
 } Return;
 
-enum { LOCAL_MAX = 24 };
+enum { LOCAL_MAX = 24, DERIVED_MAX = UNKNOWNS_MAX + 4 };  /* unknowns, with projected scalars */
 
 /* LU factors with partial pivoting in place; returns nonzero if a pivot vanishes. */
 static int factor(int n, double *A, int *pivot)
@@ -129,7 +129,7 @@ static void iterate(const Return *R, Local *p, const double *out, double *in, in
 static int condense(const Return *R, const double *local, const double *moduli, int l, double *returned)
 {
     const int nz = R->nz, n = R->nx;
-    double r[LOCAL_MAX], C[LOCAL_MAX * LOCAL_MAX], T[LOCAL_MAX * UNKNOWNS_MAX];
+    double r[LOCAL_MAX], C[LOCAL_MAX * LOCAL_MAX], T[LOCAL_MAX * DERIVED_MAX];
     int pivot[LOCAL_MAX];
     read_lane(R, local, l, r, C);
     const double *sz = moduli + nz * LANES + l, *sx = sz + nz * nz * LANES, *rz = sx + nz * n * LANES;
@@ -154,7 +154,7 @@ int polarmpm_return(const Return *R, int64_t npoints, const double *inputs, int3
                     double *returned, int8_t *status, int32_t *iterations)
 {
     const int nin = R->nin, n = R->nx, nz = R->nz, size = nz + (tangent ? nz * nz : 0);
-    if (n > LOCAL_MAX || nz > UNKNOWNS_MAX) return 2;
+    if (n > LOCAL_MAX || nz > DERIVED_MAX) return 2;
     double *in = vectors((size_t)(nin + n) * LANES), *out = vectors((size_t)(n + n * n) * LANES);
     double *work = vectors((size_t)(nz + nz * nz + 2 * nz * n) * LANES);
     const int failed = !(in && out && work);

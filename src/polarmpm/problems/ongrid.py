@@ -194,9 +194,10 @@ class OnGrid(Problem):
         """Distribute the points afresh, with all that is kept for each of them between steps; between resets
         also their reference, which is then returned for the new distribution."""
         before, kept = Totals.numbers(self.points, self.grid), self.kept()
-        x = self.points.x if reference is None else reference.x
-        cells = self.basis.patches(self.grid, x)[0] if self._in_patches else None
-        route = distribute(self.grid, self.points, x, cells)
+        x, by_patch = None if reference is None else reference.x, {}
+        if self._in_patches:
+            by_patch["cells"] = self.basis.patches(self.grid, self.points.x if x is None else x)[0]
+        route = distribute(self.grid, self.points, x, **by_patch)
         self.load_shares.distributed()
         if route is None:
             return reference
