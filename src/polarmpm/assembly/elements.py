@@ -24,6 +24,8 @@ from .system import Assembled, NodalSystem
 class ElementSystem(NodalSystem):
     """Residual and tangent of the increments since the last converged state.
 
+    A subclass may sum them in another way: `_build`, `assemble` and what follows from its matrix.
+
     Args:
         pieces: of the terms, as of now.
         dead: compiled linear forms of loads that don't depend on the unknowns.
@@ -46,15 +48,20 @@ class ElementSystem(NodalSystem):
         length = np.full(e.dim, e.cell_size)
         super().__init__(e.nodes, forms.layout, prescribed, length, e.comm, timer, pieces)
         self.forms, self._dead, self._varying = forms, dead, varying
-        with timer("compile"):
+        self._build(solver)
+
+    def _build(self, solver: str) -> None:
+        """Make ready for the sums, and for solutions. Collective."""
+        forms, fixed = self.forms, self.prescribed.fixed
+        with self.timer("compile"):
             self._residual = forms.residual
-            tangents = [forms.tangent, *(v.tangent for v in varying)]
-        with timer("pattern"):
+            tangents = [forms.tangent, *(v.tangent for v in self._varying)]
+        with self.timer("pattern"):
             self.matrix = FormMatrix(
                 tangents,
-                prescribed.fixed,
+                fixed,
                 self.symmetric,
-                e.nodes.owned,
+                self.nodes.owned,
                 not forms.symmetric,
                 solver,
                 self.is_large(),
@@ -154,7 +161,7 @@ class ElementSystem(NodalSystem):
     def _dense_terms(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Global numbers of the nodes of each of the terms' sets, and its tangent."""
         for rows, matrix in self.terms.dense(self.x):
-            yield self.nodes.numbers[rows], matrix
+            yield self.nodes.number[rows], matrix
 
     def positions(self) -> np.ndarray:
         x: np.ndarray = super().positions() + self.forms.elements.displacement

@@ -38,12 +38,17 @@ class PointKernels(Structure):
     """Compiled kernels of a batch."""
 
 
+@declared_in("_elements.h")
+class Elements(Structure):
+    """Finite elements of one material, and where their nodes' blocks stand in the sparse matrix."""
+
+
 @declared_in("_return.h")
 class Return(Structure):
     """Kernels and controls of a return mapping."""
 
 
-STRUCTURES = (Batch, Matrix, PointKernels, Return)
+STRUCTURES = (Batch, Matrix, PointKernels, Elements, Return)
 
 
 def fill(structure: Structure, **values: Any) -> None:

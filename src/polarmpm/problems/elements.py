@@ -13,6 +13,7 @@ import numpy as np
 import ufl
 
 from ..assembly.elements import ElementSystem
+from ..assembly.elementsums import SummedElements
 from ..bodies.elements import Elements
 from ..bodies.facets import Facets
 from ..bodies.reference import Increments
@@ -45,8 +46,17 @@ from .state import Progress
 from .surfaces import add_load
 from .whole import Changing
 
+ASSEMBLIES = ("native", "dolfinx")
 
-def _make_forms(elements: Elements) -> ElementForms:
+
+def _make_forms(elements: Elements, assembly: str) -> ElementForms:
+    """Forms of a body for one of `ASSEMBLIES`."""
+    if assembly == "native":
+        from ..forms.elementkernels import (
+            NativeElementForms,
+        )  # lazy import: either assembly does without the other
+
+        return NativeElementForms(elements)
     if not elements.points.plastic:
         return ElementForms(elements)
     from ..forms.plasticelements import PlasticElementForms  # lazy import: elastic scenes need no plasticity
@@ -97,18 +107,28 @@ class QuasiStaticFEM(Problem):
         elements: the body.
         controls: tolerances of Newton's method.
         solver: as of `QuasiStatic`.
+        assembly: how residual and tangent are summed over the elements: "native", by the points' own kernels
+            in compiled loops, or "dolfinx", by its forms: the same to 1e-12, several times slower.
     """
 
     knows_undeformed = True
     body = "elements"
 
     @collective("QuasiStaticFEM", comm=lambda self, elements, *args, **options: elements.comm, compare=True)
-    def __init__(self, elements: Elements, *, controls: Controls | None = None, solver: str = "auto"):
+    def __init__(
+        self,
+        elements: Elements,
+        *,
+        controls: Controls | None = None,
+        solver: str = "auto",
+        assembly: str = "native",
+    ):
         checks.instance("elements", elements, Elements, "a meshed body, polarmpm.Elements(...), is")
+        self.assembly = checks.choice("assembly", assembly, ASSEMBLIES)
         self.solver = check_solver(solver)
         super().__init__(elements.comm, elements.points, elements.dim, controls)
         self.elements = elements
-        self.forms = _make_forms(elements)
+        self.forms = _make_forms(elements, self.assembly)
         _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
         for material in elements.points.materials:
             try_energy(material)
@@ -275,9 +295,8 @@ class QuasiStaticFEM(Problem):
         dispose_of_dropped(self.comm)
         if self._system is not None:
             self._system.destroy()
-        self._system = ElementSystem(
-            self.forms, dead, varying, prescribed, self.timer, self.solver, self._pieces()
-        )
+        kind = ElementSystem if self.assembly == "dolfinx" else SummedElements
+        self._system = kind(self.forms, dead, varying, prescribed, self.timer, self.solver, self._pieces())
         self._rebase(None)
         self._stale = self.progress.reset_due = False
         return self._system
