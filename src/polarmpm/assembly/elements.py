@@ -133,6 +133,10 @@ class ElementSystem(NodalSystem):
     def start_elastic(self, on: bool) -> bool:
         return self.forms.start_elastic(on)
 
+    def projected_F(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Rows of points whose deformation is projected, and the projected F; dolfinx' forms project none."""
+        return []
+
     def _put(self, x: np.ndarray, before: np.ndarray | None = None) -> None:
         self.forms.x.x.array[:] = x.ravel()
         if before is not None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,8 +20,13 @@ from ..terms.base import Piece
 from ..tools import compat
 from ..tools.disposal import dispose_with, weakly
 from .elements import ElementSystem
+from .elementscalars import scalars_of
 from .meshpattern import MeshPattern
+from .stiffscalars import Evaluated, Linear
 from .system import Assembled
+
+if TYPE_CHECKING:
+    from ..forms.returnmapping import Yielding
 
 
 class SummedElements(ElementSystem):
@@ -44,6 +49,8 @@ class SummedElements(ElementSystem):
             native.fill(self.pattern.matrix, fixed=self._fixed)
             self._columns = [np.ascontiguousarray(self._mesh.columns[p.cells]) for p in forms.parts]
             self._bind_terms()
+            self.projected = scalars_of(forms, self.comm)
+            self._patched: list[Evaluated | None] = [None] * len(self.projected)
             self._of_loads = [LoadTangent(v.tangent, self._mesh, self._fixed) for v in self._varying]
             shared = (self.pattern.values, self.pattern.diagonal) if self.pattern.shared else None
             matrix, plastic = self.pattern.petsc_matrix(), not forms.symmetric
@@ -68,6 +75,7 @@ class SummedElements(ElementSystem):
         if tangent:
             self.pattern.values[:] = 0.0
             native.fill(self.pattern.matrix, lift=lift)
+        self._project(tangent)
         for k in range(len(self._kernels)):
             self._add_elements(k, tangent, internal, lifted)
         self.nodes.add_to_owners(internal)
@@ -88,13 +96,15 @@ class SummedElements(ElementSystem):
         predicts, before = tangent and form.predicts, self.before if self.forms.symmetric else self.x
         native.fill(kernels, kernel=self._kernels[k][tangent].address)
         native.fill(kernels, before=np.ascontiguousarray(before) if predicts else None)
-        if mapping is not None:
-            with self.timer("return mapping"):
-                inputs = self.forms.kernel_inputs(k, self.forms.unknowns(k, self.x))
-                y = mapping.evaluate(inputs, tangent)
-            returned_of = np.full(len(inputs), -1, dtype=np.int32)
-            returned_of[y.rows] = np.arange(len(y.rows))
-            native.fill(kernels, returned_of=returned_of, returned=y.returned)
+        patched = self._patched[k]
+        yielding = None if patched is None else patched.returned
+        if patched is None and mapping is not None:
+            y = self._return(k, tangent)
+            yielding = y.rows, y.returned
+        if yielding is not None:
+            returned_of = np.full(len(self.forms.parts[k].points), -1, dtype=np.int32)
+            returned_of[yielding[0]] = np.arange(len(yielding[0]))
+            native.fill(kernels, returned_of=returned_of, returned=yielding[1])
         failed = native.library().polarmpm_assemble_elements(
             ctypes.byref(elements),
             ctypes.byref(kernels),
@@ -105,6 +115,53 @@ class SummedElements(ElementSystem):
         )
         if failed:
             raise MemoryError("no memory for the sums over elements")
+        scalars = self.projected[k]
+        if scalars is not None and patched is not None:
+            scalars.patches.add_forces(patched.b, patched.exact - patched.taken, internal)
+            if tangent:
+                assert patched.g is not None
+                assert patched.h is not None
+                scalars.patches.add_tangent(patched.b, patched.g, patched.h, self.pattern.matrix, lifted)
+
+    def _return(self, k: int, tangent: bool) -> Yielding:
+        """What of a material's points yields. Collective.
+
+        Raises:
+            LocalFailure: at some points there is no solution.
+        """
+        mapping = self._mappings[k]
+        assert mapping is not None
+        with self.timer("return mapping"):
+            inputs = self.forms.kernel_inputs(k, self.forms.unknowns(k, self.x))
+            return mapping.evaluate(inputs, tangent)
+
+    def _project(self, tangent: bool) -> None:
+        """Project the points' stiff scalars and what they do work on. Collective."""
+        predicted = self.step.projected
+        for k, scalars in enumerate(self.projected):
+            if scalars is None:
+                continue
+            measure = scalars.place(self.x, None)
+            yielding = None if self._mappings[k] is None else self._return(k, tangent)
+            linear = None if predicted is None else predicted[k]
+            self._patched[k] = scalars.evaluate(measure, None, yielding, linear, self.x, tangent=tangent)
+        if tangent and any(scalars is not None for scalars in self.projected):
+            self.step.projected = [
+                None if p is None or p.h is None else Linear(self.x, p.exact, p.h) for p in self._patched
+            ]
+
+    def holding_energy(self, x: np.ndarray) -> float:
+        """See `NodalSystem`."""
+        return float(sum(scalars.energy(x, None) for scalars in self.projected if scalars is not None))
+
+    def projected_F(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Rows of points whose deformation is projected, and the projected F at the present increments."""
+        found = []
+        for scalars in self.projected:
+            if scalars is not None:
+                scalars.place(self.x, None)
+                found.append(scalars.projected_F())
+        return found
 
     def _complete_tangent(self, lift: np.ndarray | None, lifted: np.ndarray | None) -> None:
         """Add what isn't of the elements, and the other ranks' parts."""

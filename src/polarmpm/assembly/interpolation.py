@@ -21,6 +21,7 @@ from ..bodies.points import Points
 from ..bodies.reference import Increments, Reference
 from ..errors import InputError
 from ..forms.points import PointForm
+from ..forms.projected import ProjectedForm
 from ..geometry.grid import MARGIN, Grid
 from ..geometry.nodes import ActiveNodes
 from ..kernels import native
@@ -33,6 +34,7 @@ from ..tools import checks
 from ..tools.checks import shown
 from ..tools.parallel import errors_on_all_ranks
 from .nodesets import Groups, group_points, node_sets_of, ownership_priorities, reached_cells
+from .patches import Patches
 from .pointboxes import PointBoxes, has_boxes
 
 
@@ -57,6 +59,7 @@ class Interpolation:
     Attributes:
         pieces: what the terms have made of this reset.
         boxes: of each batch; None: points stand for themselves alone.
+        patches: of each batch; None: of forms that project nothing.
     """
 
     def __init__(
@@ -96,7 +99,9 @@ class Interpolation:
         self.batches = [
             self._batch(form, m, w, order, groups, (node_sets, node_offsets)) for m, form in enumerate(forms)
         ]
+        self.patches = self._patches(cells)
         sides = [int(groups.count.max(initial=2)), *(max(b.count) for b in of_pieces)]
+        sides += [p.reach + 1 for p in self.patches if p is not None]
         self.reach = int(grid.comm.allreduce(max(sides) - 1, op=MPI.MAX))
         self.boxes: list[PointBoxes] | None = None
         if filled:
@@ -125,7 +130,7 @@ class Interpolation:
             rot=self.layout.rotations,
             slots=w.table.shape[-1],
             orders=w.table.shape[-2],
-            nstate=form.state_size,
+            nstate=form.packed_size,
             nparam=len(parameters),
             npoints=len(rows),
             ngroups=end - begin,
@@ -139,12 +144,33 @@ class Interpolation:
         )
         return PointBatch(form, rows, batch)
 
+    def _patches(self, cells: np.ndarray | None) -> list[Patches | None]:
+        """Patches of the batches whose forms project something. Collective."""
+        out: list[Patches | None] = [None] * len(self.batches)
+        if not any(form.scalars for form in self.forms):
+            return out
+        index, places = self.basis.patches(self.grid, self.reference.x, cells)
+        for k, b in enumerate(self.batches):
+            if b.form.scalars:
+                out[k] = Patches(
+                    b.batch,
+                    self.grid,
+                    self.nodes,
+                    index[b.rows],
+                    places[b.rows],
+                    linear=self.basis.patch_linear,
+                    scalars=b.form.scalars,
+                )
+        return out
+
     # state --------------------------------------------------------------------------------------
     def pack(self) -> None:
         """Write the reference state into the kernels' input, see `forms.points`."""
         r, p = self.reference, self.points
         for b in self.batches:
             state = b.form.pack(r.F[b.rows], r.q[b.rows], r.wryness[b.rows], p.plastic_state(b.rows))
+            if isinstance(b.form, ProjectedForm):
+                state = b.form.extend(state, r.stiff_scalars[b.rows])
             native.fill(b.batch, state=np.ascontiguousarray(state))
         for boxes in self.boxes or ():
             boxes.pack(r)
@@ -161,7 +187,7 @@ class Interpolation:
     def kernel_inputs(self, batch: PointBatch, x: np.ndarray) -> np.ndarray:
         """Inputs (n, form.inputs) of the residual's kernel at nodal increments x (nodes, block)."""
         form, b = batch.form, batch.batch
-        nz, ns = self.layout.unknowns, form.state_size
+        nz, ns = self.layout.unknowns, form.packed_size
         out = np.empty((len(batch.rows), form.inputs))
         z = np.empty((len(batch.rows), nz))
         _gather(b, x, 1, z, None)

@@ -15,6 +15,7 @@ from ..geometry.grid import box_indices
 from ..geometry.nodes import ActiveNodes, Nodes
 from ..kernels import native
 from ..tools.parallel import Route
+from .patches import Patches
 
 
 @dataclass
@@ -135,8 +136,9 @@ def build(
     symmetric: bool,
     reach: int,
     whole: bool = False,
+    patches: Sequence[Patches] = (),
 ) -> Pattern:
-    """Pattern of the node sets of all batches. Collective.
+    """Pattern of the node sets of all batches and patches. Collective.
 
     Args:
         symmetric: the sums over the points are; rows hold their upper triangle only, unless `whole`. Then
@@ -149,6 +151,8 @@ def build(
     mark = np.zeros((len(nodes), codes), dtype=np.uint8)
     for batch in batches:
         native.library().polarmpm_couple_nodes(ctypes.byref(batch), reach, mark)
+    for patch in patches:
+        patch.couple(reach, mark)
     row, code = np.nonzero(mark)
     offset = box_indices((side,) * grid.dim) - reach
     col = nodes.local(nodes.lattice[row] + (offset @ grid.strides)[code])

@@ -52,6 +52,7 @@ class StepState:
             the first tangent.
         tangents: how many there have been.
         boxes: values of the matrix that the points' boxes have given; None before the first tangent.
+        projected: what the last tangent says of projected stresses, by batch; None before the first one.
     """
 
     lift: np.ndarray
@@ -62,6 +63,7 @@ class StepState:
     rounding: np.ndarray | None = None
     tangents: int = 0
     boxes: np.ndarray | None = None
+    projected: list[Any] | None = None
 
 
 class NodalSystem(ABC):
@@ -260,6 +262,10 @@ class NodalSystem(ABC):
         """Energy (J) of initial stresses at increments (nodes, block), on this rank."""
         return 0.0
 
+    def holding_energy(self, x: np.ndarray) -> float:
+        """Energy (J) that holds points to patches at increments (nodes, block), on this rank."""
+        return 0.0
+
     def imbalance(self) -> np.ndarray:
         """Internal minus external forces (nodes, block) at free unknowns, complete on owned rows, but for
         terms that a reset doesn't carry along or that have just been added. Collective."""
@@ -395,6 +401,7 @@ class NodalSystem(ABC):
     def jump(self, x: np.ndarray) -> None:
         """Put in nodal increments (nodes, block) that no correction has led to."""
         self.before = self.x = x
+        self.step.projected = None
 
     def backtrack(self) -> bool:
         s = self.step

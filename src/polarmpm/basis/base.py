@@ -84,6 +84,10 @@ class Basis(ABC):
         sliver: largest thickness, in cells, of what fills a cell so little that its points are weighted with
             the functions of the cell behind it (`aggregation`); 0: there is no such thing.
         uses_domains: weights depend on the points' current domains, not on their positions alone.
+        patch: cells in each direction of the patches over which stiff scalars are projected against locking; 0:
+            there are none that suit.
+        patch_linear: with linear functions; else with constants.
+        patch_stiffness: of what holds elastic points to their patch, over the shear modulus.
         fills_boxes: second derivatives are known (`curvatures`), so that points integrate over their own
             boxes.
         thin_reach: some points reach nodes by so little of their domains that balancing forces there by
@@ -100,6 +104,9 @@ class Basis(ABC):
     uses_domains: bool = False
     thin_reach: bool = False
     fills_boxes: bool = False
+    patch: int = 0
+    patch_linear: bool = False
+    patch_stiffness: float = 0.0
 
     @property
     def functions(self) -> int:
@@ -172,6 +179,19 @@ class Basis(ABC):
     def supporting_cells(self, grid: Grid, x: np.ndarray) -> np.ndarray:
         """Lattice index (n, d) of the cells whose functions weight all points at x (n, d) (m). Collective."""
         return supporting_cells(grid, x, self.sliver) if self.sliver else grid.cells_of(x)
+
+    def patches(
+        self, grid: Grid, x: np.ndarray, cells: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Lattice index (n, d) of the patches that points at x (n, d) (m) belong to, in patches, and the points'
+        places over the patches' size. Collective.
+
+        Args:
+            cells: from `supporting_cells`; default: asked for here.
+        """
+        cells = self.supporting_cells(grid, x) if cells is None else cells
+        index = cells // self.patch
+        return index, (cells - self.patch * index + grid.within(x, cells)) / self.patch
 
     def cells_of_groups(self, count: np.ndarray) -> np.ndarray:
         """Cells (m, d) in each direction, from the one of the lowest node on, on which groups of points with

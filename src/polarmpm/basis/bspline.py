@@ -17,6 +17,9 @@ class QuadraticSplines(Splines):
     degree = 2
     sliver = 0.0955  # see `aggregation`
     fills_boxes = True
+    patch = 2
+    patch_linear = True
+    patch_stiffness = 1.0
 
     def positions(self, grid: Grid, numbers: np.ndarray) -> np.ndarray:
         return grid.position(np.clip(grid.node_index(numbers) - 0.5, 0.0, grid.shape))

@@ -15,6 +15,8 @@ class Tents(Basis):
     degree = 1
     gradients_jump = True
     locks = True
+    patch = 1
+    patch_stiffness = 0.5
 
     def lines(self, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
         return tents(grid.within(x, cells), grid.sizes(cells))

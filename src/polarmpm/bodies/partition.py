@@ -94,22 +94,28 @@ def work(points: Points) -> np.ndarray:
     return np.where(points.hardening > 0, _YIELDED, 1)
 
 
-def destinations(grid: Grid, x: np.ndarray, effort: np.ndarray) -> np.ndarray:
-    """Ranks (n,) for points at x (n, d) (m) with work (n,), see `work`. Collective."""
-    cells, at = np.unique(grid.cell_number(grid.cells_of(x)), return_inverse=True)
+def destinations(
+    grid: Grid, x: np.ndarray, effort: np.ndarray, cells: np.ndarray | None = None
+) -> np.ndarray:
+    """Ranks (n,) for points at x (n, d) (m) with work (n,), see `work`. Points stay together that are in one cell,
+    or in one of the `cells` of lattice index (n, d). Collective."""
+    cells, at = np.unique(grid.cell_number(grid.cells_of(x) if cells is None else cells), return_inverse=True)
     weight = _CELL + np.bincount(at, effort, minlength=len(cells))
     return bisect(grid.comm, grid.node_index(cells), weight)[at]
 
 
-def distribute(grid: Grid, points: Points, x: np.ndarray | None = None) -> Route | None:
-    """Distribute the points to the ranks by where they are, or were, at x (np, d) (m). Collective.
+def distribute(
+    grid: Grid, points: Points, x: np.ndarray | None = None, cells: np.ndarray | None = None
+) -> Route | None:
+    """Distribute the points to the ranks by where they are, or were, at x (np, d) (m), see `destinations`.
+    Collective.
 
     Returns:
         The way of the points, for what else is kept for each of them; None where nothing has moved.
     """
     if grid.comm.size == 1:
         return None
-    to = destinations(grid, points.x if x is None else x, work(points))
+    to = destinations(grid, points.x if x is None else x, work(points), cells)
     if not grid.comm.allreduce(bool(np.any(to != grid.comm.rank)), op=MPI.LOR):
         return None
     return points.migrate(to)

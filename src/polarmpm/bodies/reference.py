@@ -23,6 +23,7 @@ class Reference:
         initial_stress: what a balanced reset has added to the stresses, per reference volume, (np, b, d) for
             b unknowns of a node: S0 of a classical material; B0 (Pa) and below it M0 (N/m) of a micropolar
             one (docs/theory.md).
+        stiff_scalars: what the points' stiff scalars have begun with at the base of the rotations, (np, 4).
     """
 
     x: np.ndarray
@@ -32,13 +33,16 @@ class Reference:
     reset_wryness: np.ndarray
     side_gradients: np.ndarray
     initial_stress: np.ndarray
+    stiff_scalars: np.ndarray
 
     @classmethod
     def of(cls, points: Points, block: int) -> Reference:
         """The points' current state, without an initial stress; `block`: unknowns of a node."""
         x, w, n, d = points.x, points.wryness, len(points), points.dim
         sides, stress = np.zeros((n, d, block - d, d)), np.zeros((n, block, d))
-        return cls(x.copy(), points.F.copy(), points.q.copy(), w.copy(), w.copy(), sides, stress)
+        return cls(
+            x.copy(), points.F.copy(), points.q.copy(), w.copy(), w.copy(), sides, stress, np.zeros((n, 4))
+        )
 
     def rebase_rotations(self, points: Points) -> None:
         """Count rotations from the points' current ones on; an initial stress turns with its base."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ..materials.base import Material
 from .points import PointForm
+from .projected import ProjectedForm
 
 
 def make_form(material: Material, dim: int) -> PointForm:
@@ -13,3 +14,14 @@ def make_form(material: Material, dim: int) -> PointForm:
     from .plastic import PlasticForm  # lazy import: elastic scenes need no plasticity
 
     return PlasticForm(material, dim)
+
+
+def make_projected(
+    material: Material, dim: int, *, rotation: bool = False, stabilisation: float = 0.0
+) -> ProjectedForm:
+    """The same with projected scalars, see `ProjectedForm`."""
+    if not material.plastic:
+        return ProjectedForm(material, dim, rotation=rotation, stabilisation=stabilisation)
+    from .projectedplastic import ProjectedPlasticForm  # lazy import: elastic scenes need no plasticity
+
+    return ProjectedPlasticForm(material, dim, rotation=rotation, stabilisation=stabilisation)

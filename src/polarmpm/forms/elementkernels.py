@@ -7,6 +7,7 @@ its kernel has to know of the past. Kernels in the rotated frame take gradients 
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -17,30 +18,39 @@ from ..bodies.elements import Elements
 from ..kernels import native
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
-from ..materials.base import parameter_values
+from ..materials.base import Material, parameter_values
 from ..tools import compat
 from .choice import make_form
 from .elements import ElementForms
 from .points import PointForm
+from .projected import ProjectedForm
 
 if TYPE_CHECKING:
     from .returnmapping import ReturnMapping
 
 
 class KernelForms(ElementForms):
-    """Kernels of the materials, and what they take, at the quadrature points."""
+    """Kernels of the materials, and what they take, at the quadrature points.
 
-    def __init__(self, elements: Elements):
+    Args:
+        forms: of the materials; default: without any projection.
+    """
+
+    def __init__(self, elements: Elements, forms: Sequence[PointForm] = ()):
         super().__init__(elements)
         points = elements.points
         self.symmetric = not points.plastic
         self._rows_of = [np.flatnonzero(points.material == m) for m in range(len(points.materials))]
-        self._point_forms = [make_form(m, elements.dim) for m in points.materials]
+        self._point_forms = list(forms) or [make_form(m, elements.dim) for m in points.materials]
         for form in self._point_forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
         self._comm = elements.comm
         self._states: list[np.ndarray] = []  # of each material's points
         self._turns: list[np.ndarray | None] = []  # (n, 3, 3), of gradients; None: they stay
+
+    @property
+    def uncured(self) -> list[Material]:
+        return [form.material for form in self._point_forms if not form.scalars]
 
     @property
     def residual_form(self) -> None:
@@ -75,8 +85,10 @@ class KernelForms(ElementForms):
         self._states, self._turns = [], []
         for form, rows in zip(self._point_forms, self._rows_of, strict=True):
             state = form.pack(p.F[rows], p.q[rows], p.wryness[rows], p.plastic_state(rows))
+            if isinstance(form, ProjectedForm):
+                state = form.extend(state, np.zeros((len(rows), form.scalars)))
             self._states.append(np.ascontiguousarray(state))
-            turned = self.layout.rotations and form.material.isotropic
+            turned = self.layout.rotations and form.rotated
             self._turns.append(rotations.to_tensor(p.q[rows]) if turned else None)
 
     def start_elastic(self, on: bool) -> bool:
@@ -125,14 +137,15 @@ class NativeElementForms(KernelForms):
         parts: the elements by material.
     """
 
-    def __init__(self, elements: Elements):
-        super().__init__(elements)
+    def __init__(self, elements: Elements, forms: Sequence[PointForm] = ()):
+        super().__init__(elements, forms)
         e, xi = elements, elements.reference_points
         _, jacobian = compat.mesh_geometry(e.mesh, xi)
         self._inverse = np.ascontiguousarray(np.linalg.inv(jacobian).reshape(-1, e.dim, e.dim))  # dxi/dX
         table = compat.tabulate(e.body.cell, e.degree, xi)
         self._table = np.ascontiguousarray(np.swapaxes(table, 0, 1))  # [point][1 + d][node]
         self._axes: list[np.ndarray] = []  # of each material's points: dxi/dX, turned into the kernel's frame
+        self._now = self._inverse  # of all points, not turned
         self._whole = self._structure(None, np.arange(len(e.body.owned_cells)))
         self.parts = []
         for form, rows in zip(self._point_forms, self._rows_of, strict=True):
@@ -150,7 +163,7 @@ class NativeElementForms(KernelForms):
             rot=self.layout.rotations,
             nodes=nodes,
             points=points,
-            nstate=0 if form is None else form.state_size,
+            nstate=0 if form is None else form.packed_size,
             nparam=len(numbers),
             nelements=len(cells),
             table=self._table,
@@ -163,12 +176,28 @@ class NativeElementForms(KernelForms):
 
     def pack(self) -> None:
         super().pack()
-        d, self._axes = self.layout.dim, []
+        d, self._axes, inverse = self.layout.dim, [], self._inverse
+        if any(part.form.scalars for part in self.parts):
+            inverse = np.ascontiguousarray(inverse @ self._by_projected())
+        self._now = inverse
         for part, turn in zip(self.parts, self._turns, strict=True):
-            axes = self._inverse[part.points]
+            axes = inverse[part.points]
             if turn is not None:
                 axes = axes @ np.swapaxes(turn[:, :d, :d], 1, 2)
             self._axes.append(np.ascontiguousarray(axes))
+
+    def _by_projected(self) -> np.ndarray:
+        """F^-1 Fbar (np, d, d) of points whose F is projected, F being the nodes': it makes gradients by X
+        those by x~ times Fbar, as of a material point with Fbar."""
+        d, p = self.layout.dim, self.elements.points
+        z, _ = self._gather_all(self._inverse, self.total.x.array)
+        true = np.eye(d) + self.layout.part(z, "displacement", 1)
+        found = np.tile(np.eye(d), (len(p), 1, 1))
+        for part in self.parts:
+            if part.form.scalars:
+                rows = part.points
+                found[rows] = np.linalg.solve(true[rows], p.F[rows][:, :d, :d])
+        return found
 
     def bound(self, k: int) -> native.Elements:
         """The elements of a material in the present state."""
@@ -181,10 +210,14 @@ class NativeElementForms(KernelForms):
         return self._gather(self.bound(k), x)[0]
 
     def values_at_points(self) -> tuple[np.ndarray, np.ndarray]:
-        layout, x = self.layout, self.x.x.array.reshape(-1, self.layout.block)
-        z, value = self._gather(self._whole, x)
+        layout = self.layout
+        z, value = self._gather_all(self._now, self.x.x.array)
         gradients = [layout.part(z, field, 1) for field in ("displacement", "rotation")]
         return value, np.concatenate(gradients, axis=1)
+
+    def _gather_all(self, axes: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        native.fill(self._whole, axes=axes)
+        return self._gather(self._whole, x.reshape(-1, self.layout.block))
 
     def _gather(self, elements: native.Elements, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         n, layout = elements.nelements * elements.points, self.layout

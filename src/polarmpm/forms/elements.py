@@ -81,6 +81,11 @@ class ElementForms:
         e = self.elements
         return [fem.Constant(e.mesh, parameter_values(m)) for m in e.points.materials]
 
+    @property
+    def uncured(self) -> list[Material]:
+        """Materials whose stiff scalars aren't projected."""
+        return list(self.elements.points.materials)
+
     # state --------------------------------------------------------------------------------------
     def pack(self) -> None:
         """Write the points' current state into the quadrature function."""

@@ -122,7 +122,7 @@ class PlasticForm(PointForm):
         first = self.elastic_size
         P = _tensor(self.state, first, deformation)
         Gp = _tensor(self.state, first + len(deformation), wryness)
-        return P, Gp, self.state[self.state_size - 1]
+        return P, Gp, self.state[self.elastic_size + plastic_size(self.layout) - 1]
 
     @cached_property
     def _motion(self) -> tuple[Any, Any, Any]:
@@ -206,7 +206,7 @@ class PlasticForm(PointForm):
         tau = Q B Fe^T does the work of Q B (F^-1 Fe)^T on the variation of Q^T F.
         """
         f, q, wryness = self._motion
-        test = ufl.TestFunction(self.space.function_space(self.layout.unknowns))
+        test = ufl.TestFunction(self.space.function_space(self.unknowns))
         b, s = self._elastic_stress(state.Ue, state.Ge)
         total = ufl.dot(b, ufl.transpose(ufl.dot(ufl.inv(f), state.Fe)))
         if q is None:

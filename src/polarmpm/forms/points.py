@@ -36,28 +36,45 @@ from .strains import predicts, strains, tangent_work, virtual_work
 class PointForm:
     """Residual and tangent of a material at points in `dim` dimensions, as UFL forms and compiled."""
 
+    scalars: int = 0  # that are projected, see `projected`
+
     def __init__(self, material: Material, dim: int):
         self.material, self.layout = material, Layout.of(material, dim)
         self.space = PointSpace(compat.point_domain())
         self.parameters = self.space.coefficient(len(parameter_values(material)))
-        self.z = self.space.coefficient(self.layout.unknowns)
+        self.z = self.space.coefficient(self.unknowns)
         self.state = self.space.coefficient(self.state_size)
         self._packing: Kernel | None = None
 
     # sizes --------------------------------------------------------------------------------------
     @property
-    def state_size(self) -> int:
-        return self.layout.state(rotated=self.material.isotropic).size
+    def unknowns(self) -> int:
+        """Scalars by which the energy is derived."""
+        return self.layout.unknowns
 
     @property
-    def terminals(self) -> dict[Any, int]:
-        """First input slot of each coefficient."""
+    def rotated(self) -> bool:
+        """Whether the state is in the rotated frame."""
+        return self.material.isotropic
+
+    @property
+    def packed_size(self) -> int:
+        """Scalars of a point in the kernels' input between its unknowns and the parameters."""
+        return self.state_size
+
+    @property
+    def state_size(self) -> int:
+        return self.layout.state(rotated=self.rotated).size
+
+    @property
+    def terminals(self) -> dict[Any, int | tuple[int, ...]]:
+        """First input slot of each coefficient, or all of its slots."""
         n, s = self.layout.unknowns, self.state_size
         return {self.z: 0, self.state: n, self.parameters: n + s}
 
     @property
     def inputs(self) -> int:
-        return self.layout.unknowns + self.state_size + len(parameter_values(self.material))
+        return self.layout.unknowns + self.packed_size + len(parameter_values(self.material))
 
     @property
     def predicts(self) -> bool:
@@ -67,13 +84,13 @@ class PointForm:
     # kinematics ---------------------------------------------------------------------------------
     def strains(self) -> tuple[Any, ...]:
         """(E, Gamma), of a classical material its strain measures, from z and the state."""
-        return strains(self.material, self.layout, self.z, self.state, rotated=self.material.isotropic)
+        return strains(self.material, self.layout, self.z, self.state, rotated=self.rotated)
 
     def pack(
         self, F: np.ndarray, q: np.ndarray, wryness: np.ndarray, plastic: Sequence[np.ndarray]
     ) -> np.ndarray:
         """States (n, state_size) of reference values at points; `plastic`: their `Points.plastic_state`."""
-        if not self.material.isotropic or not self.material.micropolar:
+        if not self.rotated or not self.material.micropolar:
             return self.layout.state().pack(F, wryness, q)
         return self.packing(MPI.COMM_SELF)(F, q, wryness)
 
@@ -100,14 +117,14 @@ class PointForm:
     @cached_property
     def residual(self) -> ufl.Form:
         """Virtual work for a test function in z."""
-        test = ufl.TestFunction(self.space.function_space(self.layout.unknowns))
+        test = ufl.TestFunction(self.space.function_space(self.unknowns))
         work = virtual_work(self.material, self.strains(), self.z, test, self.parameters)
         return work * ufl.dx(domain=self.space.domain, degree=1)
 
     @cached_property
     def tangent(self) -> ufl.Form:
         """Derivative of the residual; symmetric, being a Hessian."""
-        trial = ufl.TrialFunction(self.space.function_space(self.layout.unknowns))
+        trial = ufl.TrialFunction(self.space.function_space(self.unknowns))
         return ufl.derivative(self.residual, self.z, trial)
 
     @cached_property
@@ -115,9 +132,9 @@ class PointForm:
         """What iterations take for the tangent, see `tangent_work`."""
         if not self.predicts:
             return self.tangent
-        m, space = self.material, self.space.function_space(self.layout.unknowns)
+        m, space = self.material, self.space.function_space(self.unknowns)
         before, now = self._correction
-        earlier = strains(m, self.layout, before, self.state, rotated=m.isotropic)
+        earlier = strains(m, self.layout, before, self.state, rotated=self.rotated)
         arguments = ufl.TestFunction(space), ufl.TrialFunction(space)
         unknowns = self.z, before, now - before
         work = tangent_work(m, (self.strains(), earlier), unknowns, arguments, self.parameters)
@@ -126,10 +143,10 @@ class PointForm:
     @cached_property
     def _correction(self) -> tuple[Any, Any]:
         """z before the last correction, and z itself once more, as what isn't derived by."""
-        return self.space.coefficient(self.layout.unknowns), self.space.coefficient(self.layout.unknowns)
+        return self.space.coefficient(self.unknowns), self.space.coefficient(self.unknowns)
 
     # compiled -----------------------------------------------------------------------------------
-    def _tangent_terminals(self) -> dict[Any, int]:
+    def _tangent_terminals(self) -> dict[Any, int | tuple[int, ...]]:
         if not self.predicts:
             return self.terminals
         before, now = self._correction
@@ -154,7 +171,7 @@ class PointForm:
         """(residual, residual and upper triangle of the iterations' tangent) as kernels of (z, state,
         parameters); the second one, where the form predicts stresses, also of z before the last correction.
         Collective."""
-        if self.material.isotropic and self.material.micropolar:
+        if self.rotated and self.material.micropolar:
             self.packing(comm)
         n = self.layout.unknowns
         signature = self._signature(codegen.integrand(self.iteration_tangent))

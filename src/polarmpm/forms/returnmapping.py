@@ -95,7 +95,7 @@ class ReturnMapping:
         Raises:
             LocalFailure: at some points there is no solution; the message has their ids. On every rank.
         """
-        form, n, nz = self.form, self.form.local_size, self.form.layout.unknowns
+        form, n, nz = self.form, self.form.local_size, self.form.unknowns
         trial, modulus = self._trial(inputs), form.material.modulus
         known = n + len(form.surfaces)
         f = trial[:, n:known].max(axis=1)
@@ -190,7 +190,7 @@ class ReturnMapping:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """X, returned, whether it failed, and iterations of points from initial values of X."""
         kernels, form, n = self._kernels(region), self.form, len(inputs)
-        nz, size = form.layout.unknowns, kernels.size
+        nz, size = form.unknowns, kernels.size
         own, inputs = np.array(X[:, :size], order="C"), np.ascontiguousarray(inputs)
         returned = np.zeros((n, nz * (1 + nz) if tangent else nz))
         status, iterations = np.zeros(n, dtype=np.int8), np.zeros(n, dtype=np.int32)

@@ -14,7 +14,7 @@ import ufl
 from ..kernels import codegen, jit
 from ..kernels.codegen import Scalariser
 from ..kernels.csource import write_c
-from ..kernels.kernel import Kernel, PointSpace, generator_version
+from ..kernels.kernel import Kernel, PointSpace, Slots, generator_version
 from ..tools import compat
 
 _WAIST = 2  # scalars that a derivative is carried through; a fifth to a half fewer operations
@@ -62,7 +62,7 @@ class LocalProblem:
     name: str
     z: Any
     X: Any
-    terminals: dict[Any, int]
+    terminals: Slots
     inputs: int
     residual: list[Any]
     flow: list[Any]
@@ -117,7 +117,7 @@ def compile_functions(
     space: PointSpace,
     name: str,
     functions: Functions,
-    terminals: dict[Any, int],
+    terminals: Slots,
     inputs: int,
     comm: MPI.Comm,
 ) -> dict[str, Kernel]:

@@ -89,7 +89,6 @@ INLINE void flush_element(const Elements *e, const Matrix *M, int64_t element, c
     const int32_t *nodes = e->cells + element * n, *columns = e->columns + element * n * n;
     const int64_t cols = (int64_t)nv * WIDTH;
     int constrained = 0;
-    if (M->half) mirror(nb, n, cols, K);
     for (int a = 0; a < n; ++a)
         for (int i = 0; i < nb; ++i) constrained |= M->fixed[(int64_t)nodes[a] * nb + i];
     for (int a = 0; a < n; ++a)
@@ -137,6 +136,7 @@ INLINE void assemble_elements(const int dim, const int rot, const Elements *e, c
             for (int a = 0; a < n; ++a)
                 for (int i = 0; i < nb; ++i)
                     force[(int64_t)nodes[a] * nb + i] += ((const double *)w->f)[i * sv * WIDTH + a];
+            if (M && M->half) mirror(nb, n, (int64_t)sv * WIDTH, (double *)w->K);
             if (M) flush_element(e, M, element, nb, sv, (double *)w->K, rhs);
         }
     }
@@ -189,6 +189,68 @@ FAST int polarmpm_gather_elements(const Elements *e, const double *x, double *z,
     free(table);
     free_work(&w);
     return failed;
+}
+
+INLINE void sum_element_modes(const int dim, const int rot, const Elements *e, const Patches *P, const vec *table,
+                              const double *work, double *out, Work *w)
+{
+    const int nb = dim + rot, nz = unknowns_of(dim, rot), n = e->nodes, sv = w->sv;
+    const double *f = (const double *)w->f;
+    for (int64_t element = 0, p = 0; element < e->nelements; ++element)
+        for (int k = 0; k < e->points; ++k, ++p) {
+            element_shape(dim, sv, sv, table, k, e->axes + p * dim * dim, w->shapes);
+            for (int c = 0; c < P->scalars; ++c) {
+                memset(w->f, 0, sizeof(vec) * nb * sv);
+                add_residual(dim, rot, sv, sv, w->shapes, work + (p * P->scalars + c) * nz, w->f);
+                for (int a = 0; a < P->functions; ++a) {
+                    const double weight = e->volume[p] * P->values[p * P->functions + a];
+                    double *mode = out + (element * P->modes + a * P->scalars + c) * nb * n;
+                    for (int i = 0; i < nb; ++i)
+                        for (int q = 0; q < n; ++q) mode[i * n + q] += weight * f[i * sv * WIDTH + q];
+                }
+            }
+        }
+}
+
+/* Vectors of the modes of elements as patches, see sum_patches; returns nonzero when memory ran out. */
+FAST int polarmpm_element_vectors(const Elements *e, const Patches *P, const double *work, double *out)
+{
+    const int32_t count[3] = {e->nodes, 1, 1};
+    const Batch b = as_batch(e, count);
+    Work w;
+    int failed = create_work(&b, 0, 1, 0, &w);
+    vec *table = failed ? NULL : padded_table(e, w.sv);
+    failed |= !table;
+    if (!failed) SPECIALISED(sum_element_modes, e, P, table, work, out, &w);
+    free(table);
+    free_work(&w);
+    return failed;
+}
+
+/* Adds sum over the modes of g b^T + b h^T of each element to the matrix, as polarmpm_add_patches does. */
+FAST int polarmpm_add_element_modes(const Elements *e, const Patches *P, const double *b, const double *g,
+                                    const double *h, const Matrix *M, double *rhs)
+{
+    const int n = e->nodes, nb = e->dim + e->rot, nv = (n + WIDTH - 1) / WIDTH, cols = nv * WIDTH;
+    double *K = vectors((size_t)n * nb * nb * cols);
+    if (!K) return 1;
+    for (int64_t element = 0; element < e->nelements; ++element) {
+        memset(K, 0, sizeof(double) * n * nb * nb * cols);
+        for (int k = 0; k < P->modes; ++k) {
+            const int64_t at = (element * P->modes + k) * nb * n;
+            const double *bk = b + at, *gk = g + at, *hk = h + at;
+            for (int a = 0; a < n; ++a)
+                for (int i = 0; i < nb; ++i)
+                    for (int j = 0; j < nb; ++j) {
+                        const double ga = gk[i * n + a], ba = bk[i * n + a];
+                        double *row = K + (int64_t)((a * nb + i) * nb + j) * cols;
+                        for (int q = M->half ? a : 0; q < n; ++q) row[q] += ga * bk[j * n + q] + ba * hk[j * n + q];
+                    }
+        }
+        flush_element(e, M, element, nb, nv, K, rhs);
+    }
+    free(K);
+    return 0;
 }
 
 /* Numbers the nodes that share an element with each node, in the order in which they are met: code [element][a][b] of

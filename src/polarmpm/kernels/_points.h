@@ -11,7 +11,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 14,            /* raised with every change of a structure or signature; native.py reads it here */
+    INTERFACE = 15,            /* raised with every change of a structure or signature; native.py reads it here */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */
@@ -70,6 +70,19 @@ typedef struct {
     const double *box_turns;   /* [point][dim][rot (1 + dim)] what z_k begins with, of rotations and their gradients */
     const double *box_share;   /* [point] share of the boxes' energy */
 } PointKernels;
+
+typedef struct {
+    int64_t npatches;
+    int32_t functions, scalars;  /* of a patch, and of a point */
+    int32_t modes;             /* functions times scalars */
+    const int64_t *offsets;    /* [patch + 1] first node */
+    const int32_t *nodes;      /* local nodes of the patches, in the order of the lattice */
+    const int32_t *codes;      /* [node of a patch] distance from the patch's lowest, in a box of (2 reach + 1)^dim nodes */
+    const int32_t *patch;      /* [point] of a batch */
+    const int64_t *map_of;     /* [point] first entry of maps */
+    const int32_t *maps;       /* node of the point's group -> node of its patch */
+    const double *values;      /* [point][functions] */
+} Patches;
 
 /* Memory for n zeros, aligned for vectors; NULL where there is none. */
 static void *vectors(size_t n)

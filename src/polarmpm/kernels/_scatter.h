@@ -83,9 +83,9 @@ INLINE void set_codes(const Batch *b, const Matrix *M, const int32_t *c, Place *
                 at[q].code = b->dim == 3 ? (i * side + j) * side + k : i * side + j;
 }
 
-INLINE void set_place(const Batch *b, const Matrix *M, const int32_t *nodes, Place *at, int a, int q, int nb)
+INLINE void set_place(const int dim, const Matrix *M, const int32_t *nodes, Place *at, int a, int q, int nb)
 {
-    const int side = 2 * M->reach + 1, codes = b->dim == 3 ? side * side * side : side * side;
+    const int side = 2 * M->reach + 1, codes = dim == 3 ? side * side * side : side * side;
     const int swapped = M->symmetric && M->number[nodes[a]] > M->number[nodes[q]];
     const int r = swapped ? q : a, k = swapped ? a : q, code = at[k].code - at[r].code + codes / 2;
     at[q].column = (int64_t)M->place[(int64_t)nodes[r] * codes + code] * nb;
@@ -122,16 +122,13 @@ INLINE void mirror(const int nb, int n, int64_t cols, double *K)
                     K[((a * nb + i) * nb + j) * cols + q] = K[((q * nb + j) * nb + i) * cols + a];
 }
 
-/* The group's dense matrix into the sparse rows; entry (i, j) of the pair (a, q) stands at
- * K[((a nb + i) nb + j) cols + q]. */
-INLINE void flush_matrix(const Batch *b, const Matrix *M, int64_t g, const int nb, int n, int nv, double *K, Place *at,
-                         double *rhs)
+/* The dense matrix of n nodes, of which `at` has the codes, into the sparse rows; entry (i, j) of the pair (a, q) stands
+ * at K[((a nb + i) nb + j) cols + q]. */
+INLINE void flush_nodes(const int dim, const Matrix *M, const int32_t *nodes, const int nb, int n, int nv, double *K,
+                        Place *at, double *rhs)
 {
-    const int32_t *c = b->count + g * b->dim, *nodes = b->nodes + b->node_offsets[g];
     const int64_t cols = (int64_t)nv * WIDTH;
     int constrained = 0;
-    if (M->half) mirror(nb, n, cols, K);
-    set_codes(b, M, c, at);
     for (int a = 0; a < n; ++a)
         for (int i = 0; i < nb; ++i) constrained |= M->fixed[(int64_t)nodes[a] * nb + i];
     for (int a = 0; a < n; ++a) {
@@ -139,7 +136,7 @@ INLINE void flush_matrix(const Batch *b, const Matrix *M, int64_t g, const int n
         const int begin = M->half ? a : 0;
         int swapped = 0;
         for (int q = begin; q < n; ++q) {
-            set_place(b, M, nodes, at, a, q, nb);
+            set_place(dim, M, nodes, at, a, q, nb);
             swapped |= at[q].swapped;
         }
         if (constrained || swapped) {
@@ -158,4 +155,13 @@ INLINE void flush_matrix(const Batch *b, const Matrix *M, int64_t g, const int n
             }
         }
     }
+}
+
+/* The same of a group. */
+INLINE void flush_matrix(const Batch *b, const Matrix *M, int64_t g, const int nb, int n, int nv, double *K, Place *at,
+                         double *rhs)
+{
+    if (M->half) mirror(nb, n, (int64_t)nv * WIDTH, K);
+    set_codes(b, M, b->count + g * b->dim, at);
+    flush_nodes(b->dim, M, b->nodes + b->node_offsets[g], nb, n, nv, K, at, rhs);
 }

@@ -9,7 +9,7 @@ from it works on vectors of `LANES` points, with no loop and no branch.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -40,14 +40,15 @@ class _Array:
 class Scalariser:
     """Evaluates expanded UFL into graph nodes.
 
-    `slots` gives for each UFL terminal (coefficient, constant) the first input slot of its components.
+    `slots` gives for each UFL terminal (coefficient, constant) the first input slot of its components, or all
+    of them where they don't stand one after the other.
 
     A derivative in many directions is carried through a long expression of few scalars (a power series, say)
     as a combination of the derivatives of these scalars: with a positive `waist`, a derivative of more terms
     than that becomes one term, a bundle, before it is multiplied. `flat` undoes it.
     """
 
-    slots: dict[Any, int]
+    slots: Mapping[Any, int | tuple[int, ...]]
     graph: Graph = field(default_factory=Graph)
     waist: int = 0
 
@@ -149,7 +150,12 @@ class Scalariser:
     def _terminal(self, e: Any) -> _Array:
         if e not in self.slots:
             raise KernelError(f"{e} is not an input of this kernel")
-        return self._fill(e.ufl_shape, lambda n: self.lin(self.graph.input(self.slots[e] + n)))
+        slots = self.slots[e]
+
+        def value(n: int) -> Linear:
+            return self.lin(self.graph.input(slots + n if isinstance(slots, int) else slots[n]))
+
+        return self._fill(e.ufl_shape, value)
 
     @staticmethod
     def _fill(shape: tuple[int, ...], make: Callable[[int], Linear]) -> _Array:

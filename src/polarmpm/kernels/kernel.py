@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -23,6 +24,9 @@ from .csource import write_c
 def generator_version() -> str:
     """Digest of the code that writes kernels: another generator compiles them anew."""
     return jit.digest(*(Path(str(module.__file__)).read_text() for module in (codegen, csource, graph)))
+
+
+Slots = Mapping[Any, int | tuple[int, ...]]  # of coefficients in a kernel's input, see `Scalariser`
 
 
 class Kernel:
@@ -71,7 +75,7 @@ def matrix(c: Any, rows: int, columns: int, start: int = 0) -> Any:
 
 
 def compile_expressions(
-    expressions: list[Any], terminals: dict[Any, int], inputs: int, domain: Any, comm: MPI.Comm
+    expressions: list[Any], terminals: Slots, inputs: int, domain: Any, comm: MPI.Comm
 ) -> Kernel:
     """One kernel that evaluates UFL expressions (any shape, flattened row by row) of its inputs."""
     order = {c: i for i, c in enumerate(terminals)}

@@ -38,6 +38,11 @@ class PointKernels(Structure):
     """Compiled kernels of a batch."""
 
 
+@declared_in("_points.h")
+class Patches(Structure):
+    """Patches of a batch's points."""
+
+
 @declared_in("_elements.h")
 class Elements(Structure):
     """Finite elements of one material, and where their nodes' blocks stand in the sparse matrix."""
@@ -48,7 +53,7 @@ class Return(Structure):
     """Kernels and controls of a return mapping."""
 
 
-STRUCTURES = (Batch, Matrix, PointKernels, Elements, Return)
+STRUCTURES = (Batch, Matrix, PointKernels, Patches, Elements, Return)
 
 
 def fill(structure: Structure, **values: Any) -> None:

@@ -49,6 +49,12 @@ class Material:
         return False
 
     @property
+    def measure(self) -> str:
+        """Of what the energy grows fast where volume is hardly changed: "log", of ln det F, or "trace", of
+        tr E. Elastic micropolar energies W(E, Gamma) are taken for the latter; say so if one isn't."""
+        return "trace" if self.micropolar and not self.plastic else "log"
+
+    @property
     def elastic_part(self) -> Material:
         """The material itself; of a plastic one that which is elastic in it."""
         return self

@@ -341,6 +341,8 @@ class Problem(Results):
         """Tell the terms of a step that has converged, from increments (nodes, block) at its start."""
         works = system.terms.work(start, system.x)
         self.progress.ghost_work += works.pop("ghost", 0.0)
+        held = system.holding_energy(system.x) - system.holding_energy(start)
+        self.progress.patch_work += self.comm.allreduce(held)
         self.progress.term_work += sum(works.values())
         system.terms.commit(system.x)
         for term in self.terms:

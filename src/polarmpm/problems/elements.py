@@ -23,6 +23,7 @@ from ..conditions.loads import Applied, no_microrotation, point_loads
 from ..conditions.prescribed import Prescribed
 from ..conditions.supports import Support
 from ..errors import InputError
+from ..forms.elementkernels import NativeElementForms
 from ..forms.elements import ElementForms
 from ..forms.trial import try_energy
 from ..geometry.planes import PlaneSpec
@@ -42,6 +43,7 @@ from ..tools.parallel import errors_on_all_ranks
 from .base import Problem
 from .described import described, of_rank
 from .given import Present
+from .locking import check_locking, forms_of_elements
 from .state import Progress
 from .surfaces import add_load
 from .whole import Changing
@@ -49,14 +51,10 @@ from .whole import Changing
 ASSEMBLIES = ("native", "dolfinx")
 
 
-def _make_forms(elements: Elements, assembly: str) -> ElementForms:
+def _make_forms(elements: Elements, assembly: str, locking: str | None) -> ElementForms:
     """Forms of a body for one of `ASSEMBLIES`."""
     if assembly == "native":
-        from ..forms.elementkernels import (
-            NativeElementForms,
-        )  # lazy import: either assembly does without the other
-
-        return NativeElementForms(elements)
+        return NativeElementForms(elements, forms_of_elements(locking, elements))
     if not elements.points.plastic:
         return ElementForms(elements)
     from ..forms.plasticelements import PlasticElementForms  # lazy import: elastic scenes need no plasticity
@@ -109,6 +107,9 @@ class QuasiStaticFEM(Problem):
         solver: as of `QuasiStatic`.
         assembly: how residual and tangent are summed over the elements: "native", by the points' own kernels
             in compiled loops, or "dolfinx", by its forms: the same to 1e-12, several times slower.
+        locking: "auto": materials with Poisson's ratio above 0.4 see the mean volume (and relative rotation)
+            of each element, see `QuasiStatic`; "always": all do; None: none. Simplices of degree 1 and
+            assembly "dolfinx" have no cure.
     """
 
     knows_undeformed = True
@@ -122,19 +123,23 @@ class QuasiStaticFEM(Problem):
         controls: Controls | None = None,
         solver: str = "auto",
         assembly: str = "native",
+        locking: str | None = "auto",
     ):
         checks.instance("elements", elements, Elements, "a meshed body, polarmpm.Elements(...), is")
         self.assembly = checks.choice("assembly", assembly, ASSEMBLIES)
+        self.locking = check_locking(locking)
+        if self.locking == "always" and assembly == "dolfinx":
+            raise InputError("locking = 'always': assembly = 'dolfinx' has no cure; allowed is 'native'")
         self.solver = check_solver(solver)
         super().__init__(elements.comm, elements.points, elements.dim, controls)
         self.elements = elements
-        self.forms = _make_forms(elements, self.assembly)
+        self.forms = _make_forms(elements, self.assembly, self.locking)
         _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
         for material in elements.points.materials:
             try_energy(material)
         with errors_on_all_ranks(elements.comm):  # of warnings a script may make errors
             if elements.degree == 1 and elements.comm.rank == 0:
-                warn_of_locking(elements.points.materials, "elements of degree 1", "degree 2")
+                warn_of_locking(self.forms.uncured, "elements of degree 1", "degree 2")
         self._surface_loads: list[SurfaceLoad] = []
         self.progress.reset_due = False
         self._system: ElementSystem | None = None
@@ -389,9 +394,11 @@ class QuasiStaticFEM(Problem):
 
     def _commit(self, system: ElementSystem, increments: Increments, factor: float) -> None:
         e, p, d = self.elements, self.points, self.layout.dim
-        base = p.q
+        base, projected = p.q, system.projected_F()
         p.x = p.x + increments.value[:, :d]
         self._motion.move(p, p, increments)
+        for rows, F in projected:
+            p.F[rows] = F  # a new array, of this step
         e.q = rotations.turned(e.q, system.x[:, d:])
         self.forms.flow(base)
         e.displacement = e.displacement + system.x[:, :d]

@@ -70,6 +70,11 @@ class OnGrid(Problem):
     def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
         """Forces (np, d) and couples (np, r) at the local points at a load factor."""
 
+    @property
+    def _in_patches(self) -> bool:
+        """Whether the points of a patch have to be on one rank, at every reset."""
+        return self.comm.size > 1 and any(form.scalars for form in self.forms)
+
     def _prepare(self) -> LoadedPoints:
         """The system of the present grid; reset if that is due, renewed if conditions have changed."""
         p, old = self.progress, self._system
@@ -107,7 +112,7 @@ class OnGrid(Problem):
         check_inside(grid, self.points)
         check_state(self.points, everything=False)
         self._put_grid(grid)
-        if self.load_shares.due():
+        if self.load_shares.due() or self._in_patches:
             with self.timer("migration"):
                 self._migrate()
         with self.timer("reset"):
@@ -171,7 +176,9 @@ class OnGrid(Problem):
         """Distribute the points afresh, with all that is kept for each of them between steps; between resets
         also their reference, which is then returned for the new distribution."""
         before, kept = Totals.numbers(self.points, self.grid), self.kept()
-        route = distribute(self.grid, self.points, None if reference is None else reference.x)
+        x = self.points.x if reference is None else reference.x
+        cells = self.basis.patches(self.grid, x)[0] if self._in_patches else None
+        route = distribute(self.grid, self.points, x, cells)
         self.load_shares.distributed()
         if route is None:
             return reference
@@ -220,6 +227,7 @@ class OnGrid(Problem):
         system = kind(interpolation, c.kernels, c.couple, prescribed, self.timer, self.solver)
         if x is not None:
             system.x[:] = x
+            system.place()
             prescribed.start_from(self.progress.factor, x)
         if prescribed.needs_motion and self.progress.step:
             prescribed.put_motion(*motion_of(system, self.points))

@@ -22,7 +22,6 @@ from ..conditions.loads import Applied, HandedOver, Load, point_loads
 from ..conditions.movinggrid import MovingGrid
 from ..conditions.supports import Support
 from ..errors import InputError
-from ..forms.choice import make_form
 from ..forms.stresses import MaterialField
 from ..forms.trial import try_energy
 from ..geometry.grid import Grid
@@ -42,6 +41,7 @@ from .balancing import BalancedResets
 from .boxes import BoxRecord
 from .conservation import Conservation
 from .described import described, of_rank
+from .locking import check_locking, choose_form
 from .ongrid import Compiled, OnGrid
 from .state import Fields, Progress
 from .surfaces import add_load
@@ -51,7 +51,7 @@ ASSEMBLIES = ("direct", "projection")
 _DISTORTED = WhenDistorted()
 _SPLINES_LOCK = 0.495  # Poisson's ratio beyond which functions of higher degree lock on coarse cells, too
 # The papers' method, for what they publish: `QuasiStatic(grid, points, **PUBLISHED)`.
-PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": False}
+PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": False, "locking": None}
 
 
 def _check_assembly(assembly: str, basis: Basis) -> str:
@@ -120,13 +120,19 @@ class QuasiStatic(OnGrid):
             "gimpm" or "mpm" and assembly "direct".
         rebalance: on several ranks, when points move to other ranks at a reset: when the most work of a rank,
             over the mean, or the share of nodes at the borders between ranks has grown by this factor since
-            they were distributed last; None for never.
+            they were distributed last; None for never. Where `locking` is cured, they are at every reset, as
+            the points of a patch have to be on one rank.
         controls: tolerances of Newton's method.
         solver: of linear systems: "direct" (MUMPS), "multigrid" (a Krylov method with algebraic multigrid:
             less time and memory in large problems in space), or "auto", which chooses by the number of
             unknowns.
         boxes: points integrate the strain energy over their own boxes (docs/theory.md), so that few of them
             see that a thin body bends; by default with all bases that have second derivatives, the splines.
+        locking: nearly incompressible materials, plastic ones and micropolar ones of a large kappa lock on
+            coarse cells. "auto": those with Poisson's ratio above 0.4, with a yield surface or with kappa > mu /
+            10 see the mean volume (and relative rotation) of a patch of cells instead of their points' own
+            (docs/theory.md); "always": all materials do; None: none, as in the papers. With bases "mpm",
+            "gimpm", "bspline", "bspline-averaged" and assembly "direct".
 
     Raises:
         InputError: an argument is out of range; materials that don't go together.
@@ -148,6 +154,7 @@ class QuasiStatic(OnGrid):
         controls: Controls | None = None,
         solver: str = "auto",
         boxes: bool | None = None,
+        locking: str | None = "auto",
     ):
         _check_body(grid, points)
         balanced_reset = checks.flag("balanced_reset", balanced_reset)
@@ -156,7 +163,9 @@ class QuasiStatic(OnGrid):
         self.basis, self.policy = basis_of(basis), make_policy(reset)
         self.assembly, self.solver = _check_assembly(assembly, self.basis), check_solver(solver)
         super().__init__(grid.comm, points, grid.dim, controls)
-        self.forms = [make_form(m, grid.dim) for m in points.materials]
+        self.locking = check_locking(locking)
+        of_points = None if assembly == "projection" else self.locking
+        self.forms = [choose_form(of_points, m, grid.dim, self.basis) for m in points.materials]
         for form in self.forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
             try_energy(form.material)
@@ -180,7 +189,7 @@ class QuasiStatic(OnGrid):
         # forces and couples at the points of the last attempt and of the last converged step
         self._attempted: tuple[np.ndarray, np.ndarray] | None = None
         self._converged_loads: tuple[np.ndarray, np.ndarray] | None = None
-        if self.load_shares.due():
+        if self.load_shares.due() or self._in_patches:
             self._migrate()
 
     def _warn_of_locking(self) -> None:
@@ -322,6 +331,7 @@ class QuasiStatic(OnGrid):
         assert self._compiled.motion is not None
         self._size = float(np.abs(increments.gradient).max(initial=0.0))
         system.interpolation.update_points(increments, self._compiled.motion)
+        system.put_projected()
         self._conservation.check(system.interpolation, system.x)
         if self.points.plastic:
             self._with_boxes(lambda: self._flow(system))

@@ -51,8 +51,9 @@ class Results(Releasable):
         - stored: strain energy, with what hardening stores;
         - dissipated: by plastic flow;
         - ghost: work against the ghost penalty's forces;
+        - patches: work against what holds points to the volume of their patch, see `locking`;
         - terms: work against the forces of other terms that aren't loads or supports;
-        - residue: external + carried - stored - dissipated - ghost - terms: the error of the trapezoidal
+        - residue: external + carried - stored - dissipated - ghost - patches - terms: the error of the trapezoidal
           rule, which falls with the square of the step, and what relaxes at resets that aren't balanced and
           where couples in space meet a new base of the rotations.
         """
@@ -65,10 +66,12 @@ class Results(Releasable):
             "stored": self.energy(),
             "dissipated": dissipated,
             "ghost": p.ghost_work,
+            "patches": p.patch_work,
             "terms": p.term_work,
         }
         gained = p.external_work + p.carried_work
-        return out | {"residue": gained - out["stored"] - dissipated - p.ghost_work - p.term_work}
+        spent = dissipated + p.ghost_work + p.patch_work + p.term_work
+        return out | {"residue": gained - out["stored"] - spent}
 
     @collective("reaction", compare=True)
     def reaction(self, support: Support | SurfaceSupport, about: Any = None) -> Reaction:

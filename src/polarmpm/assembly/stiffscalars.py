@@ -1,0 +1,255 @@
+"""Stiff scalars of a batch's points in the sums over them: projected over patches (`assembly.patches`).
+
+Before points are summed, their scalars e are projected, which gives t; then, of the derivatives L_t, pi. Both stand
+in the state that the points' kernels read. Where points integrate over boxes, e and the derivatives are means of the
+boxes' rule (`assembly.pointboxes`), at one t and one pi for the box.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..forms.projected import ProjectedForm
+from ..kernels import native
+from ..kernels.kernel import Kernel
+from ..kinematics import rotations
+from .interpolation import Interpolation, PointBatch
+from .patches import Patches
+from .pointboxes import PointBoxes
+
+if TYPE_CHECKING:
+    from ..forms.returnmapping import Yielding
+
+
+@dataclass
+class Mean:
+    """What a kernel gives at the points (n, k), and what their boxes add: to it, and times the derivatives along the
+    half axes (n, d, k); None without boxes."""
+
+    at_points: np.ndarray
+    even: np.ndarray | None = None
+    odd: np.ndarray | None = None
+
+    def columns(self, first: int, end: int) -> Mean:
+        """Some of the columns."""
+        even = None if self.even is None else self.even[:, first:end]
+        odd = None if self.odd is None else self.odd[:, :, first:end]
+        return Mean(self.at_points[:, first:end], even, odd)
+
+    @property
+    def whole(self) -> np.ndarray:
+        """Points and boxes (n, k)."""
+        return self.at_points if self.even is None else self.at_points + self.even
+
+
+@dataclass
+class Linear:
+    """Of a tangent: pi and its derivative by the nodal values x.
+
+    Attributes:
+        x: nodal values (nodes, block).
+        factors: of pi, (patches, modes).
+        by_x: vectors of the modes.
+    """
+
+    x: np.ndarray
+    factors: np.ndarray
+    by_x: np.ndarray
+
+
+@dataclass
+class Evaluated:
+    """What the patches add to forces and tangent.
+
+    Attributes:
+        b, g, h: vectors of the modes, see `patches`; the latter two with a tangent only.
+        exact: factors (patches, modes) of pi.
+        taken: of the pi that the points' kernels take.
+        returned: of points that yield, in the place of the kernels: rows of the batch, and what `native` takes;
+            None where there are none.
+    """
+
+    b: np.ndarray
+    exact: np.ndarray
+    taken: np.ndarray
+    g: np.ndarray | None = None
+    h: np.ndarray | None = None
+    returned: tuple[np.ndarray, np.ndarray] | None = None
+
+
+class StiffScalars:
+    """Stiff scalars of a batch between two resets.
+
+    Args:
+        k: number of the batch.
+    """
+
+    def __init__(self, interpolation: Interpolation, k: int, comm: MPI.Comm):
+        self._batch: PointBatch = interpolation.batches[k]
+        form, patches = self._batch.form, interpolation.patches[k]
+        assert isinstance(form, ProjectedForm)
+        assert isinstance(patches, Patches)
+        self.form, self.patches, self._interpolation = form, patches, interpolation
+        self.kernels = form.compile_scalars(comm)
+        n = len(self._batch.rows)
+        self._parameters = np.tile(self._batch.batch.kept["param"], (n, 1))
+        self._z: np.ndarray = np.zeros((n, form.layout.unknowns))
+        self._zk: np.ndarray | None = None
+
+    # at the points --------------------------------------------------------------------------------
+    @property
+    def _state(self) -> np.ndarray:
+        state: np.ndarray = self._batch.batch.kept["state"]
+        return state
+
+    def _put(self, which: int, values: np.ndarray) -> None:
+        """Put t (0) or pi (1) into the state."""
+        m = self.form.scalars
+        first = self.form.state_size + which * m
+        self._state[:, first : first + m] = values
+
+    def _inputs(self, z: np.ndarray) -> tuple[np.ndarray, ...]:
+        return z, self._state, self._parameters
+
+    def _mean(self, kernel: Kernel, boxes: PointBoxes | None) -> Mean:
+        here = kernel(*self._inputs(self._z))
+        if boxes is None or self._zk is None:
+            return Mean(here)
+        d = self._zk.shape[1]
+        even, odd = -2.0 * d * here, np.empty((len(here), d, here.shape[1]))
+        for k in range(d):
+            up, down = (kernel(*self._inputs(self._z + s * self._zk[:, k])) for s in (1.0, -1.0))
+            even += up + down
+            odd[:, k] = up - down
+        weight = boxes.share / 6.0
+        return Mean(here, weight[:, None] * even, weight[:, None, None] * odd)
+
+    def place(self, x: np.ndarray, boxes: PointBoxes | None) -> Mean:
+        """Put t at nodal values x (nodes, block) into the state; e and e_z at the points."""
+        nz = self.form.layout.unknowns
+        if boxes is None:
+            self._z, self._zk = self._interpolation.kernel_inputs(self._batch, x)[:, :nz].copy(), None
+        else:
+            self._z, self._zk = boxes.gather(x)
+        measure = self._mean(self.kernels.measure, boxes)
+        values = measure.whole[:, : self.form.scalars]
+        self._put(0, self.patches.at_points(self.patches.moments(values)))
+        return measure
+
+    # sums -----------------------------------------------------------------------------------------
+    def _vectors(self, mean: Mean, kernels: native.PointKernels) -> np.ndarray:
+        m, nz, n = self.form.scalars, self.form.layout.unknowns, len(self._z)
+        sides = None if mean.odd is None else mean.odd.reshape(n, -1, m, nz)
+        return self.patches.vectors(kernels, mean.whole.reshape(n, m, nz), sides)
+
+    def evaluate(
+        self,
+        measure: Mean,
+        boxes: PointBoxes | None,
+        yielding: Yielding | None,
+        before: Linear | None,
+        x: np.ndarray,
+        *,
+        tangent: bool,
+    ) -> Evaluated:
+        """Put pi into the state, and find what patches add.
+
+        Args:
+            measure: from `place`.
+            yielding: what the return mapping has found.
+            before: where the last tangent is at hand, its prediction of pi is taken.
+        """
+        m, nz, n = self.form.scalars, self.form.layout.unknowns, len(self._z)
+        kernels = native.PointKernels()
+        if boxes is not None:
+            boxes.put(kernels, None)
+        mean = self._mean(self.kernels.conjugate, boxes)
+        by_t, tz, tt = mean.columns(0, m), mean.columns(m, m + m * nz), mean.columns(m + m * nz, m * (1 + nz + m))
+        zt = Mean(tz.at_points, tz.even, tz.odd)
+        if yielding is not None and len(yielding.rows):
+            _put_yielding(yielding, (by_t, tz, zt, tt), nz, m, tangent=tangent)
+        exact = self.patches.moments(by_t.whole)
+        b = self._vectors(measure.columns(m, m + m * nz), kernels)
+        taken = exact
+        if tangent and before is not None:
+            moved = self.patches.times(before.by_x, x - before.x)
+            taken = (before.factors + moved).reshape(exact.shape)
+        self._put(1, self.patches.at_points(taken))
+        modes = len(exact), self.patches.modes
+        found = Evaluated(b, exact.reshape(modes), taken.reshape(modes))
+        if tangent:
+            found.g = self._vectors(zt, kernels)
+            matrices = self.patches.products(tt.whole.reshape(n, m, m))
+            of_z = found.g if zt.at_points is tz.at_points else self._vectors(tz, kernels)
+            found.h = of_z + self.patches.combined(matrices, b)
+        if yielding is not None and len(yielding.rows):
+            found.returned = yielding.rows, self._returned(yielding, measure, tangent=tangent)
+        return found
+
+    def _returned(self, y: Yielding, measure: Mean, *, tangent: bool) -> np.ndarray:
+        """Of the points that yield: L_z (k, nz), with the tangent also L_zz (k, nz nz)."""
+        m, nz, k = self.form.scalars, self.form.layout.unknowns, len(y.rows)
+        first = self.form.state_size + m
+        pi = self._state[y.rows, first : first + m]
+        of_e = measure.at_points[y.rows, m:].reshape(k, m, nz)
+        residual = y.returned[:, :nz] + np.einsum("km,kmz->kz", pi, of_e)
+        if not tangent:
+            return np.ascontiguousarray(residual)
+        moduli = y.returned[:, nz + m :].reshape(k, nz + m, nz + m)[:, :nz, :nz].copy()
+        bent = self.kernels.curvature(*(a[y.rows] for a in self._inputs(self._z)))
+        upper = np.triu_indices(nz)
+        curvature = np.zeros((k, nz, nz))
+        curvature[:, upper[0], upper[1]] = curvature[:, upper[1], upper[0]] = bent
+        return np.ascontiguousarray(np.concatenate([residual, (moduli + curvature).reshape(k, -1)], axis=1))
+
+    # results --------------------------------------------------------------------------------------
+    def projected_F(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of the points and their projected F, at the increments of the last evaluation."""
+        rows, form = self._batch.rows, self.form
+        F = self.kernels.moved(*self._inputs(self._z)).reshape(-1, 3, 3)
+        if form.rotated and form.material.micropolar:
+            F = F @ rotations.to_tensor(self._interpolation.reference.q[rows])
+        return rows, F
+
+    def energy(self, x: np.ndarray, boxes: PointBoxes | None) -> float:
+        """Energy (J) that holds these points to their patches, at nodal values x (nodes, block)."""
+        if not self.form.stabilisation:
+            return 0.0
+        self.place(x, boxes)
+        t = self._state[:, self.form.state_size]
+
+        def away(z: np.ndarray) -> np.ndarray:
+            found: np.ndarray = (self.kernels.measure(*self._inputs(z))[:, 0] - t) ** 2
+            return found
+
+        total = away(self._z)
+        if boxes is not None and self._zk is not None:
+            d, weight, here = self._zk.shape[1], boxes.share / 6.0, total
+            sides = (self._z + s * self._zk[:, k] for k in range(d) for s in (1.0, -1.0))
+            total = here + weight * (sum(away(side) for side in sides) - 2.0 * d * here)
+        return 0.5 * self.form.stabilisation * float(total @ self.patches.volume)
+
+    def values(self, x: np.ndarray) -> np.ndarray:
+        """e (n, scalars) at the points at nodal values x (nodes, block)."""
+        z = self._interpolation.kernel_inputs(self._batch, x)[:, : self.form.layout.unknowns].copy()
+        found: np.ndarray = self.kernels.measure(*self._inputs(z))[:, : self.form.scalars]
+        return found
+
+
+def _put_yielding(y: Yielding, means: tuple[Mean, Mean, Mean, Mean], nz: int, m: int, *, tangent: bool) -> None:
+    """Put what the return mapping gives at the points that yield in the place of L_t, L_tz, L_zt and L_tt."""
+    by_t, tz, zt, tt = means
+    rows, n = y.rows, nz + m
+    by_t.at_points = by_t.at_points.copy()
+    by_t.at_points[rows] = y.returned[:, nz:n]
+    if tangent:
+        moduli = y.returned[:, n:].reshape(-1, n, n)
+        zt.at_points, tz.at_points, tt.at_points = (a.at_points.copy() for a in (tz, tz, tt))
+        zt.at_points[rows] = np.swapaxes(moduli[:, :nz, nz:], 1, 2).reshape(len(rows), -1)
+        tz.at_points[rows] = moduli[:, nz:, :nz].reshape(len(rows), -1)
+        tt.at_points[rows] = moduli[:, nz:, nz:].reshape(len(rows), -1)

@@ -1,0 +1,25 @@
+"""Plastic points whose stiff scalars are averages over patches, see `projected`."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+from .plastic import PlasticForm
+from .projected import ProjectedForm
+
+
+class ProjectedPlasticForm(ProjectedForm, PlasticForm):
+    """The trial state and the return mapping are those of Fbar, and have t among their unknowns."""
+
+    @cached_property
+    def _motion(self) -> tuple[Any, Any, Any]:
+        now = self.moved
+        return now.F, now.Q, now.wryness
+
+    @cached_property
+    def plain(self) -> PlasticForm:
+        return PlasticForm(self.material, self.layout.dim)
+
+    def strains(self) -> tuple[Any, ...]:
+        return PlasticForm.strains(self)

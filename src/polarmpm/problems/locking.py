@@ -1,0 +1,101 @@
+"""What of the cure of locking a scene needs (docs/theory.md, docs/stability.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..bodies.elements import Elements
+from ..forms.choice import make_form, make_projected
+from ..forms.points import PointForm
+from ..materials.base import Material
+from ..tools import checks
+
+
+class Patched(Protocol):
+    """Functions whose points have patches: a basis, or elements."""
+
+    @property
+    def patch(self) -> int: ...
+
+    @property
+    def patch_stiffness(self) -> float: ...
+
+
+LOCKING = ("auto", "always")
+INCOMPRESSIBLE = 0.4  # Poisson's ratio above which volume locks
+COUPLED = 0.1  # kappa / mu above which relative rotations lock
+
+
+def check_locking(locking: Any) -> str | None:
+    """The argument of a problem.
+
+    Raises:
+        InputError: it is none of these.
+    """
+    if locking is None or (isinstance(locking, str) and locking in LOCKING):
+        return locking
+    raise checks.refuse("locking", locking, f"allowed are {', '.join(map(repr, LOCKING))} and None")
+
+
+def poisson(material: Material) -> float:
+    """Poisson's ratio; zero of a material whose moduli aren't known by their names."""
+    known = material.moduli("lam", "mu")
+    return known["lam"] / (2 * (known["lam"] + known["mu"])) if len(known) == 2 else 0.0
+
+
+def locks(material: Material) -> bool:
+    """Whether it locks on coarse cells: by its volume, by plastic flow, or by its relative rotation."""
+    return poisson(material) > INCOMPRESSIBLE or material.plastic or _coupled(material)
+
+
+def _coupled(material: Material) -> bool:
+    known = material.moduli("mu", "kappa")
+    return len(known) == 2 and known["kappa"] > COUPLED * known["mu"]
+
+
+def cured(locking: str | None, material: Material, basis: Patched) -> bool:
+    """Whether a material's stiff scalars are projected."""
+    if locking is None or not basis.patch or material.second_gradient:
+        return False
+    return locking == "always" or locks(material)
+
+
+def choose_form(locking: str | None, material: Material, dim: int, basis: Patched) -> PointForm:
+    """The form of a material at points of a basis."""
+    if not cured(locking, material, basis):
+        return make_form(material, dim)
+    mu = material.moduli("mu").get("mu", 0.0)
+    stiffness = 0.0 if material.plastic or not np.isfinite(mu) else basis.patch_stiffness * mu
+    rotation = material.micropolar and (material.plastic or _coupled(material) or locking == "always")
+    return make_projected(material, dim, rotation=rotation, stabilisation=stiffness)
+
+
+@dataclass(frozen=True)
+class ElementPatch:
+    """Of elements: each is a patch, but simplices of degree 1, which lock whatever their pressure.
+
+    Increments count from each converged step, where what holds points to their patch would be forgotten:
+    there is nothing that does.
+    """
+
+    patch: int
+    patch_stiffness: float = 0.0
+
+    @classmethod
+    def of(cls, elements: Elements) -> ElementPatch:
+        simple = elements.degree == 1 and elements.body.cell in ("triangle", "tetrahedron")
+        return cls(0 if simple else 1)
+
+
+def forms_of_elements(locking: str | None, elements: Elements) -> list[PointForm]:
+    """The forms of a meshed body's materials; "auto" cures nearly incompressible ones."""
+    patch = ElementPatch.of(elements)
+
+    def form(material: Material) -> PointForm:
+        chosen = locking if locking != "auto" or poisson(material) > INCOMPRESSIBLE else None
+        return choose_form(chosen, material, elements.dim, patch)
+
+    return [form(material) for material in elements.points.materials]
