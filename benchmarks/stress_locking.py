@@ -55,7 +55,7 @@ def build(scene, method, stuff, cells, per_cell=4):
         grid = pm.Grid.box((0, 0) if scene == "footing" else (0, -1), upper, 1 / cells, COMM)
         corner = (0, 0.3 if scene == "strip" else 0)  # the strip's faces stand clear of the grid's planes
         points = block_points(corner, size * cells, (per_cell,) * 2, stuff, 1 / cells)
-        problem = pm.QuasiStatic(grid, points, basis=method, reset=None, balanced_reset=False)
+        problem = pm.QuasiStatic(grid, points, basis=method, reset=None, balanced_reset=False, locking=None)
     held = {"u": 0} | ({"theta": 0} if stuff.micropolar else {})
     if scene == "strip":
         problem.fix(pm.plane(x=0.0), **held)

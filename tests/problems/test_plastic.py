@@ -48,7 +48,9 @@ def by_points(
     material: Any, dim: int = 2, *, scale: float = 1.0, controls: Any = STRICT, **options: Any
 ) -> Any:
     """A short beam whose end is pushed down and pulled."""
-    problem = beam(dim, material, scale=scale, controls=controls, **{"per_cell": 3, **options})
+    problem = beam(
+        dim, material, scale=scale, controls=controls, **{"per_cell": 3, "locking": None, **options}
+    )
     return _push(problem, pm.plane(x=3.0 * scale), dim, scale)
 
 

@@ -1,11 +1,12 @@
 """Patches of points: few functions of a patch stand for the stiff scalars of its points (docs/theory.md).
 
-The functions phi_a of a patch, 1 or 1 and the coordinates, are orthonormal over its points, sum V0 phi_a phi_b =
-delta_ab. The projection of values f at the points is sum_a phi_a sum V0 phi_a f. With it come, beside the sums over
-points, vectors of the patch's nodes for each mode (a function times a scalar), whose products are added to the
-tangent:
+The functions phi_a of a patch, 1 or 1 and the coordinates, are orthonormal over its points, sum V0 phi_a
+phi_b = delta_ab. The projection of values f at the points is sum_a phi_a sum V0 phi_a f. With it come, beside
+the sums over points, vectors of the patch's nodes for each mode (a function times a scalar), whose products
+g b^T + b h^T are added to the tangent:
 
-    b = sum V0 phi B^T e_z,   g = sum V0 phi B^T L_zt,   h = sum V0 phi B^T L_tz + c b,   c = sum V0 phi phi L_tt.
+    b = sum V0 phi B^T e_z,          g = sum V0 phi B^T L_zt,
+    h = sum V0 phi B^T L_tz + c b,   c = sum V0 phi phi L_tt.
 """
 
 from __future__ import annotations
@@ -100,7 +101,8 @@ class Patches:
     @property
     def modes(self) -> int:
         """Functions times scalars."""
-        return self.values.shape[1] * self.scalars
+        functions: int = self.values.shape[1]
+        return functions * self.scalars
 
     # nodes ----------------------------------------------------------------------------------------
     def _find_nodes(self, grid: Grid, active: ActiveNodes) -> int:
@@ -108,7 +110,9 @@ class Patches:
         b = self.batch
         offsets, node_offsets = b.kept["offsets"], b.kept["node_offsets"]
         group = np.repeat(np.arange(b.ngroups), np.diff(offsets))
-        pairs, pair = np.unique(np.stack([self.patch, group], axis=1).reshape(-1, 2), axis=0, return_inverse=True)
+        pairs, pair = np.unique(
+            np.stack([self.patch, group], axis=1).reshape(-1, 2), axis=0, return_inverse=True
+        )
         length = np.diff(node_offsets)[pairs[:, 1]]
         map_offsets = np.concatenate([[0], np.cumsum(length)]).astype(np.int64)
         at = np.arange(map_offsets[-1]) - np.repeat(map_offsets[:-1] - node_offsets[pairs[:, 1]], length)
@@ -135,7 +139,8 @@ class Patches:
             values=self.values,
         )
         self._length = int(starts[-1]) * self.block * self.modes
-        return int(self._away.max(initial=0))
+        reach: int = int(self._away.max(initial=0))
+        return reach
 
     def put_codes(self, reach: int) -> None:
         """Let the patches know the reach of the matrix."""
@@ -165,7 +170,9 @@ class Patches:
     def add_forces(self, vectors: np.ndarray, factors: np.ndarray, force: np.ndarray) -> None:
         """Add the modes' vectors times factors (patches, modes) to nodal forces (nodes, block)."""
         flat = np.ascontiguousarray(factors)
-        native.library().polarmpm_patch_forces(ctypes.byref(self._structure), self.block, vectors, flat, force)
+        native.library().polarmpm_patch_forces(
+            ctypes.byref(self._structure), self.block, vectors, flat, force
+        )
 
     def times(self, vectors: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Products (patches, modes) of the modes' vectors with nodal values (nodes, block)."""

@@ -14,11 +14,9 @@ import numpy as np
 from ..conditions.prescribed import Prescribed
 from ..errors import LocalFailure
 from ..geometry.nodes import ActiveNodes
-from ..forms.projected import ProjectedForm
 from ..kernels import native
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
-from ..materials.base import parameter_values
 from ..solvers.choice import make_solver, solver_of
 from ..solvers.linear import Tangent
 from ..tools.disposal import dispose_with, weakly
@@ -26,9 +24,8 @@ from ..tools.timing import Timer
 from . import sparsity
 from .initialstress import InitialStress
 from .interpolation import Interpolation, PointBatch
-from .pointboxes import PointBoxes
-from .stiffscalars import Evaluated, Linear, StiffScalars
-from .system import Assembled, NodalSystem
+from .projectedpoints import ProjectedPoints
+from .system import Assembled
 
 if TYPE_CHECKING:
     from ..forms.returnmapping import ReturnMapping
@@ -39,7 +36,7 @@ _UNFELT = 1e-12  # of a tangent's diagonal, added to it where there are fewer po
 _WEAK = 0.2  # share of a cell: nodes beyond edges of the body, and beyond faces that hardly enter a cell
 
 
-class LoadedPoints(NodalSystem):
+class LoadedPoints(ProjectedPoints):
     """Kernels and loads of the points. How their virtual work is summed is left to subclasses.
 
     Attributes:
@@ -60,14 +57,10 @@ class LoadedPoints(NodalSystem):
         grid, layout = interpolation.grid, interpolation.layout
         length, pieces = np.array(grid.smallest), interpolation.pieces
         super().__init__(interpolation.nodes, layout, prescribed, length, grid.comm, timer, pieces)
-        self.interpolation, self.kernels, self.couple_kernel = interpolation, kernels, couple_kernel
-        self._boxes = interpolation.boxes
+        self.kernels, self.couple_kernel = kernels, couple_kernel
+        self.interpolation, self._boxes = interpolation, interpolation.boxes
         self.mappings = [self._mapping(b) for b in interpolation.batches]
-        self.projected = [
-            StiffScalars(interpolation, k, self.comm) if b.form.scalars else None
-            for k, b in enumerate(interpolation.batches)
-        ]
-        self._patched: list[Evaluated | None] = [None] * len(self.projected)
+        self.project_in(interpolation)
         self._at_points: tuple[np.ndarray, np.ndarray] | None = None  # forces and couples
         self._couples: list[tuple[np.ndarray, np.ndarray]] = [
             (np.full(len(b.rows), -1, dtype=np.int32), np.zeros((1, 3))) for b in interpolation.batches
@@ -97,85 +90,6 @@ class LoadedPoints(NodalSystem):
         self.place()
         if self.initial is not None:
             self.initial.pack()
-
-    # projected scalars ----------------------------------------------------------------------------
-    def _boxes_of(self, k: int) -> PointBoxes | None:
-        return None if self._boxes is None else self._boxes[k]
-
-    def place(self) -> None:
-        """Let the points' kernels know the projected scalars at the present increments. Local."""
-        for k, projected in enumerate(self.projected):
-            if projected is not None:
-                projected.place(self.x, self._boxes_of(k))
-
-    def _project(self, *, tangent: bool) -> None:
-        """Project the points' stiff scalars and what they do work on. Collective."""
-        predicted, forms = self.step.projected, self.interpolation.forms
-        for k, projected in enumerate(self.projected):
-            if projected is None:
-                continue
-            boxes, mapping = self._boxes_of(k), self.mappings[k]
-            measure, yielding = projected.place(self.x, boxes), None
-            if mapping is not None:
-                with self.timer("return mapping"):
-                    inputs = self.interpolation.kernel_inputs(self.interpolation.batches[k], self.x)
-                    yielding = mapping.evaluate(inputs, tangent)
-            linear = None if predicted is None else predicted[k]
-            self._patched[k] = projected.evaluate(measure, boxes, yielding, linear, self.x, tangent=tangent)
-        if tangent and any(form.scalars for form in forms):
-            self.step.projected = [
-                None if p is None or p.h is None else Linear(self.x, p.exact, p.h) for p in self._patched
-            ]
-
-    def _add_patches(
-        self, matrix: native.Matrix | None, internal: np.ndarray, lifted: np.ndarray | None
-    ) -> None:
-        """What the patches add to forces, and to the tangent."""
-        for projected, found in zip(self.projected, self._patched, strict=True):
-            if projected is None or found is None:
-                continue
-            patches = projected.patches
-            patches.add_forces(found.b, found.exact - found.taken, internal)
-            if matrix is not None:
-                assert found.g is not None
-                assert found.h is not None
-                patches.add_tangent(found.b, found.g, found.h, matrix, lifted)
-
-    def holding_energy(self, x: np.ndarray) -> float:
-        """Energy (J) that holds points to their patches at increments x (nodes, block), on this rank."""
-        parts = enumerate(self.projected)
-        total = sum(p.energy(x, self._boxes_of(k)) for k, p in parts if p is not None)
-        if any(p is not None for p in self.projected):
-            self.place()
-        return float(total)
-
-    def put_projected(self) -> None:
-        """Let the points have the projected deformation of the last evaluation."""
-        points = self.interpolation.points
-        for k, projected in enumerate(self.projected):
-            if projected is not None:
-                projected.place(self.x, self._boxes_of(k))
-                rows, F = projected.projected_F()
-                moved = points.F.copy()
-                moved[rows] = F
-                points.F = moved
-
-    def elastic_blocks(self, k: int) -> np.ndarray:
-        """Residual and upper triangle of the tangent of batch k's elastic energy at no increments, without any
-        projection. Collective."""
-        batch, i = self.interpolation.batches[k], self.interpolation
-        n, nz = len(batch.rows), self.layout.unknowns
-        still, inputs = np.zeros((n, nz)), (i.kernel_inputs(batch, np.zeros_like(self.x)),)
-        if isinstance(batch.form, ProjectedForm):
-            form, r, rows = batch.form.plain, i.reference, batch.rows
-            plastic = i.points.plastic_state(rows)
-            state = form.pack(r.F[rows], r.q[rows], r.wryness[rows], plastic if form.material.plastic else ())
-            parameters = np.tile(parameter_values(form.material), (n, 1))
-            kernel, inputs = batch.form.compile_plain(self.comm), (np.hstack([still, state, parameters]),)
-        else:
-            form, kernel = batch.form, self.kernels[k][1]
-        found: np.ndarray = kernel(*inputs, *((still,) if form.predicts else ()))
-        return found
 
     def leave_out_boxes(self, on: bool) -> bool:
         self._boxes = None if on else self.interpolation.boxes
@@ -292,24 +206,12 @@ class LoadedPoints(NodalSystem):
 
     def rebase_rotations(self) -> None:
         """Count rotation increments from the points' current rotations on. Collective."""
-        before = [None if p is None else p.values(self.x) for p in self.projected]
+        before = self.scalar_values()
         self.interpolation.rebase_rotations(self.x)
         if self.initial is not None:
             self.initial.pack()
         self.forget_rotations()
-        self._go_on(before)
-
-    def _go_on(self, before: Sequence[np.ndarray | None]) -> None:
-        """Let stiff scalars have the values that they had before the rotations' base."""
-        reference = self.interpolation.reference
-        base = reference.stiff_scalars.copy()
-        for batch, projected, values in zip(self.interpolation.batches, self.projected, before, strict=True):
-            if projected is not None and values is not None:
-                base[batch.rows, : values.shape[1]] += values - projected.values(self.x)
-        if any(p is not None for p in self.projected):
-            reference.stiff_scalars = base
-            self.interpolation.pack()
-            self.place()
+        self.go_on(before)
 
 
 class PointSystem(LoadedPoints):
@@ -357,13 +259,13 @@ class PointSystem(LoadedPoints):
         internal = np.zeros_like(self.x)
         lifted = None if lift is None else np.zeros_like(self.x)
         matrix = self.pattern.matrix
-        self._project(tangent=tangent)
+        self.project_scalars(tangent=tangent)
         if tangent:
             native.fill(matrix, lift=lift)
             self._begin_tangent(lifted)
         for k, batch in enumerate(self.interpolation.batches):
             self._assemble(k, batch, matrix if tangent else None, internal, lifted)
-        self._add_patches(matrix if tangent else None, internal, lifted)
+        self.add_patches(matrix if tangent else None, internal, lifted)
         self._check_sides(internal)
         self.nodes.add_to_owners(internal)
         self.external = self.loads

@@ -1,8 +1,8 @@
 """Stiff scalars of a batch's points in the sums over them: projected over patches (`assembly.patches`).
 
-Before points are summed, their scalars e are projected, which gives t; then, of the derivatives L_t, pi. Both stand
-in the state that the points' kernels read. Where points integrate over boxes, e and the derivatives are means of the
-boxes' rule (`assembly.pointboxes`), at one t and one pi for the box.
+Before points are summed, their scalars e are projected, which gives t; then, of the derivatives L_t, pi. Both
+stand in the state that the points' kernels read. Where points integrate over boxes, e and the derivatives are
+means of the boxes' rule (`assembly.pointboxes`), at one t and one pi for the box.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 @dataclass
 class Mean:
-    """What a kernel gives at the points (n, k), and what their boxes add: to it, and times the derivatives along the
-    half axes (n, d, k); None without boxes."""
+    """What a kernel gives at the points (n, k), and what their boxes add: to it, and times the derivatives
+    along the half axes (n, d, k); None without boxes."""
 
     at_points: np.ndarray
     even: np.ndarray | None = None
@@ -70,8 +70,8 @@ class Evaluated:
         b, g, h: vectors of the modes, see `patches`; the latter two with a tangent only.
         exact: factors (patches, modes) of pi.
         taken: of the pi that the points' kernels take.
-        returned: of points that yield, in the place of the kernels: rows of the batch, and what `native` takes;
-            None where there are none.
+        returned: of points that yield, in the place of the kernels: rows of the batch, and what `native`
+            takes; None where there are none.
     """
 
     b: np.ndarray
@@ -169,7 +169,11 @@ class StiffScalars:
         if boxes is not None:
             boxes.put(kernels, None)
         mean = self._mean(self.kernels.conjugate, boxes)
-        by_t, tz, tt = mean.columns(0, m), mean.columns(m, m + m * nz), mean.columns(m + m * nz, m * (1 + nz + m))
+        by_t, tz, tt = (
+            mean.columns(0, m),
+            mean.columns(m, m + m * nz),
+            mean.columns(m + m * nz, m * (1 + nz + m)),
+        )
         zt = Mean(tz.at_points, tz.even, tz.odd)
         if yielding is not None and len(yielding.rows):
             _put_yielding(yielding, (by_t, tz, zt, tt), nz, m, tangent=tangent)
@@ -241,7 +245,9 @@ class StiffScalars:
         return found
 
 
-def _put_yielding(y: Yielding, means: tuple[Mean, Mean, Mean, Mean], nz: int, m: int, *, tangent: bool) -> None:
+def _put_yielding(
+    y: Yielding, means: tuple[Mean, Mean, Mean, Mean], nz: int, m: int, *, tangent: bool
+) -> None:
     """Put what the return mapping gives at the points that yield in the place of L_t, L_tz, L_zt and L_tt."""
     by_t, tz, zt, tt = means
     rows, n = y.rows, nz + m

@@ -84,8 +84,8 @@ class Basis(ABC):
         sliver: largest thickness, in cells, of what fills a cell so little that its points are weighted with
             the functions of the cell behind it (`aggregation`); 0: there is no such thing.
         uses_domains: weights depend on the points' current domains, not on their positions alone.
-        patch: cells in each direction of the patches over which stiff scalars are projected against locking; 0:
-            there are none that suit.
+        patch: cells in each direction of the patches over which stiff scalars are projected against locking;
+            0: there are none that suit.
         patch_linear: with linear functions; else with constants.
         patch_stiffness: of what holds elastic points to their patch, over the shear modulus.
         fills_boxes: second derivatives are known (`curvatures`), so that points integrate over their own
@@ -183,8 +183,8 @@ class Basis(ABC):
     def patches(
         self, grid: Grid, x: np.ndarray, cells: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Lattice index (n, d) of the patches that points at x (n, d) (m) belong to, in patches, and the points'
-        places over the patches' size. Collective.
+        """Lattice index (n, d) of the patches that points at x (n, d) (m) belong to, in patches, and the
+        points' places over the patches' size. Collective.
 
         Args:
             cells: from `supporting_cells`; default: asked for here.

@@ -97,8 +97,8 @@ def work(points: Points) -> np.ndarray:
 def destinations(
     grid: Grid, x: np.ndarray, effort: np.ndarray, cells: np.ndarray | None = None
 ) -> np.ndarray:
-    """Ranks (n,) for points at x (n, d) (m) with work (n,), see `work`. Points stay together that are in one cell,
-    or in one of the `cells` of lattice index (n, d). Collective."""
+    """Ranks (n,) for points at x (n, d) (m) with work (n,), see `work`. Points stay together that are in one
+    cell, or in one of the `cells` of lattice index (n, d). Collective."""
     cells, at = np.unique(grid.cell_number(grid.cells_of(x) if cells is None else cells), return_inverse=True)
     weight = _CELL + np.bincount(at, effort, minlength=len(cells))
     return bisect(grid.comm, grid.node_index(cells), weight)[at]

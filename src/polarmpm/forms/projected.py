@@ -15,6 +15,7 @@ which isn't zero once rotations have got a new base since the reset.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -157,7 +158,9 @@ class ProjectedForm(PointForm):
     def plain(self) -> PointForm:
         """The form of the elastic material without any projection, in the same frame."""
         form = PointForm(self.material.elastic_part, self.layout.dim)
-        return form if form.rotated == self.rotated else Unrotated(self.material.elastic_part, self.layout.dim)
+        return (
+            form if form.rotated == self.rotated else Unrotated(self.material.elastic_part, self.layout.dim)
+        )
 
     def compile_plain(self, comm: MPI.Comm) -> Kernel:
         """Residual and tangent of `plain`, compiled when they are asked for first. Collective."""
@@ -214,7 +217,7 @@ class ProjectedForm(PointForm):
         curvature = coefficients(bent, n, n)
         upper = [i * n + j for i in range(nz) for j in range(i, nz)]
         values = [scalarise.plain(scalarise.scalar(codegen.expand(e))) for e in self.scalars_now]
-        functions = {
+        functions: dict[str, Sequence[int]] = {
             "residual": r[:nz],
             "blocks": r[:nz] + [k[i] for i in upper],
             "measure": values + [node for e in by_z for node in coefficients(e, n)[:nz]],

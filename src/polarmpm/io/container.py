@@ -195,7 +195,7 @@ def write(
     """Put a new file in the place of the old one. Collective.
 
     Args:
-        kind: of the file, such as "format 7", on one line.
+        kind: of the file, such as "format 8", on one line.
         parts: as from `agree`.
         attributes: numbers, texts and arrays of rank 0.
 

@@ -65,7 +65,7 @@ def made_of(problem: Problem, terms: Sequence[Term]) -> Facts:
         p: Any = problem
         facts["points"] = _points(problem)
         facts["grid"] = dict(p.initial_grid.description())
-        facts["basis"] = {"basis": p.basis.name, "boxes": p.boxes}
+        facts["basis"] = {"basis": p.basis.name, "boxes": p.boxes, "locking": str(p.locking)}
     found: Facts = json.loads(json.dumps(facts, default=_plain))
     return found
 

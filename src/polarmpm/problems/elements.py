@@ -107,9 +107,8 @@ class QuasiStaticFEM(Problem):
         solver: as of `QuasiStatic`.
         assembly: how residual and tangent are summed over the elements: "native", by the points' own kernels
             in compiled loops, or "dolfinx", by its forms: the same to 1e-12, several times slower.
-        locking: "auto": materials with Poisson's ratio above 0.4 see the mean volume (and relative rotation)
-            of each element, see `QuasiStatic`; "always": all do; None: none. Simplices of degree 1 and
-            assembly "dolfinx" have no cure.
+        locking: as of `QuasiStatic`, with an element for a patch; but "auto" leaves plastic materials alone
+            that aren't nearly incompressible, too. Simplices of degree 1 and assembly "dolfinx" have no cure.
     """
 
     knows_undeformed = True

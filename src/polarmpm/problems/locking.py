@@ -26,7 +26,7 @@ class Patched(Protocol):
 
 LOCKING = ("auto", "always")
 INCOMPRESSIBLE = 0.4  # Poisson's ratio above which volume locks
-COUPLED = 0.1  # kappa / mu above which relative rotations lock
+COUPLED = 10.0  # kappa / mu above which relative rotations lock elastic bodies
 
 
 def check_locking(locking: Any) -> str | None:
@@ -91,11 +91,12 @@ class ElementPatch:
 
 
 def forms_of_elements(locking: str | None, elements: Elements) -> list[PointForm]:
-    """The forms of a meshed body's materials; "auto" cures nearly incompressible ones."""
+    """The forms of a meshed body's materials; "auto" leaves plastic ones alone that aren't nearly
+    incompressible."""
     patch = ElementPatch.of(elements)
 
     def form(material: Material) -> PointForm:
-        chosen = locking if locking != "auto" or poisson(material) > INCOMPRESSIBLE else None
-        return choose_form(chosen, material, elements.dim, patch)
+        left = locking == "auto" and material.plastic and poisson(material) <= INCOMPRESSIBLE
+        return choose_form(None if left else locking, material, elements.dim, patch)
 
     return [form(material) for material in elements.points.materials]

@@ -128,11 +128,8 @@ class QuasiStatic(OnGrid):
             unknowns.
         boxes: points integrate the strain energy over their own boxes (docs/theory.md), so that few of them
             see that a thin body bends; by default with all bases that have second derivatives, the splines.
-        locking: nearly incompressible materials, plastic ones and micropolar ones of a large kappa lock on
-            coarse cells. "auto": those with Poisson's ratio above 0.4, with a yield surface or with kappa > mu /
-            10 see the mean volume (and relative rotation) of a patch of cells instead of their points' own
-            (docs/theory.md); "always": all materials do; None: none, as in the papers. With bases "mpm",
-            "gimpm", "bspline", "bspline-averaged" and assembly "direct".
+        locking: "auto": materials that lock on coarse cells (docs/stability.md) see the mean volume, and
+            relative rotation, of a patch of cells instead of their points' own; "always": all do; None: none.
 
     Raises:
         InputError: an argument is out of range; materials that don't go together.
@@ -196,13 +193,13 @@ class QuasiStatic(OnGrid):
         """On one rank; an error where the script makes errors of warnings."""
         if self.comm.rank == 0:
             functions = f"the functions of basis={self.basis.name!r}"
+            left = [form.material for form in self.forms if not form.scalars]
             if self.basis.locks:
-                warn_of_locking(self.points.materials, functions, "basis='bspline'")
+                warn_of_locking(left, functions, "locking='auto' with assembly='direct', or basis='bspline'")
             else:
                 few = "displacements are 2 to 6 % too small with 32 and 16 cells across a body that bends"
-                warn_of_locking(
-                    self.points.materials, functions, "smaller cells", beyond=_SPLINES_LOCK, how=few
-                )
+                remedy = "locking='auto' with basis='bspline', or smaller cells"
+                warn_of_locking(left, functions, remedy, beyond=_SPLINES_LOCK, how=few)
 
     def _changing(self) -> Iterator[Changing]:
         yield from super()._changing()

@@ -53,9 +53,9 @@ class Results(Releasable):
         - ghost: work against the ghost penalty's forces;
         - patches: work against what holds points to the volume of their patch, see `locking`;
         - terms: work against the forces of other terms that aren't loads or supports;
-        - residue: external + carried - stored - dissipated - ghost - patches - terms: the error of the trapezoidal
-          rule, which falls with the square of the step, and what relaxes at resets that aren't balanced and
-          where couples in space meet a new base of the rotations.
+        - residue: external + carried - stored - dissipated - ghost - patches - terms: the error of the
+          trapezoidal rule, which falls with the square of the step, and what relaxes at resets that aren't
+          balanced and where couples in space meet a new base of the rotations.
         """
         p, dissipated = self.progress, 0.0
         if self.points.plastic:

@@ -29,7 +29,8 @@ class Progress:
         reset_factor, rotation_factor: load factor at the last reset and rotation base.
         reset_due: the grid is to be reset before the next step.
         factor_change: of the last step.
-        external_work, carried_work, ghost_work, patch_work, term_work: work (J) so far, see `Problem.energies`.
+        external_work, carried_work, ghost_work, patch_work, term_work: work (J) so far, see
+            `Problem.energies`.
     """
 
     factor: float = 0.0
