@@ -82,7 +82,7 @@ def _under(x):
 
 
 def footing(basis, cells, locking, length=None):
-    """Load over c b_eff of half a rough footing, pushed in by 0.02 b, and by how much it still rises."""
+    """Load over c b_eff of half a rough footing that is pushed in by 0.02 b, and by how much it rises."""
     elastic = pm.Hencky.from_engineering(E=YOUNG, nu=0.3)
     if length is not None:
         lam, mu = 0.3 * YOUNG / 1.3 / 0.4, YOUNG / 2.6

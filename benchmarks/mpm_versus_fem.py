@@ -74,10 +74,10 @@ def arch_mesh(along, across):
     return mesh
 
 
-def finite_elements(along, across, degree):
+def finite_elements(along, across, degree, **options):
     arch = demo("curved_cantilever")
     body = pm.Elements(arch_mesh(along, across), material=arch.MATERIAL, degree=degree)
-    problem = pm.QuasiStaticFEM(body)
+    problem = pm.QuasiStaticFEM(body, **options)
     problem.fix(pm.plane(x=0.0), u=0, theta=0)
     end = body.farthest((1, -1, 0))
     problem.load(end, force=(0, 0, arch.FORCE))

@@ -88,8 +88,21 @@ def tangent_at(problem: pm.QuasiStaticFEM, system: Any, x: np.ndarray) -> np.nda
     """The assembled matrix, dense; without supports all of its entries are there. Collective."""
     put(problem, system, x)
     system.evaluate(True)
-    matrix = system.matrix.matrix
+    return dense(problem, system)
+
+
+def dense(problem: pm.QuasiStaticFEM, system: Any) -> np.ndarray:
+    """The system's matrix as it has been assembled last, dense. Collective."""
+    if hasattr(system, "pattern"):
+        system.pattern.put(system.tangent)
+    matrix = system.tangent
     first, last = matrix.getOwnershipRange()
     columns = np.arange(matrix.size[1], dtype=np.int32)
-    rows = matrix.getValues(columns[first:last], columns)
-    return np.concatenate(COMM.allgather(rows))
+    if "sbaij" in matrix.getType():
+        matrix.setOption(matrix.Option.GETROW_UPPERTRIANGULAR, True)
+    rows = np.zeros((last - first, len(columns)))
+    for k, row in enumerate(range(first, last)):
+        at, values = matrix.getRow(row)
+        rows[k, at] = values
+    k = np.concatenate(COMM.allgather(rows))
+    return np.triu(k) + np.triu(k, 1).T if "sbaij" in matrix.getType() else k

@@ -240,7 +240,7 @@ def test_dead_loads_keep_the_tangent_symmetric():
     problem = cantilever()
     problem.traction(pm.plane(x=4.0), force=(1.0, 2.0), couple=3.0)
     problem.body_load(force=(1.0, 2.0), couple=3.0)
-    assert prepared(problem).matrix.solver.symmetric
+    assert prepared(problem).solver.symmetric
 
 
 def test_pressure_counts_from_the_deformed_body(strict):

@@ -25,6 +25,8 @@ from .system import Assembled, NodalSystem
 class ElementSystem(NodalSystem):
     """Residual and tangent of the increments since the last converged state.
 
+    A subclass may sum them in another way: `_build`, `assemble` and what follows from its matrix.
+
     Args:
         pieces: of the terms, as of now.
         dead: compiled linear forms of loads that don't depend on the unknowns.
@@ -47,15 +49,20 @@ class ElementSystem(NodalSystem):
         length = np.full(e.dim, e.cell_size)
         super().__init__(e.nodes, forms.layout, prescribed, length, e.comm, timer, pieces)
         self.forms, self._dead, self._varying = forms, dead, varying
-        with timer("compile"):
+        self._build(solver)
+
+    def _build(self, solver: str) -> None:
+        """Make ready for the sums, and for solutions. Collective."""
+        forms, fixed = self.forms, self.prescribed.fixed
+        with self.timer("compile"):
             self._residuals = forms.residuals
-            tangents = [*forms.tangents, *(v.tangent for v in varying)]
-        with timer("pattern"):
+            tangents = [*forms.tangents, *(v.tangent for v in self._varying)]
+        with self.timer("pattern"):
             self.matrix = FormMatrix(
                 tangents,
-                prescribed.fixed,
+                fixed,
                 self.symmetric,
-                e.nodes.owned,
+                self.nodes.owned,
                 not forms.symmetric,
                 solver,
                 self.is_large(),
@@ -127,6 +134,10 @@ class ElementSystem(NodalSystem):
     def start_elastic(self, on: bool) -> bool:
         return self.forms.start_elastic(on)
 
+    def projected_F(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Rows of points whose deformation is projected, and the projected F; dolfinx' forms project none."""
+        return []
+
     def _put(self, x: np.ndarray, before: np.ndarray | None = None) -> None:
         self.forms.x.x.array[:] = x.ravel()
         if before is not None:
@@ -167,7 +178,7 @@ class ElementSystem(NodalSystem):
     def _dense_terms(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Global numbers of the nodes of each set of the terms, and of the forms' own, and its tangent."""
         for rows, matrix in chain(self.terms.dense(self.x), self.forms.dense()):
-            yield self.nodes.numbers[rows], matrix
+            yield self.nodes.number[rows], matrix
 
     def positions(self) -> np.ndarray:
         x: np.ndarray = super().positions() + self.forms.elements.displacement

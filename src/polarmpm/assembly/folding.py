@@ -12,6 +12,7 @@ import numpy as np
 from ..conditions.ties import Ties
 from ..errors import InputError
 from ..geometry.grid import box_indices
+from ..geometry.nodes import ActiveNodes
 from .sparsity import Pattern
 
 
@@ -23,8 +24,8 @@ class Folding:
     """
 
     def __init__(self, pattern: Pattern, ties: Ties):
-        nodes, block = pattern.nodes, pattern.block
-        row, code, col = _pairs(pattern, np.any(ties.tied, axis=1))
+        nodes, block = ties.nodes, pattern.block
+        row, code, col = _pairs(pattern, nodes, np.any(ties.tied, axis=1))
         i, j = (a.ravel() for a in np.divmod(np.arange(block * block), block))
         row, col, code = (a[:, None] for a in (row, col, code))
         source = self._position(pattern, row, code, i, j)
@@ -71,9 +72,11 @@ class Folding:
         values[self._source] = 0.0
 
 
-def _pairs(pattern: Pattern, tied: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _pairs(
+    pattern: Pattern, nodes: ActiveNodes, tied: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows, codes and columns of all blocks of a pattern that a tied node (nodes,) has a part in."""
-    nodes, reach = pattern.nodes, pattern.matrix.reach
+    reach = pattern.matrix.reach
     side = 2 * reach + 1
     steps = (box_indices((side,) * nodes.grid.dim) - reach) @ nodes.grid.strides
     near = nodes.find((nodes.lattice[tied][:, None] + steps).ravel())

@@ -106,21 +106,30 @@ class NodalTerms:
         )
         return batch
 
-    def bind(self, matrix: native.Matrix, fixed: np.ndarray) -> None:
+    def bind(
+        self,
+        matrix: native.Matrix,
+        fixed: np.ndarray,
+        block_columns: Callable[[np.ndarray], np.ndarray] | None = None,
+    ) -> None:
         """Find the places of all entries in the values of a pattern's matrix.
 
         Rows and columns of prescribed unknowns, fixed (nodes, b), stay out, but for the diagonal; a symmetric
         matrix holds the upper triangle in the order of global numbers.
+
+        Args:
+            block_columns: of sets of nodes (m, n), (m, n, n); None: they are boxes of lattice nodes.
         """
         held = fixed.astype(bool)
-        self._places = [self._find(piece, rows, matrix, held) for piece, rows in self._parts()]
+        self._places = []
+        for piece, rows in self._parts():
+            columns = block_columns(rows) if block_columns else _columns_of_boxes(piece, rows, matrix)
+            self._places.append(self._find(piece, rows, matrix, held, columns))
 
-    def _find(self, piece: Piece, rows: np.ndarray, matrix: native.Matrix, fixed: np.ndarray) -> _Places:
-        assert isinstance(piece.boxes, Boxes)
-        place, start = matrix.kept["place"], matrix.kept["row_start"]
-        block, reach = fixed.shape[1], matrix.reach
-        offset = piece.boxes.offsets[None] - piece.boxes.offsets[:, None] + reach  # [row][column]
-        code = np.ravel_multi_index(tuple(np.moveaxis(offset, -1, 0)), (2 * reach + 1,) * offset.shape[-1])
+    def _find(
+        self, piece: Piece, rows: np.ndarray, matrix: native.Matrix, fixed: np.ndarray, columns: np.ndarray
+    ) -> _Places:
+        start, block = matrix.kept["row_start"], fixed.shape[1]
         i, j = piece.pairs.T
         row, column = rows[:, :, None, None], rows[:, None, :, None]
         diagonal = (row == column) & (i == j)
@@ -128,7 +137,7 @@ class NodalTerms:
         if matrix.symmetric:
             number = self.nodes.number
             kept &= (number[row] < number[column]) | ((row == column) & (i <= j))
-        at = start[row * block + i] + place[row, code[None, :, :, None]].astype(np.int64) * block + j
+        at = start[row * block + i] + columns[..., None].astype(np.int64) * block + j
         unique, inverse = np.unique(at[kept], return_inverse=True)
         return _Places(kept, unique, inverse.ravel())
 
@@ -157,3 +166,13 @@ class NodalTerms:
         for piece, rows in filter(lambda part: which(part[0]), self._parts()):
             out += self._scatter(rows, multiply(piece.pairs, matrices_of(piece, x[rows]), direction[rows]))
         return out
+
+
+def _columns_of_boxes(piece: Piece, rows: np.ndarray, matrix: native.Matrix) -> np.ndarray:
+    """Block columns (m, n, n) of the nodes of boxes in each other's rows."""
+    assert isinstance(piece.boxes, Boxes)
+    place, reach = matrix.kept["place"], matrix.reach
+    offset = piece.boxes.offsets[None] - piece.boxes.offsets[:, None] + reach  # [row][column]
+    code = np.ravel_multi_index(tuple(np.moveaxis(offset, -1, 0)), (2 * reach + 1,) * offset.shape[-1])
+    columns: np.ndarray = place[rows[:, :, None], code[None]]
+    return columns

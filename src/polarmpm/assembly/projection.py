@@ -187,7 +187,7 @@ class ProjectedSystem(LoadedPoints):
                     "room; allowed is 'direct'"
                 )
         own = self.cells.nodes.owned
-        numbers = self.cells.nodes.numbers[:own, None].astype(float)
+        numbers = self.cells.nodes.number[:own, None].astype(float)
         lattice = self.cells.lattice[:own]
         return values_by_number(self.comm, lattice, numbers, self.nodes.lattice)[:, 0].astype(np.int64)
 

@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from ..geometry.grid import box_indices
-from ..geometry.nodes import ActiveNodes
+from ..geometry.nodes import ActiveNodes, Nodes
 from ..kernels import native
 from ..tools.parallel import Route
 from .patches import Patches
@@ -30,7 +30,7 @@ class Pattern:
         diagonal: positions of the diagonal entries.
     """
 
-    nodes: ActiveNodes
+    nodes: Nodes
     block: int
     symmetric: bool
     indptr: np.ndarray
@@ -49,7 +49,7 @@ class Pattern:
 
     def petsc_matrix(self) -> PETSc.Mat:
         """Matrix of the owned rows; on one rank it uses the arrays of the pattern."""
-        comm, kind = self.nodes.grid.comm, ("SBAIJ" if self.symmetric else "AIJ")
+        comm, kind = self.nodes.comm, ("SBAIJ" if self.symmetric else "AIJ")
         local, total = self.nodes.owned * self.block, self.nodes.total * self.block
         sizes = ((local, total), (local, total))
         rows = self.indptr.astype(np.int32), self.indices, self.values[: self.owned_entries]
@@ -64,7 +64,7 @@ class Pattern:
     @property
     def shared(self) -> bool:
         """Whether the matrix uses the entries of the pattern: on several ranks it keeps rows in two parts."""
-        return self.nodes.grid.comm.size == 1 and self._usual
+        return self.nodes.comm.size == 1 and self._usual
 
     @property
     def _usual(self) -> bool:
@@ -159,19 +159,7 @@ def build(
     if symmetric:
         keep = nodes.number[row] <= nodes.number[col]
         row, code, col = row[keep], code[keep], col[keep]
-    mine = row < nodes.owned
-    pairs = np.stack([nodes.number[row[mine]], nodes.number[col[mine]]], axis=1)
-    route, ghost_pairs = None, np.zeros((0, 2), dtype=np.int64)
-    if grid.comm.size > 1:
-        route = Route(grid.comm, nodes.owner[row[~mine]])
-        sent = np.stack([nodes.number[row[~mine]], nodes.number[col[~mine]]], axis=1)
-        ghost_pairs = route.forward(sent)
-        pairs = np.concatenate([pairs, ghost_pairs])
-    total = max(nodes.total, 1)
-    pairs = np.stack(np.divmod(np.unique(pairs[:, 0] * total + pairs[:, 1]), total), axis=1)
-    pattern = _assemble_pattern(
-        nodes, block, symmetric, reach, codes, (row, code, col, mine), pairs, route, ghost_pairs
-    )
+    pattern = of_pairs(nodes, block, symmetric, reach, codes, (row, code, col))
     native.fill(pattern.matrix, half=int(half))
     if half and whole:
         later = code >= codes // 2  # in the order of a group's nodes, or the same node
@@ -181,8 +169,34 @@ def build(
     return pattern
 
 
+def of_pairs(
+    nodes: Nodes, block: int, symmetric: bool, reach: int, codes: int, local: tuple[np.ndarray, ...]
+) -> Pattern:
+    """Pattern of the pairs of nodes of all ranks. Collective.
+
+    Args:
+        symmetric: rows hold their upper triangle only.
+        codes: by how many numbers a node's neighbours are told apart.
+        local: this rank's pairs: row, code of the column in it, column; sorted by row.
+    """
+    row, code, col = local
+    mine = row < nodes.owned
+    pairs = np.stack([nodes.number[row[mine]], nodes.number[col[mine]]], axis=1)
+    route, ghost_pairs = None, np.zeros((0, 2), dtype=np.int64)
+    if nodes.comm.size > 1:
+        route = Route(nodes.comm, nodes.owner[row[~mine]])
+        sent = np.stack([nodes.number[row[~mine]], nodes.number[col[~mine]]], axis=1)
+        ghost_pairs = route.forward(sent)
+        pairs = np.concatenate([pairs, ghost_pairs])
+    total = max(nodes.total, 1)
+    pairs = np.stack(np.divmod(np.unique(pairs[:, 0] * total + pairs[:, 1]), total), axis=1)
+    return _assemble_pattern(
+        nodes, block, symmetric, reach, codes, (row, code, col, mine), pairs, route, ghost_pairs
+    )
+
+
 def _assemble_pattern(
-    nodes: ActiveNodes,
+    nodes: Nodes,
     block: int,
     symmetric: bool,
     reach: int,
@@ -253,7 +267,7 @@ def _scalar_rows(
 def _diagonal(
     offsets: np.ndarray,
     pairs: np.ndarray,
-    nodes: ActiveNodes,
+    nodes: Nodes,
     indptr: np.ndarray,
     block: int,
     symmetric: bool,

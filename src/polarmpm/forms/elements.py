@@ -52,16 +52,41 @@ class ElementForms:
 
         self.elements, self.layout = elements, elements.layout
         self.x, self.total = fem.Function(elements.space), fem.Function(elements.space)
-        self.before, self.correction = fem.Function(elements.space), fem.Function(elements.space)
-        size = self.layout.state().size
-        space = compat.quadrature_space(elements.mesh, size, elements.quadrature_degree)
-        self.state = fem.Function(space)
-        own = len(elements.body.owned_cells)
-        self._rows = compat.cell_dofs(space)[:own].ravel()  # of the quadrature points
-        self._numbers = [fem.Constant(elements.mesh, parameter_values(m)) for m in elements.points.materials]
         self.held: dict[Any, Any] = {}
         self.test = ufl.TestFunction(elements.space)
         self.trial = ufl.TrialFunction(elements.space)
+
+    @cached_property
+    def before(self) -> Any:
+        return self._function()
+
+    @cached_property
+    def correction(self) -> Any:
+        return self._function()
+
+    def _function(self) -> Any:
+        from dolfinx import fem
+
+        return fem.Function(self.elements.space)
+
+    @cached_property
+    def state(self) -> Any:
+        from dolfinx import fem
+
+        e = self.elements
+        return fem.Function(compat.quadrature_space(e.mesh, self.layout.state().size, e.quadrature_degree))
+
+    @cached_property
+    def _numbers(self) -> list[Any]:
+        from dolfinx import fem
+
+        e = self.elements
+        return [fem.Constant(e.mesh, parameter_values(m)) for m in e.points.materials]
+
+    @property
+    def uncured(self) -> list[Material]:
+        """Materials whose stiff scalars aren't projected."""
+        return list(self.elements.points.materials)
 
     # state --------------------------------------------------------------------------------------
     def pack(self) -> None:
@@ -71,7 +96,8 @@ class ElementForms:
 
     def put_at_points(self, function: Any, values: np.ndarray) -> None:
         """Set a quadrature function from values (np, c) at the points."""
-        function.x.array.reshape(-1, values.shape[1])[self._rows] = values
+        rows = compat.cell_dofs(function.function_space)[: len(self.elements.body.owned_cells)].ravel()
+        function.x.array.reshape(-1, values.shape[1])[rows] = values
 
     def start_elastic(self, on: bool) -> bool:
         """See `assembly.system.NodalSystem`."""
@@ -178,6 +204,10 @@ class ElementForms:
         d, block, n = self.layout.dim, self.layout.block, len(self.elements.points)
         values = self.point_values(self.elements.body.owned_cells).reshape(n, block * (1 + d))
         return values[:, :block], values[:, block:].reshape(n, block, d)
+
+    def load_code(self) -> None:
+        """Load compiled code that a step would load otherwise. Collective."""
+        _ = self.point_values
 
     # loads ----------------------------------------------------------------------------------------
     def body_work(self, density: Any) -> Any:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
+from mpi4py import MPI
+
 import numpy as np
 
 from ..tools.parallel import Route, lowest_ranks
@@ -65,6 +67,11 @@ class ActiveNodes:
     def __len__(self) -> int:
         return len(self.lattice)
 
+    @property
+    def comm(self) -> MPI.Comm:
+        """Of the ranks that share them."""
+        return self.grid.comm
+
     @cached_property
     def position(self) -> np.ndarray:
         """Coordinates (m), (n, d)."""
@@ -114,10 +121,16 @@ class Positioned(Protocol):
 
 
 class Nodes(Protocol):
-    """Nodes of this rank: first the owned ones, then ghosts."""
+    """Nodes of this rank: first the owned ones, then ghosts; see `ActiveNodes`."""
 
+    number: np.ndarray
+    owner: np.ndarray
     owned: int
+    start: int
     total: int
+
+    @property
+    def comm(self) -> MPI.Comm: ...
 
     @property
     def position(self) -> np.ndarray: ...

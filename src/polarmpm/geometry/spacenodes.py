@@ -14,7 +14,9 @@ class SpaceNodes:
 
     Attributes:
         position: coordinates (m), (n, d).
-        numbers: global numbers (n,).
+        number: global numbers (n,); contiguous over the ranks.
+        owner: ranks that own them (n,).
+        start: global number of the first owned node.
     """
 
     def __init__(self, space: Any, dim: int):
@@ -23,7 +25,11 @@ class SpaceNodes:
         index_map = space.dofmap.index_map
         self.owned, self.total = int(index_map.size_local), int(index_map.size_global)
         every = np.arange(self.owned + index_map.num_ghosts, dtype=np.int32)
-        self.numbers = np.asarray(index_map.local_to_global(every), dtype=np.int64)
+        self.comm = space.mesh.comm
+        self.number = np.asarray(index_map.local_to_global(every), dtype=np.int64)
+        self.start = int(index_map.local_range[0])
+        self.owner = np.full(len(every), self.comm.rank, dtype=np.int64)
+        self.owner[self.owned :] = index_map.owners
         self.position = space.tabulate_dof_coordinates()[:, :dim].copy()
         self._work = fem.Function(space)
         self._size = int(space.dofmap.index_map_bs)

@@ -474,6 +474,7 @@ void polarmpm_mirror(const Matrix *M, int32_t nb, int64_t pairs, const int32_t *
         }
 }
 
+#include "_elements.h"
 #include "_patches.h"
 #include "_moments.h"
 #include "_return.h"
@@ -483,5 +484,6 @@ void polarmpm_mirror(const Matrix *M, int32_t nb, int64_t pairs, const int32_t *
 SIZE_OF(Batch);
 SIZE_OF(Matrix);
 SIZE_OF(PointKernels);
+SIZE_OF(Elements);
 SIZE_OF(Patches);
 SIZE_OF(Return);

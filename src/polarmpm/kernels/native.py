@@ -43,12 +43,17 @@ class Patches(Structure):
     """Patches of a batch's points."""
 
 
+@declared_in("_elements.h")
+class Elements(Structure):
+    """Finite elements of one material, and where their nodes' blocks stand in the sparse matrix."""
+
+
 @declared_in("_return.h")
 class Return(Structure):
     """Kernels and controls of a return mapping."""
 
 
-STRUCTURES = (Batch, Matrix, PointKernels, Patches, Return)
+STRUCTURES = (Batch, Matrix, PointKernels, Patches, Elements, Return)
 
 
 def fill(structure: Structure, **values: Any) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import ufl
 
 from ..assembly.elements import ElementSystem
+from ..assembly.elementsums import SummedElements
 from ..bodies.elements import Elements
 from ..bodies.facets import Facets
 from ..bodies.reference import Increments
@@ -22,6 +23,7 @@ from ..conditions.loads import Applied, no_microrotation, point_loads
 from ..conditions.prescribed import Prescribed
 from ..conditions.supports import Support
 from ..errors import InputError
+from ..forms.elementkernels import NativeElementForms
 from ..forms.trial import try_energy
 from ..geometry.planes import PlaneSpec
 from ..geometry.surfaces import Surface
@@ -41,9 +43,12 @@ from . import faceslopes
 from .base import Problem
 from .described import described, of_rank
 from .given import Present
+from .locking import check_locking
 from .state import Progress
 from .surfaces import add_load
 from .whole import Changing
+
+ASSEMBLIES = ("native", "dolfinx")
 
 
 @dataclass(eq=False)
@@ -91,6 +96,11 @@ class QuasiStaticFEM(Problem):
         solver: as of `QuasiStatic`.
         slope_penalty: of materials with second gradients, eta of the interior penalty: how closely slopes of
             neighbours agree, and held ones are met. Below about 5 the elements may become unstable.
+        assembly: how residual and tangent are summed over the elements: "native", by the points' own kernels
+            in compiled loops, or "dolfinx", by its forms: the same to 1e-12, several times slower.
+        locking: as of `QuasiStatic`, with an element for a patch; but "auto" leaves plastic materials alone
+            that aren't nearly incompressible, too. Simplices of degree 1, second gradients and assembly
+            "dolfinx" have no cure.
     """
 
     holds_on_facets = True
@@ -105,19 +115,25 @@ class QuasiStaticFEM(Problem):
         controls: Controls | None = None,
         solver: str = "auto",
         slope_penalty: float = 20.0,
+        assembly: str = "native",
+        locking: str | None = "auto",
     ):
         checks.instance("elements", elements, Elements, "a meshed body, polarmpm.Elements(...), is")
+        self.assembly = checks.choice("assembly", assembly, ASSEMBLIES)
+        self.locking = check_locking(locking)
+        if self.locking == "always" and assembly == "dolfinx":
+            raise InputError("locking = 'always': assembly = 'dolfinx' has no cure; allowed is 'native'")
         self.solver = check_solver(solver)
         super().__init__(elements.comm, elements.points, elements.dim, controls)
         self.elements = elements
         slope_penalty = checks.number("slope_penalty", slope_penalty, above=0.0, allowed="a positive number")
-        self.forms = faceslopes.make_forms(elements, slope_penalty)
+        self.forms = faceslopes.make_forms(elements, slope_penalty, self.assembly, self.locking)
         _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
         for material in elements.points.materials:
             try_energy(material)
         with errors_on_all_ranks(elements.comm):  # of warnings a script may make errors
             if elements.degree == 1 and elements.comm.rank == 0:
-                warn_of_locking(elements.points.materials, "elements of degree 1", "degree 2")
+                warn_of_locking(self.forms.uncured, "elements of degree 1", "degree 2")
         self._surface_loads: list[SurfaceLoad] = []
         self.held_slopes: dict[Support, Any] = {}  # slopes that supports hold
         self.progress.reset_due = False
@@ -293,9 +309,8 @@ class QuasiStaticFEM(Problem):
         if self._system is not None:
             self._system.destroy()
         self.forms.held = {s: self.held_slopes[s] for s in self.supports if s in self.held_slopes}
-        self._system = ElementSystem(
-            self.forms, dead, varying, prescribed, self.timer, self.solver, self._pieces()
-        )
+        kind = SummedElements if isinstance(self.forms, NativeElementForms) else ElementSystem
+        self._system = kind(self.forms, dead, varying, prescribed, self.timer, self.solver, self._pieces())
         self._rebase(None)
         self._stale = self.progress.reset_due = False
         return self._system
@@ -388,9 +403,11 @@ class QuasiStaticFEM(Problem):
 
     def _commit(self, system: ElementSystem, increments: Increments, factor: float) -> None:
         e, p, d = self.elements, self.points, self.layout.dim
-        base = p.q
+        base, projected = p.q, system.projected_F()
         p.x = p.x + increments.value[:, :d]
         self._motion.move(p, p, increments)
+        for rows, F in projected:
+            p.F[rows] = F  # a new array, of this step
         e.q = rotations.turned(e.q, system.x[:, d:])
         self.forms.flow(base)
         e.displacement = e.displacement + system.x[:, :d]

@@ -10,17 +10,21 @@ from ..bodies.elements import Elements
 from ..bodies.facets import Facets
 from ..conditions.supports import Support
 from ..errors import InputError
+from ..forms.elementkernels import NativeElementForms
 from ..forms.elements import ElementForms
 from ..geometry.planes import PlaneSpec
 from ..tools.checks import shown
+from .locking import forms_of_elements
 
 
-def make_forms(elements: Elements, slope_penalty: float) -> ElementForms:
-    """The forms that the materials of a body need."""
+def make_forms(elements: Elements, slope_penalty: float, assembly: str, locking: str | None) -> ElementForms:
+    """The forms that the materials of a body need, for one of `elements.ASSEMBLIES`."""
     if any(m.second_gradient for m in elements.points.materials):
         from ..forms.gradientelements import GradientForms  # lazy import: others need none of it
 
         return GradientForms(elements, slope_penalty)
+    if assembly == "native":
+        return NativeElementForms(elements, forms_of_elements(locking, elements))
     if not elements.points.plastic:
         return ElementForms(elements)
     from ..forms.plasticelements import PlasticElementForms  # lazy import: elastic scenes need no plasticity

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
-from ..basis.base import Basis
+from ..bodies.elements import Elements
 from ..forms.choice import make_form, make_projected
 from ..forms.points import PointForm
 from ..materials.base import Material
 from ..tools import checks
+
+
+class Patched(Protocol):
+    """Functions whose points have patches: a basis, or elements."""
+
+    @property
+    def patch(self) -> int: ...
+
+    @property
+    def patch_stiffness(self) -> float: ...
+
 
 LOCKING = ("auto", "always")
 INCOMPRESSIBLE = 0.4  # Poisson's ratio above which volume locks
@@ -44,14 +56,14 @@ def _coupled(material: Material) -> bool:
     return len(known) == 2 and known["kappa"] > COUPLED * known["mu"]
 
 
-def cured(locking: str | None, material: Material, basis: Basis) -> bool:
+def cured(locking: str | None, material: Material, basis: Patched) -> bool:
     """Whether a material's stiff scalars are projected."""
     if locking is None or not basis.patch or material.second_gradient:
         return False
     return locking == "always" or locks(material)
 
 
-def choose_form(locking: str | None, material: Material, dim: int, basis: Basis) -> PointForm:
+def choose_form(locking: str | None, material: Material, dim: int, basis: Patched) -> PointForm:
     """The form of a material at points of a basis."""
     if not cured(locking, material, basis):
         return make_form(material, dim)
@@ -59,3 +71,32 @@ def choose_form(locking: str | None, material: Material, dim: int, basis: Basis)
     stiffness = 0.0 if material.plastic or not np.isfinite(mu) else basis.patch_stiffness * mu
     rotation = material.micropolar and (material.plastic or _coupled(material) or locking == "always")
     return make_projected(material, dim, rotation=rotation, stabilisation=stiffness)
+
+
+@dataclass(frozen=True)
+class ElementPatch:
+    """Of elements: each is a patch, but simplices of degree 1, which lock whatever their pressure.
+
+    Increments count from each converged step, where what holds points to their patch would be forgotten:
+    there is nothing that does.
+    """
+
+    patch: int
+    patch_stiffness: float = 0.0
+
+    @classmethod
+    def of(cls, elements: Elements) -> ElementPatch:
+        simple = elements.degree == 1 and elements.body.cell in ("triangle", "tetrahedron")
+        return cls(0 if simple else 1)
+
+
+def forms_of_elements(locking: str | None, elements: Elements) -> list[PointForm]:
+    """The forms of a meshed body's materials; "auto" leaves plastic ones alone that aren't nearly
+    incompressible."""
+    patch = ElementPatch.of(elements)
+
+    def form(material: Material) -> PointForm:
+        left = locking == "auto" and material.plastic and poisson(material) <= INCOMPRESSIBLE
+        return choose_form(None if left else locking, material, elements.dim, patch)
+
+    return [form(material) for material in elements.points.materials]

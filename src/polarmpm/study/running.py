@@ -197,7 +197,7 @@ def _load_code(problem: Problem) -> None:
     """Load compiled code that would be loaded within phases other than "compile" otherwise."""
     native.library()
     if isinstance(problem, QuasiStaticFEM):
-        _ = problem.forms.point_values
+        problem.forms.load_code()
 
 
 def _peak_memory() -> float:

@@ -1,0 +1,127 @@
+"""The cure of locking on elements: projected volumes and relative rotations (docs/theory.md)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import polarmpm as pm
+from tests.assembly.test_element_sums import random_state
+from tests.conftest import COMM, HENCKY, MICROPOLAR, NEO_HOOKEAN, derivative_error, release_supports, rotation
+from tests.helpers import plasticity
+from tests.helpers.bodies import DIMENSION, at_nodes, box, cantilever, prepared, residual_at, tangent_at
+
+CASES = [
+    ("quadrilateral", 1, HENCKY),
+    ("quadrilateral", 2, NEO_HOOKEAN),
+    ("triangle", 2, NEO_HOOKEAN),
+    ("quadrilateral", 1, MICROPOLAR),
+    ("hexahedron", 1, NEO_HOOKEAN),
+    ("quadrilateral", 1, plasticity.cylinder(plasticity.HENCKY)),
+]
+
+
+def cook(cells: int, degree: int, material: pm.Material, **options: object) -> pm.QuasiStaticFEM:
+    """Cook's membrane, 48 wide, 44 high at its support and 16 at its end, which is pulled up."""
+    mesh = box("quadrilateral", (cells, cells))
+    s, t = mesh.geometry.x[:, 0].copy(), mesh.geometry.x[:, 1].copy()
+    mesh.geometry.x[:, 0], mesh.geometry.x[:, 1] = 48 * s, 44 * s + t * (44 - 28 * s)
+    problem = pm.QuasiStaticFEM(pm.Elements(mesh, material=material, degree=degree), **options)
+    problem.fix(pm.plane(x=0.0), u=0)
+    problem.load(pm.plane(x=48.0), force=(0.0, 100.0))
+    return problem
+
+
+@pytest.mark.parametrize(("degree", "within"), [(1, 0.02), (2, 0.001)])
+def test_cooks_membrane(degree, within):
+    """Nearly incompressible, 16 cells a side: the corner moves by 6.92, three iterations a step, no cuts."""
+    nu, mu = 0.4999, 80.1938
+    problem = cook(16, degree, pm.NeoHookean(lam=2 * mu * nu / (1 - 2 * nu), mu=mu))
+    steps = list(problem.march(10, progress=False))
+    corner = at_nodes(problem.elements, problem.elements.displacement)[-1, 1]
+    assert corner == pytest.approx(6.92, rel=within)
+    assert len(steps) == 10
+    assert sum(step.iterations for step in steps) <= 35
+
+
+@pytest.mark.parametrize(("cell", "degree", "material"), CASES)
+def test_tangent_is_the_derivative_of_the_residual(cell, degree, material):
+    """After a step, in which the points have got the projected deformation; symmetric where it's elastic."""
+    dim = DIMENSION[cell]
+    body = pm.Elements(box(cell, (2,) * dim, distort=0.12), material=material, degree=degree)
+    problem = pm.QuasiStaticFEM(body, locking="always")
+    problem.fix(lambda x: x[:, 0] < 0.3, u=0)
+    problem.fix(lambda x: x[:, 0] > 0.8, uy=0.05)
+    list(problem.march(1, progress=False))
+    release_supports(problem)
+    problem._stale = True
+    system = prepared(problem)
+    x = np.random.default_rng(7).uniform(-0.02, 0.02, (1, problem.unknowns))
+
+    def tangent(y: np.ndarray) -> np.ndarray:
+        system.step.projected = None  # not predicted: the derivative itself
+        return tangent_at(problem, system, y[0])[None]
+
+    error = derivative_error(lambda y: residual_at(problem, system, y[0])[None], tangent, x)
+    assert error < 1e-7
+    if not material.plastic:
+        k = tangent(x)[0]
+        np.testing.assert_allclose(k, k.T, rtol=0, atol=1e-13 * abs(k).max())
+
+
+@pytest.mark.parametrize("material", [HENCKY, MICROPOLAR, plasticity.cylinder(plasticity.HENCKY)])
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_turned_body_is_the_same_body(degree, material, strict):
+    """A bar and its load, turned by a radian: the displacement and the stresses turn with it."""
+    turn, found = rotation(np.array([0.0, 0.0, 1.0]))[:2, :2], []
+    for q in (np.eye(2), turn):
+        mesh = box("quadrilateral", (6, 2), (6.0, 2.0), distort=0.05)
+        mesh.geometry.x[:, :2] = mesh.geometry.x[:, :2] @ q.T
+        body = pm.Elements(mesh, material=material, degree=degree)
+        problem = pm.QuasiStaticFEM(body, controls=strict, locking="always")
+        problem.fix(body.facets(lambda x, q=q: (x @ q)[:, 0] < 0.3), u=0)
+        problem.load(body.facets(lambda x, q=q: (x @ q)[:, 0] > 5.7), force=tuple(q @ np.array([2.0, 9.0])))
+        list(problem.march(3, progress=False))
+        F = problem.points.F[:, :2, :2]
+        found.append((body.displacement @ q, q.T @ F @ q, problem.energy()))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-10 * np.abs(other).max())
+
+
+def test_auto_leaves_bodies_alone_that_do_not_lock():
+    problem = cantilever("quadrilateral", NEO_HOOKEAN)
+    assert not any(form.scalars for form in problem.forms._point_forms)
+    stiff = pm.NeoHookean(lam=9e4, mu=2e3)
+    assert cantilever("quadrilateral", stiff).forms._point_forms[0].scalars == 1
+    simple = cantilever("triangle", stiff)
+    assert simple.forms._point_forms[0].scalars == 0
+
+
+def test_arguments():
+    body = pm.Elements(box("quadrilateral", (1, 1)), material=NEO_HOOKEAN)
+    with pytest.raises(pm.InputError, match="locking = 'never'"):
+        pm.QuasiStaticFEM(body, locking="never")
+    with pytest.raises(pm.InputError, match=r"'always'.*'dolfinx'.*'native'"):
+        pm.QuasiStaticFEM(body, locking="always", assembly="dolfinx")
+
+
+def test_the_energy_balance_closes():
+    """With the square of the step."""
+    residues = []
+    for steps in (4, 8):
+        problem = cook(4, 1, pm.NeoHookean(lam=8e3, mu=80.0), locking="always")
+        list(problem.march(steps, progress=False))
+        e = problem.energies()
+        assert e["patches"] == 0.0
+        residues.append(abs(e["residue"]) / e["external"])
+    assert residues[1] < 0.3 * residues[0] < 0.01
+
+
+def test_random_states_need_no_displacements(strict):
+    """States that were given without displacements are where a step begins."""
+    body = pm.Elements(box("quadrilateral", (3, 3)), material=HENCKY)
+    random_state(body, 2)
+    problem = pm.QuasiStaticFEM(body, controls=strict, locking="always")
+    problem.fix(pm.plane(x=0.0), u=0)
+    list(problem.march(1, progress=False))
+    assert COMM.allreduce(int(np.sum(np.linalg.det(body.points.F) <= 0))) == 0
