@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -42,6 +41,7 @@ from ..tools.parallel import errors_on_all_ranks
 from . import faceslopes
 from .base import Problem
 from .described import described, of_rank
+from .facetloads import SurfaceLoad, Varying
 from .given import Present
 from .locking import check_locking
 from .state import Progress
@@ -49,38 +49,6 @@ from .surfaces import add_load
 from .whole import Changing
 
 ASSEMBLIES = ("native", "dolfinx")
-
-
-@dataclass(eq=False)
-class SurfaceLoad:
-    """A traction, couple traction or pressure on facets.
-
-    Attributes:
-        amplitude: its values; a total when `share` is 1 / area.
-        kind: "force", "couple" or "pressure".
-        follows: it turns with the surface.
-    """
-
-    facets: Facets
-    amplitude: Amplitude
-    kind: str
-    follows: bool
-    share: float
-    function: Any = None  # its nodal values, made when the system is built
-    rows: Any = None  # the nodes of the facets
-    position: Any = None  # where they are (n, d) (m)
-
-    def __repr__(self) -> str:
-        area = f"{self.facets.area:.6g} {'m^2' if self.facets.body.dim == 3 else 'm'}"
-        return f"SurfaceLoad({self.amplitude.name!r} on {area}{', follows' if self.follows else ''})"
-
-
-@dataclass
-class _Varying:
-    """Compiled forms of loads that depend on the unknowns: virtual work, and minus its derivative."""
-
-    residual: Any
-    tangent: Any
 
 
 class QuasiStaticFEM(Problem):
@@ -322,7 +290,7 @@ class QuasiStaticFEM(Problem):
             term.begin()
         return [piece for term in self.terms for piece in pieces_of(term, setting)]
 
-    def _load_forms(self) -> tuple[list[Any], list[_Varying]]:
+    def _load_forms(self) -> tuple[list[Any], list[Varying]]:
         from dolfinx import fem
 
         e, f = self.elements, self.forms
@@ -333,7 +301,7 @@ class QuasiStaticFEM(Problem):
             compiled = compat.compile_form(form)
             if changes:
                 tangent = compat.compile_form(-ufl.derivative(form, f.x, f.trial))
-                varying.append(_Varying(compiled, tangent))
+                varying.append(Varying(compiled, tangent))
             else:
                 dead.append(compiled)
 
