@@ -319,6 +319,7 @@ class QuasiStatic(OnGrid):
                 rows = batch.rows[mapping.yielding.rows]
                 mapping.update_plastic_state(self.points, rows, i.reference.q[rows])
         i.pack()
+        system.place()
 
     # restart --------------------------------------------------------------------------------------
     def increments(self) -> tuple[Reference, np.ndarray, np.ndarray] | None:
