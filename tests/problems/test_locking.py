@@ -85,7 +85,7 @@ def footing(basis, material, cells=4, **options):
     problem.fix(pm.plane(x=4.0), ux=0)
     problem.fix(pm.plane(y=0.0), u=0)
     pressed = problem.fix(lambda x: (x[:, 0] < 1 + 1e-6) & (x[:, 1] > 2 - 1e-6), ux=0, uy=-0.02)
-    loads = [-problem.reaction(pressed).force[1] for _ in problem.march(pm.Schedule(0.025))]
+    loads = [-problem.reaction(pressed).force[1] for _ in problem.march(40)]
     return np.array(loads)
 
 
