@@ -24,7 +24,7 @@ def stress_at_hole(material: pm.Material, tension: float, far: float = 40.0) -> 
     mesh = box("quadrilateral", (20, 24))
     x = mesh.geometry.x
     step = np.pi / 2 / 24
-    r, t = far ** x[:, 0] * np.sqrt(step / np.sin(step)), np.pi / 2 * x[:, 1]  # the circles' areas
+    r, t = far ** (x[:, 0] ** 2) * np.sqrt(step / np.sin(step)), np.pi / 2 * x[:, 1]  # the circles' areas
     x[:, 0], x[:, 1] = r * np.cos(t), r * np.sin(t)
     body = pm.Elements(mesh, material=material, degree=2)
     problem = pm.QuasiStaticFEM(body)
@@ -48,7 +48,7 @@ def stress_at_hole(material: pm.Material, tension: float, far: float = 40.0) -> 
     return float(np.linalg.lstsq(powers, hoop, rcond=None)[0][0] / tension)
 
 
-@pytest.mark.parametrize(("N", "l_b"), [(0.5**0.5, 0.25), (0.5**0.5, 1.0), (0.9, 0.5)])
+@pytest.mark.parametrize(("N", "l_b"), [(0.5**0.5, 0.02), (0.5**0.5, 0.25), (0.5**0.5, 1.0), (0.9, 0.5)])
 def test_hole_in_a_plate_under_tension(N, l_b):
     kappa, bending = MU * N**2 / (1 - N**2), 2 * MU * l_b**2  # gamma + beta = 4 mu l_b^2
     solid = pm.MicropolarElastic(lam=LAM, mu=MU, kappa=kappa, alpha=0.0, gamma=bending, beta=bending)

@@ -67,7 +67,7 @@ def hole_in_tension(*, radius: float, nu: float, N: float, l_b: float) -> float:
     a = checks.number("radius", radius, above=0.0)
     nu = checks.number("nu", nu, above=-1.0, most=0.5)
     N, l_b = checks.number("N", N, least=0.0, most=1.0), checks.number("l_b", l_b, least=0.0)
-    if N == 0 or l_b <= 1e-9 * a:
+    if N <= 1e-9 or l_b <= 1e-9 * a:  # nothing but rounding
         return 3.0
     z = a * N / l_b
     F = 8 * (1 - nu) * N**2 / (4 + z**2 + 2 * z * _ratio(z, -1))
