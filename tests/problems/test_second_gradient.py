@@ -188,14 +188,14 @@ def test_pure_bending(per_cell, layout):
     assert left < 1e-9
 
 
-def square(cell: float) -> float:
-    """Largest compressive principal stress (MPa) at a point around a square excavation under pressure from
-    outside, l = 4 m, a quarter of it."""
+def square(cell: float, lengths: tuple[float, float] = (4.0, 4.0)) -> list[float]:
+    """Of a square excavation under pressure from outside, a quarter of it: the largest compressive principal
+    stress and shear stress (MPa) at a point, and how far its corner and the middle of its walls move (mm)."""
     grid = pm.Grid.box((0, 0), (5, 5), cell)
     points = pm.seed(
         grid,
         lambda x: np.max(x, axis=1) > 2.0,
-        material=gradient_solid(20e9, 0.0, (4.0, 4.0)),
+        material=gradient_solid(20e9, 0.0, lengths),
         points_per_cell=3,
         layout="gauss",
     )
@@ -206,13 +206,31 @@ def square(cell: float) -> float:
     for a, b in (((5, 0), (5, 5)), ((5, 5), (0, 5))):
         problem.pressure(pm.Surface.line(a, b, n), 60e4)
     assert problem.attempt(1.0).converged
-    largest = -np.linalg.eigvalsh(problem.fields("stress").stress).min(initial=0.0) * 1e-4
-    return COMM.allreduce(float(largest), op=MPI.MAX)
+    stress = problem.fields("stress").stress[:, :2, :2] * 1e-4
+    low, high = np.linalg.eigvalsh(stress).T
+    found = [float(v.max(initial=0.0)) for v in (-low, (high - low) / 2)]
+    found = [COMM.allreduce(v, op=MPI.MAX) for v in found]
+    for place in ((2.0, 2.0), (2.0, 0.0)):
+        off = place - points.X
+        near = np.linalg.norm(off, axis=1)
+        moved = points.displacement + np.einsum("nij,nj->ni", points.F[:, :2, :2] - np.eye(2), off)
+        one = min(zip(near, np.linalg.norm(moved, axis=1), strict=True), default=(np.inf, 0.0))
+        found.append(float(min(COMM.allgather(one))[1]) * 1e5)
+    return found
 
 
 def test_the_corner_of_a_square_excavation():
     """Where the classical stress has no limit."""
-    assert square(0.25) == pytest.approx(120.3, abs=0.5)
+    peak, shear, corner, middle = square(0.25)
+    assert peak == pytest.approx(120.3, abs=0.5)
+    assert shear == pytest.approx(30.9, abs=0.1)
+    assert (corner, middle) == pytest.approx((14.054, 12.964), rel=1e-3)
+
+
+def test_a_square_excavation_with_one_director():
+    """Stress between the classical one and that of two, and no symmetry of the diagonal."""
+    peak, shear, _, _ = square(0.125, (4.0, 0.0))
+    assert (peak, shear) == pytest.approx((199.5, 82.7), abs=0.1)
 
 
 def tip_of_cantilever(reset: int | None, balanced: bool = False) -> tuple[float, float]:

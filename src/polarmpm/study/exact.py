@@ -1,5 +1,6 @@
 """Closed forms with which the scenes of generalised continua are compared: a beam under a pressure that
-follows it, and a ring of a material with second gradients under outer pressure."""
+follows it, a ring of a material with second gradients under outer pressure, and of micropolar materials a
+hole under tension and a round bar in torsion."""
 
 from __future__ import annotations
 
@@ -44,6 +45,60 @@ def pressed_cantilever(load: float, steps: int = 4000) -> np.ndarray:
     turn, offset = line[-1, 2], line[-1, :2] - line[::-1, :2]
     cos, sin = np.cos(turn), np.sin(turn)
     return np.stack([offset @ (cos, sin), -(offset @ (-sin, cos))], axis=1)
+
+
+def hole_in_tension(*, radius: float, nu: float, N: float, l_b: float) -> float:
+    """Stress concentration of a round hole in an endless micropolar body under tension.
+
+    Kaloni & Ariman 1967. Small strains, plane strain. Classically it is 3, whatever the hole's radius.
+
+    Args:
+        radius: of the hole (m).
+        nu: Poisson's ratio.
+        N: coupling number, N^2 = kappa / (mu + kappa), from 0 (classical) to 1 (couple stresses).
+        l_b: characteristic length of bending (m), l_b^2 = (gamma + beta) / (4 mu).
+
+    Returns:
+        The largest hoop stress over the tension.
+
+    Raises:
+        InputError: an argument is out of range.
+    """
+    a = checks.number("radius", radius, above=0.0)
+    nu = checks.number("nu", nu, above=-1.0, most=0.5)
+    N, l_b = checks.number("N", N, least=0.0, most=1.0), checks.number("l_b", l_b, least=0.0)
+    if N <= 1e-9 or l_b <= 1e-9 * a:  # nothing but rounding
+        return 3.0
+    z = a * N / l_b
+    F = 8 * (1 - nu) * N**2 / (4 + z**2 + 2 * z * _ratio(z, -1))
+    return (3 + F) / (1 + F)
+
+
+def twisted_bar(*, radius: float, mu: float, kappa: float, alpha: float, gamma: float) -> float:
+    """Torsional stiffness of a round micropolar bar over the classical one (Gauthier & Jahsman 1975).
+
+    Small strains; the moduli are those of `MicropolarElastic`, of which lambda and beta don't matter.
+
+    Args:
+        radius: of the bar (m).
+        mu, kappa: moduli (Pa).
+        alpha, gamma: moduli of the wryness (N), alpha >= -2/3 gamma.
+
+    Returns:
+        1 + 6 (l_t / R)^2 (1 - 4/3 Psi chi) / (1 - Psi chi), l_t^2 = gamma / mu,
+        Psi = 2 gamma / (alpha + 2 gamma), chi = I1(p R) / (p R I0(p R)), p^2 = 4 kappa / (alpha + 2 gamma).
+
+    Raises:
+        InputError: an argument is out of range.
+    """
+    R, mu = checks.number("radius", radius, above=0.0), checks.number("mu", mu, above=0.0)
+    kappa, gamma = checks.number("kappa", kappa, above=0.0), checks.number("gamma", gamma, least=0.0)
+    alpha = checks.number("alpha", alpha, least=-2 / 3 * gamma)
+    if gamma == 0:
+        return 1.0
+    z = R * np.sqrt(4 * kappa / (alpha + 2 * gamma))
+    held = 2 * gamma / (alpha + 2 * gamma) * _ratio(z, 1) / z
+    return float(1 + 6 * gamma / (mu * R**2) * (1 - 4 / 3 * held) / (1 - held))
 
 
 class GradientRing:
@@ -140,3 +195,19 @@ def _bessel(z: np.ndarray, at: float, sign: int) -> tuple[np.ndarray, np.ndarray
         weight = np.exp(np.multiply.outer(z, argument) + at) * (t[1] - t[0])
     value, first, second = (weight @ (order * argument**k) for k in range(3))
     return value, first, second
+
+
+def _ratio(z: float, sign: int) -> float:
+    """I1(z) / I0(z) (sign 1) or K0(z) / K1(z) (sign -1), by the integrals of `_bessel`, z > 0."""
+    n = 2000
+    if sign > 0:
+        if z > 1e4:  # narrower than the rule's steps; the next term is less than rounding
+            return 1 - 1 / (2 * z) - 1 / (8 * z**2) - 1 / (8 * z**3)
+        if z < 1e-2:  # where the sum loses digits
+            return z / 2 * (1 - z**2 / 8 + z**4 / 48)
+        t = (np.arange(n) + 0.5) / n * np.pi
+        weight = np.exp(-2 * z * np.sin(t / 2) ** 2)
+        return float(weight @ np.cos(t) / weight.sum())
+    t = (np.arange(n) + 0.5) / n * np.arccosh(1 + 750.0 / z)
+    weight = np.exp(-2 * z * np.sinh(t / 2) ** 2)
+    return float(weight.sum() / (weight @ np.cosh(t)))
