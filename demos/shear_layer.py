@@ -81,6 +81,7 @@ def build(rows, columns, length, args):
             controls=controls(args.model),
             reset=1,
             balanced_reset=False,
+            locking=None,  # as in the thesis
         )
     problem.fix(lambda x: np.ones(len(x), dtype=bool), uy=0)
     base = problem.fix(pm.plane(y=0.0), ux=0)
