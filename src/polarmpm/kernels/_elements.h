@@ -142,11 +142,15 @@ INLINE void assemble_elements(const int dim, const int rot, const Elements *e, c
     }
 }
 
+SPECIALISED_PLAIN(assemble_elements, (const Elements *e, const Batch *b, const PointKernels *kernels, const Matrix *M,
+                  const double *x, const vec *table, double *force, double *rhs, Work *w), e, b, kernels, M, x, table,
+                  force, rhs, w)
+
 /* Residual of elements added to `force`, tangent to M (NULL: residual only); `kernels` without couples, boxes and initial
  * stresses. `rhs` takes what prescribed increments add to the residual of free unknowns. Returns nonzero when memory ran
  * out. */
-FAST int polarmpm_assemble_elements(const Elements *e, const PointKernels *kernels, const Matrix *M, const double *x,
-                                    double *force, double *rhs)
+int polarmpm_assemble_elements(const Elements *e, const PointKernels *kernels, const Matrix *M, const double *x,
+                               double *force, double *rhs)
 {
     if (e->nelements == 0) return 0;
     const int32_t count[3] = {e->nodes, 1, 1};
@@ -155,7 +159,7 @@ FAST int polarmpm_assemble_elements(const Elements *e, const PointKernels *kerne
     int failed = create_work(b, M != NULL, 1, 0, &w);
     vec *table = failed ? NULL : padded_table(e, w.sv);
     failed |= !table;
-    if (!failed) SPECIALISED_PLAIN(assemble_elements, e, b, kernels, M, x, table, force, rhs, &w);
+    if (!failed) assemble_elements_sized(e, b, kernels, M, x, table, force, rhs, &w);
     free(table);
     free_work(&w);
     return failed;
@@ -175,9 +179,12 @@ INLINE void gather_elements(const int dim, const int rot, const Elements *e, con
     }
 }
 
+SPECIALISED_PLAIN(gather_elements, (const Elements *e, const vec *table, const double *x, double *z, double *value,
+                  Work *w), e, table, x, z, value, w)
+
 /* Increments at the quadrature points: z [point][nz], by the elements' axes, and, unless NULL, interpolated values
  * [point][block]. Returns nonzero when memory ran out. */
-FAST int polarmpm_gather_elements(const Elements *e, const double *x, double *z, double *value)
+int polarmpm_gather_elements(const Elements *e, const double *x, double *z, double *value)
 {
     const int32_t count[3] = {e->nodes, 1, 1};
     const Batch b = as_batch(e, count);
@@ -185,7 +192,7 @@ FAST int polarmpm_gather_elements(const Elements *e, const double *x, double *z,
     int failed = create_work(&b, 0, 0, 0, &w);
     vec *table = failed ? NULL : padded_table(e, w.sv);
     failed |= !table;
-    if (!failed) SPECIALISED_PLAIN(gather_elements, e, table, x, z, value, &w);
+    if (!failed) gather_elements_sized(e, table, x, z, value, &w);
     free(table);
     free_work(&w);
     return failed;
@@ -212,8 +219,11 @@ INLINE void sum_element_modes(const int dim, const int rot, const Elements *e, c
         }
 }
 
+SPECIALISED_PLAIN(sum_element_modes, (const Elements *e, const Patches *P, const vec *table, const double *work,
+                  double *out, Work *w), e, P, table, work, out, w)
+
 /* Vectors of the modes of elements as patches, see sum_patches; returns nonzero when memory ran out. */
-FAST int polarmpm_element_vectors(const Elements *e, const Patches *P, const double *work, double *out)
+int polarmpm_element_vectors(const Elements *e, const Patches *P, const double *work, double *out)
 {
     const int32_t count[3] = {e->nodes, 1, 1};
     const Batch b = as_batch(e, count);
@@ -221,7 +231,7 @@ FAST int polarmpm_element_vectors(const Elements *e, const Patches *P, const dou
     int failed = create_work(&b, 0, 1, 0, &w);
     vec *table = failed ? NULL : padded_table(e, w.sv);
     failed |= !table;
-    if (!failed) SPECIALISED_PLAIN(sum_element_modes, e, P, table, work, out, &w);
+    if (!failed) sum_element_modes_sized(e, P, table, work, out, &w);
     free(table);
     free_work(&w);
     return failed;

@@ -30,7 +30,8 @@ FAST int polarmpm_moments(const Batch *b, const PointKernels *kernels, const dou
     int64_t group = 0, group_of[LANES];
     for (int64_t start = 0; start < b->npoints && !failed; start += LANES) {
         int coupled;
-        const int lanes = evaluate(b->dim, b->rot, 0, b, kernels, x, start, &group, group_of, &w, &coupled);
+        const int lanes = lanes_from(b, start);
+        evaluate_sized(b, kernels, x, start, &group, group_of, &w, &coupled);
         for (int l = 0; l < lanes; ++l) {
             const int64_t p = start + l;
             const double *frame = b->state + p * b->nstate;

@@ -103,13 +103,18 @@ INLINE void evaluate_initial(const int dim, const int rot, const int second, con
     kernels->initial(w->iin, w->iout);
 }
 
-/* Evaluate LANES points from `start` on: shapes of each, then the kernels. Returns how many are real. */
-INLINE int evaluate(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
-                    const double *x, int64_t start, int64_t *group, int64_t *group_of, Work *w, int *coupled)
+INLINE int lanes_from(const Batch *b, int64_t start)
+{
+    return (int)(b->npoints - start < LANES ? b->npoints - start : LANES);
+}
+
+/* Evaluate LANES points from `start` on, of which `lanes_from` are real: shapes of each, then the kernels. */
+INLINE void evaluate(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
+                     const double *x, int64_t start, int64_t *group, int64_t *group_of, Work *w, int *coupled)
 {
     const int nb = dim + rot, nz = unknowns_of(dim, rot, second), ns = b->nstate, np = b->nparam, sv = w->sv;
     const int turn = value_slot(dim, rot, dim);  /* rotations in z; couples do work in space only */
-    const int lanes = (int)(b->npoints - start < LANES ? b->npoints - start : LANES);
+    const int lanes = lanes_from(b, start);
     int open = 0;
     *coupled = 0;
     for (int l = 0; l < lanes; ++l) {
@@ -160,8 +165,10 @@ INLINE int evaluate(const int dim, const int rot, const int second, const Batch 
     if (kernels->box_kernel) evaluate_boxes(dim, rot, second, b, kernels->box_kernel, w->in, w->out, &w->boxes);
     if (*coupled) kernels->couple(w->cin, w->cout);
     if (kernels->initial) evaluate_initial(dim, rot, second, kernels, start, lanes, w);
-    return lanes;
 }
+
+SPECIALISED(evaluate, (const Batch *b, const PointKernels *kernels, const double *x, int64_t start, int64_t *group,
+            int64_t *group_of, Work *w, int *coupled), b, kernels, x, start, group, group_of, w, coupled)
 
 /* What a point's virtual work multiplies, times its volume: r [nz] and, if wanted, A [nz][nz]; gradients in
  * the point's frame. */
@@ -240,13 +247,16 @@ INLINE void gather(const int dim, const int rot, const int second, const Batch *
     }
 }
 
+SPECIALISED(gather, (const Batch *b, const double *x, int32_t framed, double *z, double *value, Work *w), b, x,
+            framed, z, value, w)
+
 /* Increments at the points: z [point][nz], in the grid's frame or that of the state, and, unless NULL,
  * interpolated values [point][block]. Returns nonzero when memory ran out. */
-FAST int polarmpm_gather(const Batch *b, const double *x, int32_t framed, double *z, double *value)
+int polarmpm_gather(const Batch *b, const double *x, int32_t framed, double *z, double *value)
 {
     Work w;
     const int failed = create_work(b, 0, 0, 0, &w);
-    if (!failed) SPECIALISED(gather, b, x, framed, z, value, &w);
+    if (!failed) gather_sized(b, x, framed, z, value, &w);
     free_work(&w);
     return failed;
 }
@@ -280,7 +290,8 @@ INLINE void assemble(const int dim, const int rot, const int second, const Batch
     int64_t group = 0, group_of[LANES];
     for (int64_t start = 0; start < b->npoints; start += LANES) {
         int coupled;
-        const int lanes = evaluate(dim, rot, second, b, kernels, x, start, &group, group_of, w, &coupled);
+        const int lanes = lanes_from(b, start);
+        evaluate_sized(b, kernels, x, start, &group, group_of, w, &coupled);
         for (int l = 0, end; l < lanes; l = end) {
             const int64_t g = group_of[l];
             for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
@@ -297,16 +308,19 @@ INLINE void assemble(const int dim, const int rot, const int second, const Batch
     }
 }
 
+SPECIALISED(assemble, (const Batch *b, const PointKernels *kernels, const Matrix *M, const double *x, double *force,
+            double *rhs, Work *w), b, kernels, M, x, force, rhs, w)
+
 /* Residual (internal minus couples' work) added to `force`, tangent to M (NULL: residual only).
  * `rhs` takes what prescribed increments add to the residual of free unknowns.
  * Returns nonzero when memory ran out. */
-FAST int polarmpm_assemble(const Batch *b, const PointKernels *kernels, const Matrix *M, const double *x, double *force,
-                           double *rhs)
+int polarmpm_assemble(const Batch *b, const PointKernels *kernels, const Matrix *M, const double *x, double *force,
+                      double *rhs)
 {
     if (b->npoints == 0) return 0;
     Work w;
     const int failed = create_work(b, M != NULL, 1, kernels->box_axes != NULL, &w);
-    if (!failed) SPECIALISED(assemble, b, kernels, M, x, force, rhs, &w);
+    if (!failed) assemble_sized(b, kernels, M, x, force, rhs, &w);
     free_work(&w);
     return failed;
 }
@@ -359,7 +373,8 @@ INLINE void assemble_boxes(const int dim, const int rot, const int second, const
     int64_t group = 0, group_of[LANES];
     for (int64_t start = 0; start < b->npoints; start += LANES) {
         int coupled;
-        const int lanes = evaluate(dim, rot, second, b, kernels, x, start, &group, group_of, w, &coupled);
+        const int lanes = lanes_from(b, start);
+        evaluate_sized(b, kernels, x, start, &group, group_of, w, &coupled);
         if (whole) evaluate_sides(dim, rot, second, b, kernels->kernel, w->in, &w->boxes);
         for (int l = 0, end; l < lanes; l = end) {
             const int64_t g = group_of[l];
@@ -372,15 +387,18 @@ INLINE void assemble_boxes(const int dim, const int rot, const int second, const
     }
 }
 
+SPECIALISED(assemble_boxes, (const Batch *b, const PointKernels *kernels, const Matrix *M, int32_t whole,
+            const double *x, double *rhs, Work *w), b, kernels, M, whole, x, rhs, w)
+
 /* The tangent of the boxes to M: `whole`, or what their sides' strains add while the moduli are those of the points. The
  * kernel is that of the elastic energy. `rhs` as in polarmpm_assemble. Returns nonzero when memory ran out. */
-FAST int polarmpm_assemble_boxes(const Batch *b, const PointKernels *kernels, const Matrix *M, int32_t whole,
-                                 const double *x, double *rhs)
+int polarmpm_assemble_boxes(const Batch *b, const PointKernels *kernels, const Matrix *M, int32_t whole,
+                            const double *x, double *rhs)
 {
     if (b->npoints == 0) return 0;
     Work w;
     const int failed = create_work(b, 1, 1, 1 + whole, &w);
-    if (!failed) SPECIALISED(assemble_boxes, b, kernels, M, whole, x, rhs, &w);
+    if (!failed) assemble_boxes_sized(b, kernels, M, whole, x, rhs, &w);
     free_work(&w);
     return failed;
 }
@@ -403,13 +421,16 @@ INLINE void gather_boxes(const int dim, const int rot, const int second, const B
     }
 }
 
+SPECIALISED(gather_boxes, (const Batch *b, const PointKernels *kernels, const double *x, double *z, double *zk,
+            Work *w), b, kernels, x, z, zk, w)
+
 /* z [point][nz] in the frame of the state, and its derivatives along the half axes, zk [point][dim][nz]. Returns nonzero
  * when memory ran out. */
-FAST int polarmpm_gather_boxes(const Batch *b, const PointKernels *kernels, const double *x, double *z, double *zk)
+int polarmpm_gather_boxes(const Batch *b, const PointKernels *kernels, const double *x, double *z, double *zk)
 {
     Work w;
     const int failed = create_work(b, 0, 0, 1, &w);
-    if (!failed) SPECIALISED(gather_boxes, b, kernels, x, z, zk, &w);
+    if (!failed) gather_boxes_sized(b, kernels, x, z, zk, &w);
     free_work(&w);
     return failed;
 }
@@ -424,11 +445,12 @@ INLINE void box_work(const int dim, const int rot, const int second, const Batch
     for (int64_t start = 0; start < b->npoints; start += LANES) {
         int coupled;
         int64_t first = group;
-        evaluate(dim, rot, second, b, kernels, from, start, &first, group_of, w, &coupled);
+        evaluate_sized(b, kernels, from, start, &first, group_of, w, &coupled);
         memcpy(z, w->in, sizeof(double) * block), memcpy(r, w->out, sizeof(double) * block);
         memcpy(zk, boxes->zk, sizeof(double) * dim * block), memcpy(sums, boxes->sums, sizeof(double) * sides);
         w->gathered = -1;  /* the same group at other nodal values */
-        const int lanes = evaluate(dim, rot, second, b, kernels, to, start, &group, group_of, w, &coupled);
+        const int lanes = lanes_from(b, start);
+        evaluate_sized(b, kernels, to, start, &group, group_of, w, &coupled);
         w->gathered = -1;
         for (int l = 0; l < lanes; ++l) {
             const double volume = b->volume[start + l], weight = volume * kernels->box_share[start + l] / 6.0;
@@ -445,17 +467,20 @@ INLINE void box_work(const int dim, const int rot, const int second, const Batch
     }
 }
 
+SPECIALISED(box_work, (const Batch *b, const PointKernels *kernels, const double *from, const double *to,
+            double *inside, double *whole, Work *w, double *old), b, kernels, from, to, inside, whole, w, old)
+
 /* Of each point, the work of the change of its elastic stresses on the increments between two nodal states, and what of
  * it is done inside its box: (z' - z)(R' - R), twice the energy of the change where that is linear. Returns nonzero when
  * memory ran out. */
-FAST int polarmpm_box_work(const Batch *b, const PointKernels *kernels, const double *from, const double *to,
-                           double *inside, double *whole)
+int polarmpm_box_work(const Batch *b, const PointKernels *kernels, const double *from, const double *to,
+                      double *inside, double *whole)
 {
     if (b->npoints == 0) return 0;
     Work w;
     double *old = vectors((size_t)(3 + 2 * SIDES) * unknowns_of(b->dim, b->rot, b->second) * LANES);
     const int failed = create_work(b, 0, 0, 1, &w) || !old;
-    if (!failed) SPECIALISED(box_work, b, kernels, from, to, inside, whole, &w, old);
+    if (!failed) box_work_sized(b, kernels, from, to, inside, whole, &w, old);
     free_work(&w);
     free(old);
     return failed;

@@ -38,14 +38,17 @@ INLINE void sum_patches(const int dim, const int rot, const Batch *b, const Poin
     }
 }
 
+SPECIALISED_PLAIN(sum_patches, (const Batch *b, const PointKernels *kernels, const Patches *P, const double *work,
+                  const double *sides, double *out, Work *w), b, kernels, P, work, sides, out, w)
+
 /* Vectors of the patches' modes, see sum_patches; returns nonzero when memory ran out. */
-FAST int polarmpm_patch_vectors(const Batch *b, const PointKernels *kernels, const Patches *P, const double *work,
-                                const double *sides, double *out)
+int polarmpm_patch_vectors(const Batch *b, const PointKernels *kernels, const Patches *P, const double *work,
+                           const double *sides, double *out)
 {
     if (b->npoints == 0) return 0;
     Work w;
     const int failed = create_work(b, 0, 1, sides != NULL, &w);
-    if (!failed) SPECIALISED_PLAIN(sum_patches, b, kernels, P, work, sides, out, &w);
+    if (!failed) sum_patches_sized(b, kernels, P, work, sides, out, &w);
     free_work(&w);
     return failed;
 }
