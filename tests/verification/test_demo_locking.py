@@ -1,0 +1,68 @@
+"""The demos of bodies that lock: Cook's membrane and a strip footing."""
+
+import json
+import math
+
+from mpi4py import MPI
+
+import pytest
+
+from tests.helpers.demos import demo_module
+
+COMM = MPI.COMM_WORLD
+
+
+@pytest.fixture
+def run(folder):
+    """A function that runs a demo with options and returns its result, as the JSON file has it."""
+
+    def of(name, *options):
+        file = folder / f"{name}.json"
+        given = demo_module(name).main([*options, "--json", str(file), "--output", str(folder)])
+        COMM.barrier()
+        found = json.loads(file.read_text())
+        assert found["case"] == given["case"] == name
+        assert list(folder.glob("*.png"))
+        assert list(folder.glob("*.pvd"))
+        return found["result"]
+
+    return of
+
+
+def test_corner_of_cooks_membrane_rises_as_it_should(run):
+    """Nearly incompressible, on coarse cells; three iterations a step."""
+    result = run("cooks_membrane", "--cells", "8", "--nu", "0.4999", "--points-per-cell", "3")
+    assert sorted(result["tip"]) == ["bspline", "fem1", "fem2", "gimpm", "mpm"]
+    for name, of_nu in result["tip"].items():
+        assert of_nu["0.4999"]["8"] == pytest.approx(6.92, rel=0.05), name
+        assert result["iterations"][name]["0.4999"]["8"] <= 40
+
+
+def test_cooks_membrane_locks_without_the_cure(run):
+    options = ("--cells", "8", "--nu", "0.4999", "--points-per-cell", "2")
+    result = run("cooks_membrane", *options, "--bases", "mpm", "fem1", "--locking", "none")
+    for of_nu in result["tip"].values():
+        assert of_nu["0.4999"]["8"] < 0.6 * 6.92
+
+
+def test_bearing_capacity_of_a_strip_footing_on_coarse_cells(run):
+    options = ("--cells", "2", "--points-per-cell", "2", "--steps", "20")
+    result = run("strip_footing", *options)
+    assert sorted(result["bearing"]) == ["bspline", "fem1", "fem2", "gimpm", "mpm"]
+    assert result["limit"] == 2 + math.pi
+    for name, load in result["bearing"].items():
+        assert load == pytest.approx(result["limit"], rel=0.12), name
+        assert result["curves"][name]["load"][-1] == load
+        assert result["rise"][name] < (0.06 if name == "bspline" else 0.01)  # 0.15 and more as it locks
+
+
+@pytest.mark.slow
+def test_default_settings_of_the_locking_demos(run):
+    for name, of_nu in run("cooks_membrane")["tip"].items():
+        assert of_nu["0.4999"]["8"] == pytest.approx(6.92, rel=0.05), name
+        assert of_nu["0.4999"]["16"] == pytest.approx(6.92, rel=0.025), name
+        assert of_nu["0.3"]["16"] == pytest.approx(7.78, rel=0.025), name
+    result = run("strip_footing")
+    for name, load in result["bearing"].items():
+        assert load == pytest.approx(2 + math.pi, rel=0.03), name
+        assert result["rise"][name] < 0.012
