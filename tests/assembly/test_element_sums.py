@@ -24,6 +24,8 @@ CASES = [
         for m in (MICROPOLAR, HENCKY)
     ),
     ("triangle", 2, ANISOTROPIC),
+    ("triangle", 3, MICROPOLAR),
+    ("quadrilateral", 3, HENCKY),
     ("quadrilateral", 1, ANISOTROPIC),
     *((cell, degree, NEO_HOOKEAN) for cell in ("tetrahedron", "hexahedron") for degree in (1, 2)),
     *(pytest.param(cell, degree, MICROPOLAR, marks=SLOW) for cell, degree in MICROPOLAR_3D),

@@ -136,7 +136,7 @@ def test_prisms_cannot_be_used():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"degree": 3}, "degree = 3: allowed are 1 and 2"),
+        ({"degree": 4}, "degree = 4: allowed are 1, 2 and 3"),
         ({"quadrature_degree": 0}, "quadrature_degree = 0"),
         ({"material": 3.0}, "material"),
         ({"material": {"rubber": NEO_HOOKEAN}}, "no physical group 'rubber' of 2 dimensions; it has none"),

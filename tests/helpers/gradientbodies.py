@@ -48,10 +48,16 @@ def ring_displacement(p: float, E: float, g: float) -> Callable[[np.ndarray], np
 
 
 def pressed_ring(
-    mesh: Any, *, slopes: bool = True, length: float = 4.0, load: float = 1e-5, **options: Any
+    mesh: Any,
+    *,
+    slopes: bool = True,
+    length: float = 4.0,
+    load: float = 1e-5,
+    degree: int = 2,
+    **options: Any,
 ) -> pm.QuasiStaticFEM:
     """A quarter of a ring under a pressure of 54.0189 MPa times `load`, E = 20 GPa."""
-    body = pm.Elements(mesh, material=gradient_solid(20e9, 0.0, (length, length)), degree=2)
+    body = pm.Elements(mesh, material=gradient_solid(20e9, 0.0, (length, length)), degree=degree)
     problem = pm.QuasiStaticFEM(body, **options)
     for axis in "xy":
         where = pm.plane(**{axis: 0.0})

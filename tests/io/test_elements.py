@@ -43,11 +43,11 @@ _MIDDLES = {
         tuple(range(8)),
     ],
 }
-KINDS = {  # meshio's names for VTK's cells of degree 1 and 2
-    "triangle": ("triangle", "triangle6"),
-    "quadrilateral": ("quad", "quad9"),
-    "tetrahedron": ("tetra", "tetra10"),
-    "hexahedron": ("hexahedron", "hexahedron27"),
+KINDS = {  # meshio's names for VTK's cells of degree 1 and 2; cells of degree 3 are written as of degree 1
+    "triangle": ("triangle", "triangle6", "triangle"),
+    "quadrilateral": ("quad", "quad9", "quad"),
+    "tetrahedron": ("tetra", "tetra10", "tetra"),
+    "hexahedron": ("hexahedron", "hexahedron27", "hexahedron"),
 }
 
 
@@ -98,7 +98,7 @@ def assembled(meshes, name):
 
 
 # ParaView -----------------------------------------------------------------------------------------
-@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("degree", [1, 2, 3])
 @pytest.mark.parametrize("cell", CELLS)
 def test_a_homogeneous_deformation_is_read_back(cell, degree, folder):
     problem = pm.QuasiStaticFEM(body(cell, degree))

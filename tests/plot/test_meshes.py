@@ -39,7 +39,7 @@ def area(rings):
     return 0.5 * np.abs(np.sum(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0], axis=1))
 
 
-@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("degree", [1, 2, 3])
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
 def test_nodal_values_in_the_plane(cell, degree, folder):
     elements = bent(cell, degree)
@@ -62,7 +62,7 @@ def test_nodal_values_in_the_plane(cell, degree, folder):
     assert on_bottom.sum() >= 5
     np.testing.assert_allclose(values[on_bottom], x[on_bottom, 1], atol=1e-9)
     assert (np.min(values), np.max(values)) == pytest.approx((0.0, 400.0))
-    if degree == 2:  # curved edges go through their middle nodes, and the quadratic field is exact
+    if degree > 1:  # curved edges go through their middle nodes, and the quadratic field is exact
         np.testing.assert_allclose(values, 1e2 * (x[:, 0] / 1e3) ** 2, atol=1e-9)
     assert outline.get_zorder() < filling.get_zorder() < shading.get_zorder() < lines.get_zorder()
     assert ax.get_xlabel() == "x (mm)"
@@ -85,7 +85,9 @@ def test_values_of_cells_and_points():
         np.testing.assert_allclose(patches.get_facecolor(), mappable.to_rgba(x), atol=0.02)
 
 
-@pytest.mark.parametrize(("cell", "degree"), [("tetrahedron", 1), ("tetrahedron", 2), ("hexahedron", 2)])
+@pytest.mark.parametrize(
+    ("cell", "degree"), [("tetrahedron", 1), ("tetrahedron", 2), ("hexahedron", 2), ("hexahedron", 3)]
+)
 def test_the_surface_in_space(cell, degree, folder):
     elements = bent(cell, degree)
     ax = plot.plot_mesh(elements, elements.displacement[:, 1], label="$u_y$ (m)")

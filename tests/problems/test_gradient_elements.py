@@ -50,6 +50,15 @@ def test_ring_of_triangles_converges():
     assert np.log2(errors[1] / errors[2]) > 1.5
 
 
+@pytest.mark.parametrize("cell", ["quadrilateral", "triangle"])
+def test_ring_of_degree_3(cell):
+    """What is left is the error of its straight sides: of order 2."""
+    errors = [ring_error(pressed_ring(ring(n, 2 * n, cell), degree=3)) for n in (4, 8, 16)]
+    quadratic = ring_error(pressed_ring(ring(16, 32, cell)))
+    assert errors[2] < 0.51 * quadratic
+    assert np.log2(errors[1] / errors[2]) > 2.0
+
+
 def test_size_of_the_penalty_changes_nothing():
     found = [pressed_ring(ring(16, 32), slope_penalty=eta) for eta in (5.0, 100.0)]
     errors = [ring_error(problem) for problem in found]
@@ -73,11 +82,12 @@ def test_symmetry_without_slopes_is_another_problem():
 
 
 # bending, bars, cantilevers ----------------------------------------------------------------------------
+@pytest.mark.parametrize("degree", [2, 3])
 @pytest.mark.parametrize(
     ("cell", "cells"),
     [("quadrilateral", (4, 2)), ("triangle", (4, 2)), ("hexahedron", (2, 2, 1)), ("tetrahedron", (2, 1, 1))],
 )
-def test_pure_bending_is_exact(cell, cells, strict):
+def test_pure_bending_is_exact(cell, cells, degree, strict):
     """The classical field holds with l/h = 1/2 across the thickness; its energy is 1.25 of that of l = 0."""
     dim, energies = len(cells), np.zeros(2)
     # strains of 1e-6, both ways: what is of third order in them cancels
@@ -88,7 +98,7 @@ def test_pure_bending_is_exact(cell, cells, strict):
             return np.stack([k * t * X[:, 0] * (X[:, 1] - 0.5), -k * t * X[:, 0] ** 2 / 2, *rest], axis=1)
 
         solid = gradient_solid(1e3, 0.0, (0.0, length, 0.0)[:dim])
-        body = pm.Elements(box(cell, cells, (2.0, 1.0, 1.0)[:dim]), material=solid, degree=2)
+        body = pm.Elements(box(cell, cells, (2.0, 1.0, 1.0)[:dim]), material=solid, degree=degree)
         problem = pm.QuasiStaticFEM(body, controls=strict)
         problem.fix(lambda x: (np.abs(x[:, 0]) < 1e-9) | (np.abs(x[:, 0] - 2) < 1e-9), u=bent)
         list(problem.march(1, progress=False))
@@ -99,21 +109,30 @@ def test_pure_bending_is_exact(cell, cells, strict):
 
 
 def test_bar_with_a_held_slope():
-    """u(L) = sigma/E (L - g tanh(L/g)): the clamp's boundary layer, order 2."""
-    g, errors = 1 / 12**0.5, []
+    """u(L) = sigma/E (L - g tanh(L/g)): the clamp's boundary layer, order 2 (degree - 1)."""
+    g = 1 / 12**0.5
     exact = 1 - g * np.tanh(1 / g)
-    for n in (4, 8, 16, 32):
+    assert exact == pytest.approx(0.711890, abs=1e-6)
+    errors = held_bar((4, 8, 16, 32), 2, exact)
+    assert np.all(np.array(errors) < [5.8e-3, 1.8e-3, 5.1e-4, 1.4e-4])
+    assert np.log2(errors[2] / errors[3]) > 1.85
+    better = held_bar((4, 8, 16), 3, exact)
+    assert np.all(np.array(better) < [8.5e-5, 5.8e-6, 3.8e-7])
+    assert np.log2(better[1] / better[2]) > 3.85
+
+
+def held_bar(cells: tuple[int, ...], degree: int, exact: float) -> list[float]:
+    errors = []
+    for n in cells:
         solid = gradient_solid(1e3, 0.0, (1.0, 0.0))
-        body = pm.Elements(box("quadrilateral", (n, 1)), material=solid, degree=2)
+        body = pm.Elements(box("quadrilateral", (n, 1)), material=solid, degree=degree)
         problem = pm.QuasiStaticFEM(body)
         problem.fix(pm.plane(x=0.0), ux=0, slope_x=0)
         problem.fix(pm.plane(y=0.0), uy=0)
         problem.load(pm.plane(x=1.0), force=(1e-3, 0.0))
         list(problem.march(1, progress=False))
         errors.append(abs(body.mean_displacement(body.facets(pm.plane(x=1.0)))[0] * 1e6 - exact))
-    assert exact == pytest.approx(0.711890, abs=1e-6)
-    assert np.all(np.array(errors) < [5.8e-3, 1.8e-3, 5.1e-4, 1.4e-4])
-    assert np.log2(errors[2] / errors[3]) > 1.85
+    return errors
 
 
 @pytest.mark.parametrize(
@@ -141,19 +160,28 @@ def test_large_bending(cells, lengths, held, tip):
 
 
 # tangent and invariance --------------------------------------------------------------------------------
-def loose(cell: str, held: bool = True, material: pm.Material | None = None) -> pm.QuasiStaticFEM:
+def loose(
+    cell: str, held: bool = True, material: pm.Material | None = None, degree: int = 2
+) -> pm.QuasiStaticFEM:
     dim = {"quadrilateral": 2, "triangle": 2}.get(cell, 3)
     mesh = box(cell, (2,) * dim if dim == 2 else (2, 1, 1), distort=0.15)
     solid = material or (SOLID if dim == 2 else IN_SPACE)
-    problem = pm.QuasiStaticFEM(pm.Elements(mesh, material=solid, degree=2))
+    problem = pm.QuasiStaticFEM(pm.Elements(mesh, material=solid, degree=degree))
     if held:
         problem.fix(lambda x: x[:, 0] < 0.2, slope=0)  # distorted, they don't lie in a plane
     return problem
 
 
-@pytest.mark.parametrize("cell", ["quadrilateral", "triangle", "hexahedron", "tetrahedron"])
-def test_tangent_is_the_derivative(cell):
-    problem = loose(cell)
+@pytest.mark.parametrize(
+    ("cell", "degree"),
+    [
+        *((cell, 2) for cell in ("quadrilateral", "triangle", "hexahedron", "tetrahedron")),
+        ("quadrilateral", 3),
+        ("triangle", 3),
+    ],
+)
+def test_tangent_is_the_derivative(cell, degree):
+    problem = loose(cell, degree=degree)
     system = prepared(problem)
     rng, size = np.random.default_rng(3), problem.unknowns
     x, direction = 0.05 * rng.uniform(-1, 1, (2, size))

@@ -101,6 +101,7 @@ def manufactured_errors(cells, degree, gamma):
         pytest.param(2, 50.0, (4, 8), (2.9, 1.5, 1.9, 0.8), id="2-published"),
         pytest.param(1, 1e9, (4, 8, 12), (1.95, 1.95, 1.0, 1.0), id="1-long"),
         pytest.param(2, 1e9, (4, 8), (2.9, 2.9, 1.9, 1.9), id="2-long"),
+        pytest.param(3, 1e9, (2, 4), (3.8, 3.8, 2.8, 2.8), id="3-long"),
     ],
 )
 def test_elements(degree, gamma, sizes, least, capsys):

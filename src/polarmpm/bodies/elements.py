@@ -26,8 +26,8 @@ from .facets import Facets, FacetSurface
 from .points import Points
 from .regions import Regions, materials_of
 
-# exact for the stiffness of undistorted elements: 2 and 3 Gauss points a direction on boxes
-_QUADRATURE = {("tensor", 1): 3, ("tensor", 2): 5, ("simplex", 1): 2, ("simplex", 2): 4}
+# exact for the stiffness of undistorted elements: degree + 1 Gauss points a direction on boxes
+_QUADRATURE = {"tensor": (3, 5, 7), "simplex": (2, 4, 6)}
 
 
 class Elements:
@@ -37,9 +37,10 @@ class Elements:
         mesh: dolfinx mesh of triangles, quadrilaterals, tetrahedra or hexahedra; path of a .msh file; or a
             gmsh model (on rank 0, None elsewhere).
         material: of all cells, or for each region (physical name or tag of cells) its own.
-        degree: of displacements and microrotations, 1 or 2; 2 where a material has second gradients.
-        quadrature_degree: of the integration rule; default: 3 and 5 on boxes (2 and 3 Gauss points a
-            direction), 2 and 4 on simplices.
+        degree: of displacements and microrotations, 1, 2 or 3; 2 or 3 where a material has second
+            gradients.
+        quadrature_degree: of the integration rule; default: 3, 5 and 7 on boxes (2, 3 and 4 Gauss
+            points a direction), 2, 4 and 6 on simplices.
         cells, facets: tags (dolfinx MeshTags) of a dolfinx mesh.
         comm: of the ranks that share the body; default: the mesh's, of files and models all ranks.
 
@@ -70,14 +71,14 @@ class Elements:
         self.body = BodyMesh.of(mesh, comm, cells=cells, facets=facets, ghosts=gradient)
         self.mesh, self.comm, self.dim = self.body.mesh, self.body.mesh.comm, self.body.dim
         _warn_of_cracks(self.body)
-        degree = whole("degree", degree, least=1, most=2, allowed="allowed are 1 and 2")
+        degree = whole("degree", degree, least=1, most=3, allowed="allowed are 1, 2 and 3")
         if gradient and degree < 2:
             raise InputError(
-                "degree = 1: materials with second gradients need degree = 2, as functions of degree 1 have "
-                "hardly any second derivatives"
+                "degree = 1: materials with second gradients need degree = 2 or 3, as functions of degree 1 "
+                "have hardly any second derivatives"
             )
         shape = "simplex" if self.body.cell in ("triangle", "tetrahedron") else "tensor"
-        rule = _QUADRATURE[shape, degree] if quadrature_degree is None else quadrature_degree
+        rule = _QUADRATURE[shape][degree - 1] if quadrature_degree is None else quadrature_degree
         rule = whole("quadrature_degree", rule, least=1, most=20, allowed="a whole number from 1 to 20")
         self.degree, self.quadrature_degree = degree, rule
         materials, of_cell = materials_of(self.body, material)

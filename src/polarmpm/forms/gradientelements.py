@@ -114,7 +114,7 @@ class GradientForms(ElementForms):
     """As `ElementForms`, for bodies in which a material has second gradients.
 
     Args:
-        penalty: eta of the interior penalty.
+        penalty: eta of the interior penalty, of degree 2; multiplied by (degree - 1)^2.
 
     Raises:
         InputError: a material that yields; see `slope_stiffness` and `inner_faces`.
@@ -129,7 +129,8 @@ class GradientForms(ElementForms):
             )
         with errors_on_all_ranks(elements.comm):
             stiffness = [slope_stiffness(m, dim) if m.second_gradient else 0.0 for m in materials]
-        self._penalties = penalty * np.array(stiffness)
+        # second derivatives are of degree - 2: a face sees (degree - 1)^2 times their mean square over a cell
+        self._penalties = penalty * (elements.degree - 1) ** 2 * np.array(stiffness)
         self._cells = [CellPotential(m, dim) for m in materials]
         self._faces = [FacePotential(m, dim) if m.second_gradient else None for m in materials]
         self._row = _rows_of_cells(elements)

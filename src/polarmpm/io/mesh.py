@@ -20,17 +20,22 @@ _KINDS = {
     ("hexahedron", 1): "hexahedron",
     ("hexahedron", 2): "hexahedron27",
 }
+_CORNERS = {"triangle": 3, "quadrilateral": 4, "tetrahedron": 4, "hexahedron": 8}
 NODAL = ("displacement", "rotation")
 
 
 def mesh_piece(elements: Elements, names: Sequence[str], at_points: dict[str, np.ndarray]) -> dict[str, Any]:
-    """This rank's own cells, undeformed, with nodal fields and cells' means, for `Collection.add`.
+    """This rank's own cells, undeformed, with nodal fields and cells' means, for `Collection.add`. Cells of
+    degree 3 are those of degree 1: through their corners.
 
     Args:
         names: of all fields.
         at_points: values at the quadrature points (np, ...) of the fields that aren't nodal.
     """
-    own = elements.cell_nodes[: len(elements.body.owned_cells)]
+    own, cell = elements.cell_nodes[: len(elements.body.owned_cells)], elements.body.cell
+    degree = elements.degree if elements.degree < 3 else 1
+    if degree != elements.degree:
+        own = own[:, : _CORNERS[cell]]  # the first nodes
     nodes, cells = np.unique(own, return_inverse=True)
     nodal = {}
     if "displacement" in names:
@@ -40,7 +45,7 @@ def mesh_piece(elements: Elements, names: Sequence[str], at_points: dict[str, np
     return {
         "x": elements.nodes.position[nodes],
         "cells": cells.reshape(own.shape),
-        "kind": _KINDS[elements.body.cell, elements.degree],
+        "kind": _KINDS[cell, degree],
         "point_data": nodal,
         "cell_data": {name: _of_cells(elements, name, a) for name, a in at_points.items()},
     }

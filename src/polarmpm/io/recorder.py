@@ -33,9 +33,10 @@ class Recorder:
             for step in problem.march(10):
                 recorder.record(step)
 
-    Finite elements are written as the undeformed mesh of degree 1 or 2, with displacement and rotation at
-    its nodes: ParaView's "Warp By Vector" shows the deformed body. The other fields are on the cells: means
-    over the quadrature points weighted by reference volume; volume and id are the cell's own.
+    Finite elements are written as the undeformed mesh of degree 1 or 2 (of degree 3: of degree 1, through the
+    corners of its cells), with displacement and rotation at its nodes: ParaView's "Warp By Vector" shows
+    the deformed body. The other fields are on the cells: means over the quadrature points weighted by
+    reference volume; volume and id are the cell's own.
 
     Args:
         path: of the collection, ending in .pvd; missing folders are made.

@@ -147,7 +147,7 @@ def plot_mesh(
     """Draw the deformed mesh coloured by a value, over the undeformed body in grey. Collective.
 
     Nodal values are interpolated in the plane; in three dimensions each outer face shows their mean. Edges
-    of degree 2 are drawn through their nodes.
+    of degree 2 and 3 are drawn through their nodes.
 
     Args:
         values: numbers (n,); None colours all alike.

@@ -8,14 +8,9 @@ from typing import Any
 import numpy as np
 
 from ..bodies.elements import Elements
+from ..tools import compat
 
-# shape functions at the middle of a cell in the plane, by its number of nodes
-_MIDDLE = {
-    3: np.full(3, 1 / 3),
-    4: np.full(4, 1 / 4),
-    6: np.repeat([-1 / 9, 4 / 9], 3),
-    9: np.eye(9)[8],
-}
+_MIDDLE = {"triangle": (1 / 3, 1 / 3), "quadrilateral": (1 / 2, 1 / 2)}  # of the reference cell
 
 
 @dataclass
@@ -71,7 +66,7 @@ def gather_faces(elements: Elements, values: np.ndarray | None, nodal: bool) -> 
     if values is not None:
         data["values"] = values[nodes].mean(axis=1) if nodal else values[cell]
     if values is not None and nodal and e.dim == 2:
-        shape = _MIDDLE[cells.shape[1]]
+        shape = compat.tabulate(e.body.cell, e.degree, np.array([_MIDDLE[e.body.cell]]))[0, 0]
         data["middle"] = np.einsum("k,nkd->nd", shape, (e.nodes.position + e.displacement)[cells])
         data["of_nodes"] = np.column_stack([values[nodes], values[cells] @ shape])
     key = _global_numbers(e.space, len(e.nodes))[nodes]
@@ -94,12 +89,16 @@ def _rings(cell: str, degree: int) -> tuple[np.ndarray, np.ndarray]:
     corners = [[face[k] for k in ([0, 1, 3, 2] if len(face) == 4 else [0, 1, 2])] for face in topology[2]]
     if degree == 1:
         return np.array(corners), np.array(corners)
-    # of degree 2, the edges' nodes follow the corners
-    middle = {tuple(sorted(edge)): len(topology[0]) + k for k, edge in enumerate(topology[1])}
+    # the edges' nodes follow the corners, each edge's from its lower corner on
+    inner = degree - 1
+    first = {tuple(sorted(edge)): len(topology[0]) + k * inner for k, edge in enumerate(topology[1])}
     rings = []
     for face in corners:
-        pairs = zip(face, [*face[1:], face[0]], strict=True)
-        rings.append([node for a, b in pairs for node in (a, middle[min(a, b), max(a, b)])])
+        ring = []
+        for a, b in zip(face, [*face[1:], face[0]], strict=True):
+            along = [first[min(a, b), max(a, b)] + k for k in range(inner)]
+            ring += [a, *(along if a < b else along[::-1])]
+        rings.append(ring)
     return np.array(corners), np.array(rings)
 
 

@@ -63,12 +63,13 @@ class QuasiStaticFEM(Problem):
         controls: tolerances of Newton's method.
         solver: as of `QuasiStatic`.
         slope_penalty: of materials with second gradients, eta of the interior penalty: how closely slopes of
-            neighbours agree, and held ones are met. Below about 5 the elements may become unstable.
+            neighbours agree, and held ones are met, multiplied by (degree - 1)^2. Below about 5 the elements
+            may become unstable.
         assembly: how residual and tangent are summed over the elements: "native", by the points' own kernels
             in compiled loops, or "dolfinx", by its forms: the same to 1e-12, several times slower.
         locking: as of `QuasiStatic`, with an element for a patch; but "auto" leaves plastic materials alone
             that aren't nearly incompressible, too. Simplices of degree 1, second gradients and assembly
-            "dolfinx" have no cure.
+            "dolfinx" have no cure; elements of degree 3, which don't lock, are never changed.
     """
 
     holds_on_facets = True

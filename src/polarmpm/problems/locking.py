@@ -75,7 +75,8 @@ def choose_form(locking: str | None, material: Material, dim: int, basis: Patche
 
 @dataclass(frozen=True)
 class ElementPatch:
-    """Of elements: each is a patch, but simplices of degree 1, which lock whatever their pressure.
+    """Of elements: each is a patch, but simplices of degree 1, which lock whatever their pressure, and those
+    of degree 3, which don't.
 
     Increments count from each converged step, where what holds points to their patch would be forgotten:
     there is nothing that does.
@@ -87,7 +88,7 @@ class ElementPatch:
     @classmethod
     def of(cls, elements: Elements) -> ElementPatch:
         simple = elements.degree == 1 and elements.body.cell in ("triangle", "tetrahedron")
-        return cls(0 if simple else 1)
+        return cls(0 if simple or elements.degree > 2 else 1)
 
 
 def forms_of_elements(locking: str | None, elements: Elements) -> list[PointForm]:

@@ -14,6 +14,7 @@ from typing import Any
 
 from mpi4py import MPI
 
+import basix
 import numpy as np
 import ufl
 
@@ -185,16 +186,12 @@ def geometry_degree(mesh: Any) -> int:
 
 def facet_corners(cell: str) -> list[list[int]]:
     """The corners of each facet of a reference cell."""
-    import basix
-
     sides = basix.topology(getattr(basix.CellType, cell))
     return [list(corners) for corners in sides[-2]]
 
 
 def tabulate(cell: str, degree: int, xi: np.ndarray) -> np.ndarray:
     """Lagrange functions and derivatives (1 + d, q, nodes) at positions (q, d) of the reference cell."""
-    import basix
-
     kind = getattr(basix.CellType, cell)
     element = basix.create_element(basix.ElementFamily.P, kind, degree, basix.LagrangeVariant.equispaced)
     return np.asarray(element.tabulate(1, xi))[:, :, :, 0]
@@ -214,8 +211,6 @@ def facet_quadrature(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A rule of the reference facet (see `facet_rule`) on a facet of the reference cell: positions (q, d) and
     weights (q,); the facet's outward normal (d,), as long as the size that the weights are relative to."""
-    import basix
-
     kind = getattr(basix.CellType, cell)
     corners, dim = np.asarray(basix.geometry(kind)), len(basix.topology(kind)) - 1
     own = corners[basix.topology(kind)[dim - 1][facet]]
@@ -259,14 +254,16 @@ def cell_name(mesh: Any) -> str:
 
 def function_space(mesh: Any, size: int, degree: int) -> Any:
     """Continuous Lagrange space of `size` components; its functions are scalars when that is 1, as
-    dolfinx 0.5 can't tell where the nodes of vectors of one component are."""
+    dolfinx 0.5 can't tell where the nodes of vectors of one component are. Nodes have equal distances, as in
+    `tabulate`; up to degree 2 they do by default."""
     if _HAS_BASIX_ELEMENTS:
         shape = (size,) if size > 1 else None
-        element = _basix_ufl.element("Lagrange", cell_name(mesh), degree, shape=shape)
-    elif size == 1:
-        element = ufl.FiniteElement("Lagrange", mesh.ufl_cell(), degree)
+        more: dict[str, Any] = {"lagrange_variant": basix.LagrangeVariant.equispaced} if degree > 2 else {}
+        element = _basix_ufl.element("Lagrange", cell_name(mesh), degree, shape=shape, **more)
     else:
-        element = ufl.VectorElement("Lagrange", mesh.ufl_cell(), degree, dim=size)
+        variant = "equispaced" if degree > 2 else None
+        element = ufl.FiniteElement("Lagrange", mesh.ufl_cell(), degree, variant=variant)
+        element = element if size == 1 else ufl.VectorElement(element, dim=size)
     return _space(mesh, element)
 
 
@@ -301,8 +298,6 @@ def quadrature_weights(cell: str, degree: int) -> np.ndarray:
 
 def quadrature(cell: str, degree: int) -> tuple[np.ndarray, np.ndarray]:
     """Positions (n, d) and weights (n,) of a rule in the reference cell."""
-    import basix
-
     kind = getattr(basix.CellType, cell)
     try:
         rule = basix.make_quadrature(kind, degree)
