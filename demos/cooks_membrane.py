@@ -84,7 +84,7 @@ def solve(name, nu, cells, args, folder):
     problem = kind[0](kind[1], nu, cells, args)
     nearest = corner(problem)
     with pm.Recorder(folder / f"{name}_{nu:g}_{cells}.pvd", problem) as record:
-        *_, last = problem.march(args.steps, progress=False)
+        *_, last = problem.march(args.steps, adaptive=True, progress=False)
         record(last)
     return problem, tip(problem, nearest)
 

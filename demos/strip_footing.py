@@ -143,8 +143,10 @@ def draw(result, shown, args, file):
 
 def draw_curves(ax, curves):
     for kind, curve in curves.items():
-        ax.plot(curve["settlement"], curve["load"], lw=1.4, label=BASES[kind])
+        style = "--" if kind == "gimpm" else "-"  # it lies on that of mpm
+        ax.plot(curve["settlement"], curve["load"], style, lw=1.4, label=BASES[kind])
     ax.axhline(LIMIT, color="0.35", lw=1.2, ls="--", label="2 + π")
+    ax.set_ylim(bottom=0.75 * LIMIT)
     ax.set_xticks(np.linspace(0, SETTLEMENT, 5))
     ax.set_xlabel("settlement / b (-)")
     ax.set_ylabel("load / (c effective width) (-)")
