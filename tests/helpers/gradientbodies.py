@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 
 import polarmpm as pm
+from polarmpm.tools import compat
 from tests.conftest import COMM
 from tests.helpers.bodies import box
 from tests.helpers.gradient import gradient_solid
@@ -20,6 +23,16 @@ def ring(radial: int, around: int, cell: str = "quadrilateral", comm: Any = COMM
     r, t = 2 + 3 * x[:, 0], np.pi / 2 * x[:, 1]
     x[:, 0], x[:, 1] = r * np.cos(t), r * np.sin(t)
     return mesh
+
+
+def curved_ring(radial: int, around: int) -> Any:
+    """The same of quadrilaterals whose geometry is of degree 2. Collective."""
+    square = box("quadrilateral", (radial, around), comm=MPI.COMM_SELF)
+    space = compat.function_space(square, 2, 2)
+    r, t = space.tabulate_dof_coordinates()[:, :2].T * [[3.0], [np.pi / 2]] + [[2.0], [0.0]]
+    x, given = np.stack([r * np.cos(t), r * np.sin(t)], axis=1), slice(None if COMM.rank == 0 else 0)
+    cells = compat.cell_dofs(space)[given].astype(np.int64)
+    return compat.create_mesh(COMM, cells, x[given], "quadrilateral", degree=2, ghosts=True)
 
 
 def ring_displacement(p: float, E: float, g: float) -> Callable[[np.ndarray], np.ndarray]:

@@ -15,7 +15,7 @@ from polarmpm.io import restart
 from tests.conftest import COMM, NEO_HOOKEAN, by_id, rotation
 from tests.helpers.bodies import at_nodes, box, own_rows, prepared, put, residual_at, tangent_at
 from tests.helpers.gradient import gradient_solid
-from tests.helpers.gradientbodies import clamped_beam, pressed_ring, ring, ring_displacement
+from tests.helpers.gradientbodies import clamped_beam, curved_ring, pressed_ring, ring, ring_displacement
 from tests.helpers.ranks import close, on_ranks, report
 
 SOLID = gradient_solid(1e3, 0.3, (0.5, 0.8))
@@ -57,6 +57,10 @@ def test_ring_of_degree_3(cell):
     quadratic = ring_error(pressed_ring(ring(16, 32, cell)))
     assert errors[2] < 0.51 * quadratic
     assert np.log2(errors[1] / errors[2]) > 2.0
+    if cell == "quadrilateral":
+        curved = [ring_error(pressed_ring(curved_ring(n, 2 * n), degree=3)) for n in (2, 4, 8)]
+        assert np.all(np.array(curved) < [6e-5, 5.3e-6, 3.9e-7])
+        assert np.log2(curved[1] / curved[2]) > 3.7
 
 
 def test_size_of_the_penalty_changes_nothing():
