@@ -156,7 +156,7 @@ def test_order_four(cell):
 
 
 def test_no_cure_of_locking():
-    """They don't lock, and are never changed."""
+    """They hardly lock, and are never changed."""
     body = pm.Elements(box("quadrilateral", (2, 2)), material=pm.NeoHookean(lam=1e7, mu=2e3), degree=3)
     for locking in ("auto", "always", None):
         problem = pm.QuasiStaticFEM(body, locking=locking)

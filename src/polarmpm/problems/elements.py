@@ -69,7 +69,7 @@ class QuasiStaticFEM(Problem):
             in compiled loops, or "dolfinx", by its forms: the same to 1e-12, several times slower.
         locking: as of `QuasiStatic`, with an element for a patch; but "auto" leaves plastic materials alone
             that aren't nearly incompressible, too. Simplices of degree 1, second gradients and assembly
-            "dolfinx" have no cure; elements of degree 3, which don't lock, are never changed.
+            "dolfinx" have no cure; nor have elements of degree 3, which lock much less.
     """
 
     holds_on_facets = True

@@ -76,7 +76,7 @@ def choose_form(locking: str | None, material: Material, dim: int, basis: Patche
 @dataclass(frozen=True)
 class ElementPatch:
     """Of elements: each is a patch, but simplices of degree 1, which lock whatever their pressure, and those
-    of degree 3, which don't.
+    of degree 3, which hardly do.
 
     Increments count from each converged step, where what holds points to their patch would be forgotten:
     there is nothing that does.
