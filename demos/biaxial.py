@@ -39,7 +39,8 @@ def build(cell, dilatancy, args):
         options = {"reset": pm.WhenDistorted(0.2), "balanced_reset": True}
     else:  # the thesis' way
         options = {"ghost": "thesis", "reset": 1, "balanced_reset": False}
-    problem = pm.QuasiStatic(grid, points, basis=args.basis, **options)
+    # as in the thesis, without a cure of locking: it would turn the bands by half a degree
+    problem = pm.QuasiStatic(grid, points, basis=args.basis, locking=None, **options)
     problem.fix(pm.plane(x=0.0), ux=0)
     problem.fix(pm.plane(y=0.0), uy=0)
     platen = problem.fix(pm.plane(y=HEIGHT, moving=True), ux=0, uy=-SHORTENING)

@@ -356,9 +356,7 @@ def test_what_bases_and_elements_refuse():
             problem.symmetry(pm.plane(x=1.0))
         assert problem.supports == ()
     elements = cantilever(material=NEO_HOOKEAN)
-    with pytest.raises(
-        pm.InputError, match="slope = 0: none of the body's materials has second gradients"
-    ):
+    with pytest.raises(pm.InputError, match="slope = 0: none of the body's materials has second gradients"):
         elements.fix(pm.plane(x=0.0), u=0, slope=0)
     problem = beam()
     problem.fix(pm.plane(x=0.0), u=0)
