@@ -49,7 +49,7 @@ def build(scene, method, stuff, cells, per_cell=4):
 
         count = [round(s * cells) for s in size]
         made = mesh.create_rectangle(COMM, [[0, 0], size], count, mesh.CellType.quadrilateral)
-        problem = pm.QuasiStaticFEM(pm.Elements(made, material=stuff, degree=int(method[-1])))
+        problem = pm.QuasiStaticFEM(pm.Elements(made, material=stuff, degree=int(method[-1])), locking=None)
     else:
         upper = size if scene == "footing" else size + 2.0
         grid = pm.Grid.box((0, 0) if scene == "footing" else (0, -1), upper, 1 / cells, COMM)
