@@ -56,11 +56,12 @@ def sums(problem: pm.QuasiStaticFEM, corrected: bool = False) -> tuple[np.ndarra
     """Residual, what prescribed increments add to it, and tangent at random increments, without prescribed
     unknowns; with `corrected` after a correction."""
     system, rng = prepared(problem), np.random.default_rng(4)
-    x = rng.uniform(-0.04, 0.04, problem.unknowns)
+    size = 0.04 / problem.elements.degree**2  # gradients that turn no point inside out, however ranks number
+    x = rng.uniform(-size, size, problem.unknowns)
     put(problem, system, x)
     before = system.x.copy()
     if corrected:
-        put(problem, system, x + rng.uniform(-0.01, 0.01, problem.unknowns))
+        put(problem, system, x + rng.uniform(-size / 4, size / 4, problem.unknowns))
         system.x = system.x.copy()
     system.before = before
     system.evaluate(True)

@@ -53,7 +53,9 @@ class PointBatch:
         at = layout.state(rotated=False).at_second
         if not layout.second:
             return None
-        second: np.ndarray = self.batch.kept["state"][:, at].reshape(len(self.rows), layout.dim, -1)
+        second: np.ndarray = self.batch.kept["state"][:, at].reshape(
+            len(self.rows), layout.dim, layout.dim * (layout.dim + 1) // 2
+        )
         return second
 
 

@@ -18,6 +18,7 @@ from ..forms.projected import ProjectedForm
 from ..kernels import native
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
+from ..tools.rows import flat
 from .interpolation import Interpolation, PointBatch
 from .patches import Patches
 from .pointboxes import PointBoxes
@@ -254,8 +255,8 @@ def _put_yielding(
     by_t.at_points = by_t.at_points.copy()
     by_t.at_points[rows] = y.returned[:, nz:n]
     if tangent:
-        moduli = y.returned[:, n:].reshape(-1, n, n)
+        moduli = y.returned[:, n:].reshape(len(rows), n, n)
         zt.at_points, tz.at_points, tt.at_points = (a.at_points.copy() for a in (tz, tz, tt))
-        zt.at_points[rows] = np.swapaxes(moduli[:, :nz, nz:], 1, 2).reshape(len(rows), -1)
-        tz.at_points[rows] = moduli[:, nz:, :nz].reshape(len(rows), -1)
-        tt.at_points[rows] = moduli[:, nz:, nz:].reshape(len(rows), -1)
+        zt.at_points[rows] = flat(np.swapaxes(moduli[:, :nz, nz:], 1, 2))
+        tz.at_points[rows] = flat(moduli[:, nz:, :nz])
+        tt.at_points[rows] = flat(moduli[:, nz:, nz:])

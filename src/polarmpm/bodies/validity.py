@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import InputError
 from ..kinematics import rotations
 from ..tools.parallel import errors_on_all_ranks
+from ..tools.rows import flat
 from .points import Points
 
 _SEALED = ("x", "F", "q", "wryness", "grad_F")  # what a step puts in, from the state at the last reset
@@ -36,14 +37,14 @@ def check_state(points: Points, *, everything: bool = True) -> None:
         for name in names if everything else [n for n in names if n in changing]:
             array = getattr(points, name)
             if not np.isfinite(array.sum()):  # a tenth of the time of looking at each
-                finite = np.isfinite(array.reshape(len(array), -1)).all(axis=1)
+                finite = np.isfinite(flat(array)).all(axis=1)
                 _refuse(points, name, ~finite, "isn't finite")
         length = np.einsum("ni,ni->n", points.q, points.q)
         _refuse(points, "q", np.abs(length - 1.0) > 1e-6, "isn't a unit quaternion")
         _refuse(points, "F", ~(rotations.determinant(points.F) > 0), "has no positive determinant")
         if points.second_gradient:
-            apart = np.abs(points.grad_F - np.swapaxes(points.grad_F, 2, 3)).reshape(len(points), -1)
-            size = np.abs(points.grad_F).reshape(len(points), -1).max(axis=1)
+            apart = flat(np.abs(points.grad_F - np.swapaxes(points.grad_F, 2, 3)))
+            size = flat(np.abs(points.grad_F)).max(axis=1)
             bad = apart.max(axis=1) > 1e-12 * size
             _refuse(points, "grad_F", bad, "isn't symmetric in its last two indices")
         if points.plastic:

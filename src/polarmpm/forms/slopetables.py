@@ -9,6 +9,7 @@ import numpy as np
 
 from ..bodies.elements import Elements
 from ..tools import compat
+from ..tools.rows import flat
 
 
 @dataclass
@@ -74,7 +75,7 @@ def of_faces(elements: Elements, facets: np.ndarray) -> Iterator[tuple[Table, Ta
     corners = np.array(compat.facet_corners(e.body.cell))
     of_cells = listed.reshape(-1, len(corners))
     vertices = np.asarray(topology.connectivity(e.dim, 0).array)
-    vertices = vertices.reshape(len(of_cells), -1)
+    vertices = vertices.reshape(len(of_cells), vertices.size // max(1, len(of_cells)))
     kinds: dict[tuple[int, ...], list[int]] = {}
     for row, (facet, cells) in enumerate(zip(facets.tolist(), sides, strict=True)):
         local = int(np.flatnonzero(of_cells[cells[0]] == facet)[0])
@@ -112,7 +113,7 @@ def _faces(e: Elements, cells: np.ndarray, local: int, other: list[int]) -> tupl
     beyond = height * np.abs(np.linalg.det(behind) / np.linalg.det(jacobian))
     back = np.einsum("cqin,cqi->cqn", second[:, :, :d], normal)[:, :, None]
     jump, none = np.concatenate([slope, -back], axis=3), np.zeros_like(first)
-    both = nodes.reshape(len(nodes), -1)
+    both = flat(nodes)
     here = np.concatenate([np.concatenate([first, none], axis=3), jump], axis=2)
     across = np.concatenate([np.concatenate([none, second], axis=3), jump], axis=2)
     return (
