@@ -70,7 +70,8 @@ class Patch:
     def forces(self, kernel: Kernel, displacement: np.ndarray) -> np.ndarray:
         """At the nodes of each cell or face (m, n, d)."""
         m, q, r, n = self.table.rows.shape
-        s = kernel(*self._inputs(displacement)).reshape(m, q, -1) * self.table.weight[:, :, None]
+        work = kernel(*self._inputs(displacement))
+        s = work.reshape(m, q, work.shape[1]) * self.table.weight[:, :, None]
         flat = self.table.rows.reshape(m, q * r, n)
         found: np.ndarray = np.matmul(flat.transpose(0, 2, 1), s.reshape(m, q * r, self.potential.dim))
         return found
@@ -79,7 +80,8 @@ class Patch:
         """Second derivatives by the nodes' unknowns (m, n d, n d)."""
         (m, q, r, n), d, size = self.table.rows.shape, self.potential.dim, self.potential.size
         more = (self.unknowns(before),) if self.potential.predicts else ()
-        upper = kernel(*self._inputs(displacement), *more).reshape(m, q, -1) * self.table.weight[:, :, None]
+        rows = kernel(*self._inputs(displacement), *more)
+        upper = rows.reshape(m, q, rows.shape[1]) * self.table.weight[:, :, None]
         a, (i, j) = np.empty((m, q, size, size)), np.triu_indices(size)
         a[:, :, i, j] = a[:, :, j, i] = upper
         a = a.reshape(m, q, r * d, r, d).transpose(0, 1, 2, 4, 3).reshape(m, q, r * d * d, r)
@@ -107,7 +109,7 @@ class HeldSlopes:
         for patch in self.patches:
             d = patch.potential.dim
             m, q = patch.table.weight.shape
-            patch.data[:, :, 2 * d : 3 * d] = patch.unknowns(base).reshape(m, q, -1)[:, :, -d:]
+            patch.data[:, :, 2 * d : 3 * d] = patch.unknowns(base)[:, -d:].reshape(m, q, d)
 
 
 class GradientForms(ElementForms):

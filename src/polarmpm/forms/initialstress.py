@@ -39,6 +39,7 @@ from ..kernels.kernel import Kernel, PointSpace, compile_expressions, generator_
 from ..kinematics import tensors as kin
 from ..kinematics.layout import Layout
 from ..tools import compat
+from ..tools.rows import flat
 
 _MIXED, _GREEN = (0.375, -0.125), (0.5, 0.0)  # of C and of C^-1
 
@@ -82,8 +83,7 @@ class InitialStressForm:
         d, second = self.layout.dim, stress[:, :, self.layout.dim :]
         n, back, stress = len(stress), np.linalg.inv(frame), stress[:, :, :d]
         if self.layout.rotations:
-            packed: np.ndarray = (stress @ np.swapaxes(back, 1, 2)).reshape(n, -1)
-            return packed
+            return flat(stress @ np.swapaxes(back, 1, 2))
         upper = np.triu_indices(self.layout.dim)
         of_square = self._weights[0] * (back @ stress @ np.swapaxes(back, 1, 2))
         of_inverse = self._weights[1] * (np.swapaxes(frame, 1, 2) @ stress @ frame)
@@ -100,7 +100,7 @@ class InitialStressForm:
         """Of work T0 (n, d, m): M of the different second gradients, M H~ (n, d d), and sym(M N) (n, d,
         d).
         """
-        n, (j, k) = len(work), self.layout.pairs
+        j, k = self.layout.pairs
         t = self.layout.symmetric(np.where(j == k, 1.0, 0.5) * work)
         m0 = t + np.swapaxes(t, 1, 2) - np.transpose(t, (0, 2, 3, 1))
         m = np.einsum("nli,naj,nbk,nijk->nlab", back, back, back, m0, optimize=True)
@@ -109,7 +109,7 @@ class InitialStressForm:
         of_frame = np.einsum("nljk,npjk->npl", m, grown)
         less = back @ of_frame
         less = 0.5 * (less + np.swapaxes(less, 1, 2))
-        return of_second.reshape(n, -1), of_frame.reshape(n, -1), less
+        return flat(of_second), flat(of_frame), less
 
     def _symmetric(self, first: int) -> Any:
         d = self.layout.dim

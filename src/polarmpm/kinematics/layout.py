@@ -300,7 +300,7 @@ class StateLayout:
         n = len(state)
         F = state[:, self.at_frame].reshape(n, 3, 3)
         if self.layout.second:
-            return F, self.layout.symmetric(state[:, self.at_second].reshape(n, 3, -1))
+            return F, self.layout.symmetric(state[:, self.at_second].reshape(n, 3, 6))
         if not self.layout.rotations:
             return (F,)
         return F, state[:, self.at_rotation].copy(), state[:, self.at_wryness].reshape(n, 3, 3)
