@@ -81,7 +81,7 @@ class InitialStressForm:
         """What kernels take (n, size) of stresses (n, b, d), see `Reference.initial_stress`, in frames (n,
         d, d); with second gradients of stresses (n, d, d + m) and the points' H~, `grown` (n, d, m)."""
         d, second = self.layout.dim, stress[:, :, self.layout.dim :]
-        n, back, stress = len(stress), np.linalg.inv(frame), stress[:, :, :d]
+        back, stress = np.linalg.inv(frame), stress[:, :, :d]
         if self.layout.rotations:
             return flat(stress @ np.swapaxes(back, 1, 2))
         upper = np.triu_indices(self.layout.dim)
