@@ -1,5 +1,7 @@
 """The cure of locking in whole problems: Cook's membrane, a footing, tangents, resets, restarts, ranks."""
 
+from contextlib import nullcontext
+
 from mpi4py import MPI
 
 import numpy as np
