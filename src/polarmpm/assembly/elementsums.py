@@ -22,6 +22,7 @@ from ..tools.disposal import dispose_with, weakly
 from .elements import ElementSystem
 from .elementscalars import scalars_of
 from .meshpattern import MeshPattern
+from .onpattern import OnPattern
 from .stiffscalars import Evaluated, Linear
 from .system import Assembled
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from ..forms.returnmapping import Yielding
 
 
-class SummedElements(ElementSystem):
+class SummedElements(OnPattern, ElementSystem):
     """Residual and tangent as sums over the elements, scattered by compiled code."""
 
     forms: NativeElementForms
@@ -173,24 +174,6 @@ class SummedElements(ElementSystem):
             self.nodes.add_to_owners(lifted)
         for tangent in self._of_loads:
             tangent.add(self.pattern.values, lift, lifted)
-
-    @property
-    def tangent(self) -> Any:
-        return self.solver.matrix
-
-    def diagonal(self) -> np.ndarray:
-        diagonal: np.ndarray = self.pattern.values[self.pattern.diagonal].reshape(-1, self.layout.block)
-        return diagonal
-
-    def solve(self, right: np.ndarray, fresh: bool, accuracy: float) -> np.ndarray:
-        if fresh:
-            values, diagonal = self.pattern.values, self.pattern.diagonal
-            values[diagonal[values[diagonal] == 0.0]] = 1.0  # prescribed unknowns that nothing resists
-            with self.timer("factor"):
-                self.pattern.put(self.solver.matrix)
-                self.solver.factor()
-        with self.timer("solve"):
-            return self.solver.solve(right.ravel(), accuracy).reshape(right.shape)
 
     def destroy(self) -> None:
         super().destroy()

@@ -26,6 +26,7 @@ from . import sparsity
 from .folding import Folding
 from .initialstress import InitialStress
 from .interpolation import Interpolation, PointBatch
+from .onpattern import OnPattern
 from .projectedpoints import ProjectedPoints
 from .system import Assembled
 
@@ -216,7 +217,7 @@ class LoadedPoints(ProjectedPoints):
         self.go_on(before)
 
 
-class PointSystem(LoadedPoints):
+class PointSystem(OnPattern, LoadedPoints):
     """Residual and tangent as sums over the points, scattered by compiled code."""
 
     def __init__(
@@ -360,28 +361,8 @@ class PointSystem(LoadedPoints):
 
     @property
     def diagonal_shift(self) -> float:
+        # there are motions of nodes that no point feels: rounding must not choose them
         return _UNFELT if self._few else 0.0
-
-    @property
-    def tangent(self) -> Any:
-        return self.solver.matrix
-
-    def diagonal(self) -> np.ndarray:
-        diagonal: np.ndarray = self.pattern.values[self.pattern.diagonal].reshape(-1, self.layout.block)
-        return diagonal
-
-    def solve(self, right: np.ndarray, fresh: bool, accuracy: float) -> np.ndarray:
-        if fresh:
-            values, diagonal = self.pattern.values, self.pattern.diagonal
-            # prescribed unknowns, and nodes that points on a plane or a corner touch without any weight
-            values[diagonal[values[diagonal] == 0.0]] = 1.0
-            if self._few:  # there are motions of nodes that no point feels: rounding must not choose them
-                values[diagonal] *= 1.0 + _UNFELT
-            with self.timer("factor"):
-                self.pattern.put(self.solver.matrix)
-                self.solver.factor()
-        with self.timer("solve"):
-            return self.solver.solve(right.ravel(), accuracy).reshape(right.shape)
 
     def destroy(self) -> None:
         self._dispose()
