@@ -12,6 +12,7 @@ import numpy as np
 from dolfinx import mesh
 
 import polarmpm as pm
+from polarmpm.plot.drawing import finish_curves
 from polarmpm.study import commandline as demo
 
 WIDTH, CLAMP, END, TOP = 48.0, 44.0, 16.0, 60.0  # m
@@ -173,11 +174,7 @@ def plot_body(plot, problem, ax):
 def finish(ax):
     ax.set_xlabel("cells along the clamp")
     ax.set_ylabel("rise of the corner (m)")
-    ax.grid(color="0.88", linewidth=0.8)
-    ax.set_axisbelow(True)
-    ax.legend(frameon=False, fontsize=8)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
+    finish_curves(ax, fontsize=8)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ import numpy as np
 from dolfinx import mesh
 
 import polarmpm as pm
+from polarmpm.plot.drawing import finish_curves
 from polarmpm.study import commandline as demo
 from polarmpm.study.exact import GradientRing
 
@@ -335,11 +336,7 @@ def draw_profiles(ax, problems, names, args):
 def finish(ax, xlabel, ylabel):
     ax.set_xlabel(xlabel)
     ax.set_ylabel(ylabel)
-    ax.grid(color="0.88", linewidth=0.8)
-    ax.set_axisbelow(True)
-    ax.legend(frameon=False, fontsize=8)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
+    finish_curves(ax, fontsize=8)
 
 
 if __name__ == "__main__":

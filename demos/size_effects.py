@@ -12,6 +12,7 @@ import numpy as np
 from dolfinx import mesh
 
 import polarmpm as pm
+from polarmpm.plot.drawing import finish_curves
 from polarmpm.study import commandline as demo
 
 YOUNG = 1550.0  # MPa
@@ -284,11 +285,7 @@ def draw_rows(ax, rows):
     ax.xaxis.set_minor_locator(NullLocator())
     ax.set_xticks(sizes, [f"{size:g}" for size in sizes])
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.grid(True, which="major", color="0.88", linewidth=0.8)
-    ax.set_axisbelow(True)
-    ax.legend(frameon=False, fontsize=7)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
+    finish_curves(ax, fontsize=7)
 
 
 if __name__ == "__main__":

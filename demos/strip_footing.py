@@ -16,6 +16,7 @@ import numpy as np
 from dolfinx import mesh
 
 import polarmpm as pm
+from polarmpm.plot.drawing import finish_curves
 from polarmpm.study import commandline as demo
 
 HALF, LENGTH, DEPTH = 1.0, 5.0, 2.5  # m: b, and the soil
@@ -150,11 +151,7 @@ def draw_curves(ax, curves):
     ax.set_xticks(np.linspace(0, SETTLEMENT, 5))
     ax.set_xlabel("settlement / b (-)")
     ax.set_ylabel("load / (c effective width) (-)")
-    ax.grid(color="0.88", linewidth=0.8)
-    ax.set_axisbelow(True)
-    ax.legend(frameon=False, fontsize=8)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
+    finish_curves(ax, fontsize=8)
 
 
 if __name__ == "__main__":

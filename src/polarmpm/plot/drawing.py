@@ -95,6 +95,16 @@ def flat_edges(ax: Any, polygons: np.ndarray) -> None:
     ax.add_collection(lines)
 
 
+def finish_curves(ax: Any, fontsize: float | None = None) -> None:
+    """Grid, a legend of what has a label, and no frame."""
+    ax.grid(color="0.88", linewidth=0.8)
+    ax.set_axisbelow(True)
+    if ax.get_legend_handles_labels()[1]:
+        ax.legend(frameon=False, fontsize=fontsize)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+
+
 def finish_flat(ax: Any) -> None:
     """One scale on both axes."""
     ax.autoscale_view()

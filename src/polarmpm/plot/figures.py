@@ -245,12 +245,7 @@ def load_displacement(
         ax.plot(x, y, color="black", linestyle="none", label=name, zorder=3, **style)
     ax.set_xlabel(xlabel)
     ax.set_ylabel(ylabel)
-    ax.grid(color="0.88", linewidth=0.8)
-    ax.set_axisbelow(True)
-    if ax.get_legend_handles_labels()[1]:
-        ax.legend(frameon=False)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
+    drawing.finish_curves(ax)
     return ax
 
 
