@@ -11,6 +11,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from mpi4py import MPI
+
+COMM = MPI.COMM_WORLD
 DEMOS = Path(__file__).parents[2] / "demos"
 
 
@@ -22,6 +25,19 @@ def demo_module(name: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def demo_result(folder: Path, name: str, *options: str) -> dict[str, Any]:
+    """The result of a demo that is run here, on all ranks, as its JSON file in `folder` has it."""
+    file = folder / f"{name}.json"
+    given = demo_module(name).main([*options, "--json", str(file), "--output", str(folder)])
+    COMM.barrier()
+    found = json.loads(file.read_text())
+    assert found["case"] == given["case"] == name
+    assert list(folder.glob("*.png"))
+    assert list(folder.glob("*.pvd"))
+    result: dict[str, Any] = found["result"]
+    return result
 
 
 def run_demo(name: str, folder: Path, *options: str, ranks: int = 1) -> dict[str, Any]:

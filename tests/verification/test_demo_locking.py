@@ -1,32 +1,16 @@
 """The demos of bodies that lock: Cook's membrane and a strip footing."""
 
-import json
 import math
-
-from mpi4py import MPI
+from functools import partial
 
 import pytest
 
-from tests.helpers.demos import demo_module
-
-COMM = MPI.COMM_WORLD
+from tests.helpers.demos import demo_result
 
 
 @pytest.fixture
 def run(folder):
-    """A function that runs a demo with options and returns its result, as the JSON file has it."""
-
-    def of(name, *options):
-        file = folder / f"{name}.json"
-        given = demo_module(name).main([*options, "--json", str(file), "--output", str(folder)])
-        COMM.barrier()
-        found = json.loads(file.read_text())
-        assert found["case"] == given["case"] == name
-        assert list(folder.glob("*.png"))
-        assert list(folder.glob("*.pvd"))
-        return found["result"]
-
-    return of
+    return partial(demo_result, folder)
 
 
 def test_corner_of_cooks_membrane_rises_as_it_should(run):
