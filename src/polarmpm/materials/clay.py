@@ -19,7 +19,7 @@ from ..errors import InputError
 from ..kinematics.spectral import squared_log_strain, strain_invariants
 from ..tools.checks import number, put_numbers, refuse, require
 from .base import Material
-from .cones import generalised_square
+from .cones import check_plastic_length, generalised_square
 from .plastic import Continuation, Plastic, check_elastic, check_names
 from .regions import Region, SmoothPart, YieldSurface
 
@@ -134,19 +134,9 @@ class CamClay(Plastic):
             self.p_c,
             f"p_c >= p_0 = {at_rest:g}, the pressure of the undeformed body",
         )
-        self._check_length()
+        check_plastic_length(self)
         self._check_shear()
         check_names(self)
-
-    def _check_length(self) -> None:
-        if not self.elastic.micropolar:
-            if self.l_p is not None:
-                raise refuse("l_p", self.l_p, "a classical material has no plastic length")
-            return
-        if self.l_p is None:
-            raise InputError("l_p = None: a micropolar material needs the plastic length, l_p > 0")
-        put_numbers(self, "l_p")
-        require(self.l_p > 0, "l_p", self.l_p, "l_p > 0")
 
     def _check_shear(self) -> None:
         """`Houlsby`'s energy is convex up to |dev ln V|^2 = swelling/alpha, where q/p is largest."""

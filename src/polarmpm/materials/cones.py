@@ -26,18 +26,23 @@ def check_flow(material: Any, name: str) -> None:
     put_numbers(material, "H", name)
     strength = getattr(material, name)
     require(strength > 0, name, strength, f"{name} > 0")
-    if elastic.micropolar:
+    check_plastic_length(material)
+    if material.H < 0 and not elastic.micropolar:
+        warn(
+            f"H = {material.H:g}: softening without a length scale; the width of a shear band is that of the "
+            "cells"
+        )
+
+
+def check_plastic_length(material: Any) -> None:
+    """Raise InputError unless l_p is there, and positive, where the material is micropolar."""
+    if material.elastic.micropolar:
         if material.l_p is None:
             raise InputError("l_p = None: a micropolar material needs the plastic length, l_p > 0")
         put_numbers(material, "l_p")
         require(material.l_p > 0, "l_p", material.l_p, "l_p > 0")
     elif material.l_p is not None:
         raise refuse("l_p", material.l_p, "a classical material has no plastic length")
-    if material.H < 0 and not elastic.micropolar:
-        warn(
-            f"H = {material.H:g}: softening without a length scale; the width of a shear band is that of the "
-            "cells"
-        )
 
 
 def generalised_square(tau: Any, nu: Any, length: Any) -> Any:
