@@ -1,5 +1,28 @@
 """Figures of points, meshes and load-displacement curves."""
 
-from .figures import gather, load_displacement, plot_mesh, plot_points, save, subplots
+from typing import Any
 
-__all__ = ["gather", "load_displacement", "plot_mesh", "plot_points", "save", "subplots"]
+from .figures import gather, load_displacement, plot_mesh, plot_points, save, subplots
+from .style import COLOURS, COLUMN, PAGE
+
+__all__ = [
+    "COLOURS",
+    "COLUMN",
+    "PAGE",
+    "STYLE",
+    "gather",
+    "load_displacement",
+    "plot_mesh",
+    "plot_points",
+    "save",
+    "subplots",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """STYLE needs a part of matplotlib, and is made when it's asked for."""
+    if name == "STYLE":
+        from . import style
+
+        return style.STYLE
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
