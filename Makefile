@@ -40,11 +40,7 @@ image: ## build the Docker image
 	  || { echo 'image: no Docker engine answers; as root, `make test-image` builds without one' >&2; exit 1; }
 	docker build -t polarmpm -f docker/Dockerfile .
 
-test-docs: setup ## build the pages, running their examples; writes docs/_build/html/index.html
-	@scripts/install-packages.sh debian-packages-docs.txt
-	$(RUN) python -m sphinx -W --keep-going -q -b html docs docs/_build/html
-
-image: ## build the image without a Docker engine (as root) and run the fast tests in it
+test-image: ## build the image without a Docker engine (as root) and run the fast tests in it
 	scripts/build-image-without-engine.sh build
 	scripts/build-image-without-engine.sh test
 
