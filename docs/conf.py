@@ -56,7 +56,7 @@ autosummary_generate = True
 add_module_names = False
 python_use_unqualified_type_names = True
 napoleon_google_docstring, napoleon_numpy_docstring = True, False
-napoleon_use_ivar = napoleon_use_rtype = False
+napoleon_use_ivar, napoleon_use_rtype = True, False
 napoleon_attr_annotations = True
 
 # examples, which run as the pages are built

@@ -26,6 +26,8 @@ def modules() -> dict[Name, Path]:
     """All modules by their dotted names, as tuples without the package's own."""
     found = {}
     for path in PACKAGE.rglob("*.py"):
+        if path.name == "__main__.py":
+            continue  # not of the library: it uses all of it
         parts = path.relative_to(PACKAGE).with_suffix("").parts
         found[parts[:-1] if parts[-1] == "__init__" else parts] = path
     return found

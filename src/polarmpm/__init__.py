@@ -3,6 +3,8 @@
 import importlib
 from typing import TYPE_CHECKING, Any
 
+import polarmpm.tools.presence  # noqa: F401 (before all that needs what it looks for)
+
 from .basis.base import Basis, Weights
 from .basis.registry import register as register_basis
 from .bodies.elements import Elements
