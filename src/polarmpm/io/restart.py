@@ -141,7 +141,8 @@ def load(problem: Problem, path: str | os.PathLike[str], *, allow: Collection[st
     Args:
         allow: differences that are meant, a set of: "materials" (other numbers or classes; plastic strain
             that the file doesn't have is zero), "points" (the file's points are taken), "grid" and "basis"
-            (the grid is reset), "terms" (they begin anew), "conditions" (some aren't given any more).
+            (the grid is reset), "terms" (they begin anew), "conditions" (some aren't given any more),
+            "motion" (another mass, or the state of a quasi-static run, which is at rest).
 
     Raises:
         InputError: no such file, a damaged one, or one that belongs to another problem; the message says what

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from mpi4py import MPI
+
+import numpy as np
+
 from ..assembly.elements import ElementSystem
 from ..assembly.points import LoadedPoints
 from ..basis.base import Basis
@@ -15,6 +19,7 @@ from ..solvers.newton import Controls
 from ..solvers.resetting import ResetPolicy, WhenDistorted
 from ..terms.ghost import GhostPenalty
 from ..tools.meetings import collective
+from . import takeover
 from .elements import QuasiStaticFEM
 from .motion import Moving
 from .points import QuasiStatic
@@ -80,6 +85,60 @@ class Dynamic(Moving, QuasiStatic):
         self._rotation_limit = 0.0  # in each step rotations count from its beginning
         self._set_motion(density, microinertia, rho_inf, drag)
 
+    @classmethod
+    def of(
+        cls,
+        problem: QuasiStatic,
+        *,
+        density: Any,
+        microinertia: Any = None,
+        rho_inf: float = 0.9,
+        drag: float = 0.0,
+        reset: int | ResetPolicy | None = _DISTORTED,
+        rebalance: float | None = 1.1,
+        controls: Controls | None = None,
+    ) -> Dynamic:
+        """Go on from a quasi-static problem, whose body is taken on. Collective.
+
+        At time 0 the body is at rest, in the equilibrium of the last load step. Supports hold it where it is,
+        loads keep their values, until they are released; what is given from then on counts from now. Initial
+        stresses and forces of balanced resets are kept until the grid is reset. Basis, ghost penalty, solver,
+        boxes and the cure of locking are those of the problem; `controls`, too, by default.
+
+        Raises:
+            InputError: no `QuasiStatic` whose last step is the body's state; conditions on surfaces, terms of
+                one's own, or conditions that are fading.
+        """
+        takeover.check(problem, QuasiStatic)
+        ids = problem.points.id
+        made = cls(
+            problem.grid,
+            problem.points,
+            density=density,
+            microinertia=microinertia,
+            rho_inf=rho_inf,
+            drag=drag,
+            basis=problem.basis,
+            reset=reset,
+            ghost=problem.ghost,
+            rebalance=None,
+            controls=controls or problem.controls,
+            solver=problem.solver,
+            boxes=problem.boxes,
+            locking=problem.locking,
+        )
+        takeover.take_conditions(made, problem)
+        takeover.take_progress(made, problem)
+        takeover.take_points(made, problem, ids, rebalance)
+        return made
+
+    def restore(self, *arguments: Any) -> None:
+        """As of `QuasiStatic`; rotations count from now on, as at the beginning of each step."""
+        super().restore(*arguments)
+        s, d = self._system, self.layout.dim
+        if s is not None and self.comm.allreduce(bool(np.any(s.x[:, d:])), op=MPI.LOR):
+            self._with_boxes(s.rebase_rotations)
+
     @property
     def _evaluated_at_end(self) -> bool:
         return self.points.plastic or any(form.scalars for form in self.forms)
@@ -126,6 +185,35 @@ class DynamicFEM(Moving, QuasiStaticFEM):
     ):
         super().__init__(elements, controls=controls, solver=solver, locking=locking)
         self._set_motion(density, microinertia, rho_inf, drag)
+
+    @classmethod
+    def of(
+        cls,
+        problem: QuasiStaticFEM,
+        *,
+        density: Any,
+        microinertia: Any = None,
+        rho_inf: float = 0.9,
+        drag: float = 0.0,
+        controls: Controls | None = None,
+    ) -> DynamicFEM:
+        """Go on from a quasi-static problem, whose body is taken on; see `Dynamic.of`. Collective."""
+        takeover.check(problem, QuasiStaticFEM)
+        made = cls(
+            problem.elements,
+            density=density,
+            microinertia=microinertia,
+            rho_inf=rho_inf,
+            drag=drag,
+            controls=controls or problem.controls,
+            solver=problem.solver,
+            locking=problem.locking,
+        )
+        takeover.take_conditions(made, problem)
+        takeover.take_progress(made, problem)
+        made.keep(problem.kept())
+        made.restore(made.progress)
+        return made
 
     @property
     def _loaded(self) -> bool:

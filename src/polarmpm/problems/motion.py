@@ -107,6 +107,16 @@ class Moving(Problem):
             turned = mass * self._of_points("microinertia", self._microinertia, positive=False) if r else mass
         return np.column_stack([*[mass] * d, *[turned] * r])
 
+    def inertia(self) -> dict[str, float]:
+        """The body's mass (kg) and, with microrotations, the sum of their moments of inertia (kg m^2).
+        Collective."""
+        mass, d = self._masses(), self.layout.dim
+        sums = self.comm.allreduce(np.array([mass[:, 0].sum(), mass[:, d:].sum()]))
+        found = {"mass": float(sums[0])}
+        return found | (
+            {"moment of inertia": float(sums[1]) / self.layout.rotations} if mass.shape[1] > d else {}
+        )
+
     # motion ---------------------------------------------------------------------------------------
     @property
     def time(self) -> float:
