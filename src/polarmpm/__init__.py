@@ -45,6 +45,7 @@ from .materials import (
     SaintVenantKirchhoff,
     UserEnergy,
 )
+from .problems.dynamic import Dynamic, DynamicFEM
 from .problems.elements import QuasiStaticFEM
 from .problems.observer import Observer
 from .problems.points import PUBLISHED, QuasiStatic
@@ -94,6 +95,8 @@ __all__ = [
     "Continuation",
     "Controls",
     "DruckerPrager",
+    "Dynamic",
+    "DynamicFEM",
     "Edge",
     "Elements",
     "ErrorOnAnotherRank",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -68,6 +67,7 @@ class OnGrid(Problem):
     _arrangement: int  # of the points, see `Points.arrangements`
     _attempted: tuple[np.ndarray, np.ndarray] | None
     _converged_loads: tuple[np.ndarray, np.ndarray] | None
+    _most_growth = np.inf  # of the points' domains
 
     def _beside(self, where: PlaneSpec) -> PlaneSpec:
         self.basis.check_plane(where, self.initial_grid)
@@ -83,10 +83,6 @@ class OnGrid(Problem):
 
     def _dismiss(self, support: Support) -> None:
         self._moving.dismiss(support, self.progress.factor if self.progress.step else None)
-
-    @abstractmethod
-    def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
-        """Forces (np, d) and couples (np, r) at the local points at a load factor."""
 
     @property
     def _in_patches(self) -> bool:
@@ -223,7 +219,16 @@ class OnGrid(Problem):
         terms = self._working_terms
         for term in terms if reference is None else []:
             term.begin()
-        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, terms, self.boxes)
+        made = Interpolation(
+            self.grid,
+            self.points,
+            self.basis,
+            self.forms,
+            reference,
+            terms,
+            self.boxes,
+            self._most_growth,
+        )
         self._conservation.reset(made)
         self.load_shares.built(self.points, made.nodes)
         return made
@@ -259,6 +264,6 @@ class OnGrid(Problem):
                 c.kernels = [form.compile(self.comm) for form in self.forms]
                 second = any(form.layout.second for form in self.forms)
                 c.motion = Motion(self.layout.with_second(second), self.comm)
-            unsymmetric = self.layout.rotations == 3 and any(load.couple for load in self.loads)
+            unsymmetric = self.layout.rotations == 3 and self._couples_act
             if unsymmetric and c.couple is None:
                 c.couple = CoupleForm().compile(self.comm)
