@@ -324,6 +324,7 @@ class NodalSystem(ABC):
 
     def evaluate(self, tangent: bool) -> None:
         s = self.step
+        self.terms.check_admitted(self.x)
         with self.timer("assembly"):
             sums = self.assemble(tangent, s.lift if tangent and s.pending else None)
             self.residual, s.lifted = sums.forces - self.carried, sums.lifted

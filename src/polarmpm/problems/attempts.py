@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..assembly.system import NodalSystem
+from ..errors import LocalFailure
 from ..solvers import newton
 from ..solvers.newton import Controls, Outcome
 
@@ -26,6 +27,27 @@ def solve(system: NodalSystem, start: np.ndarray, increments: np.ndarray, contro
         system.start_elastic(False)
     if not outcome.converged and system.leave_out_boxes(True):
         outcome = _start_without_boxes(system, start, increments, controls, outcome)
+    return _refined(system, controls, outcome)
+
+
+_MOST_REFINEMENTS = 50
+
+
+def _refined(system: NodalSystem, controls: Controls, outcome: Outcome) -> Outcome:
+    """Go on from an equilibrium until no term has to improve its forces. Collective."""
+    for _ in range(_MOST_REFINEMENTS):
+        if not outcome.converged:
+            return outcome
+        try:
+            if not system.terms.refine(system.x):
+                return outcome
+        except LocalFailure as e:
+            outcome.converged, outcome.reason = False, str(e)
+            return outcome
+        tried = outcome.history
+        outcome = newton.solve(system, controls)
+        outcome.history[:0] = tried[:-1]
+    outcome.converged, outcome.reason = False, f"terms still change after {_MOST_REFINEMENTS} refinements"
     return outcome
 
 
