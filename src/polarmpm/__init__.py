@@ -44,6 +44,7 @@ from .materials import (
     SaintVenantKirchhoff,
     UserEnergy,
 )
+from .problems.dynamic import Dynamic, DynamicFEM
 from .problems.elements import QuasiStaticFEM
 from .problems.observer import Observer
 from .problems.points import PUBLISHED, QuasiStatic
@@ -96,6 +97,8 @@ __all__ = [
     "Controls",
     "Cylinder",
     "DruckerPrager",
+    "Dynamic",
+    "DynamicFEM",
     "Edge",
     "Elements",
     "ErrorOnAnotherRank",

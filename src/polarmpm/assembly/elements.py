@@ -117,14 +117,16 @@ class ElementSystem(NodalSystem):
     def at_points(self, x: np.ndarray) -> np.ndarray:
         e = self.forms.elements
         of_cells = x[e.cell_nodes[: len(e.body.owned_cells)]]
-        values: np.ndarray = np.einsum("qn,cnb->cqb", self._functions, of_cells)
-        return values.reshape(-1, x.shape[1])
+        values: np.ndarray = self._functions @ of_cells
+        return values.reshape(len(of_cells) * len(self._functions), x.shape[1])
 
     def from_points(self, values: np.ndarray) -> np.ndarray:
         e = self.forms.elements
-        nodes, out = e.cell_nodes[: len(e.body.owned_cells)], np.zeros_like(self.x)
-        at_points = values.reshape(len(nodes), -1, values.shape[1])
-        np.add.at(out, nodes, np.einsum("qn,cqb->cnb", self._functions, at_points))
+        nodes, b = e.cell_nodes[: len(e.body.owned_cells)], values.shape[1]
+        of_cells = self._functions.T @ values.reshape(len(nodes), len(self._functions), b)
+        at = nodes.ravel()
+        sums = [np.bincount(at, of_cells[:, :, i].ravel(), minlength=len(self.x)) for i in range(b)]
+        out = np.stack(sums, axis=1).astype(float)  # without any elements they are integers
         self.nodes.add_to_owners(out)
         return out
 

@@ -7,7 +7,7 @@ PETSc's matrix uses on one rank. Loads that depend on the unknowns come from dol
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from ..tools import compat
 from ..tools.disposal import dispose_with, weakly
 from .elements import ElementSystem
 from .elementscalars import scalars_of
+from .inertia import MassSets
 from .meshpattern import MeshPattern
 from .onpattern import OnPattern
 from .stiffscalars import Evaluated, Linear
@@ -70,6 +71,14 @@ class SummedElements(OnPattern, ElementSystem):
         self._bind_terms()
 
     # assembly ---------------------------------------------------------------------------------------
+    def mass_sets(self, mass: np.ndarray) -> Iterator[MassSets]:
+        e, functions = self.forms.elements, self._functions
+        rows = e.cell_nodes[: len(e.body.owned_cells)].astype(np.int64)
+        products = np.einsum("qi,qj->qij", functions, functions).reshape(len(functions), -1)
+        of_cells = mass.T.reshape(2, len(rows), len(functions)) @ products
+        n = rows.shape[1]
+        yield MassSets(rows, self._mesh.block_columns(rows), of_cells.reshape(2, len(rows), n, n))
+
     def assemble(self, tangent: bool, lift: np.ndarray | None = None) -> Assembled:
         internal = np.zeros_like(self.x)
         lifted = None if lift is None else np.zeros_like(self.x)
@@ -84,6 +93,11 @@ class SummedElements(OnPattern, ElementSystem):
         loads = self.external = self._body_loads()
         if len(self.terms):
             internal += self.term_forces()
+        if tangent:
+            self.pattern.mirror()
+            self.terms.add_tangents(self.x, self.pattern.values)
+        if self.inertia is not None:
+            self.add_inertia(self.inertia, tangent, None, internal, None)
         if tangent:
             self._complete_tangent(lift, lifted)
         return Assembled(internal - loads, lifted)
@@ -165,13 +179,13 @@ class SummedElements(OnPattern, ElementSystem):
         return found
 
     def _complete_tangent(self, lift: np.ndarray | None, lifted: np.ndarray | None) -> None:
-        """Add what isn't of the elements, and the other ranks' parts."""
-        self.pattern.mirror()
-        self.terms.add_tangents(self.x, self.pattern.values)
+        """Add the other ranks' parts, and what loads add that depend on the unknowns."""
         self.pattern.collect()
         if lift is not None and lifted is not None:
             lifted += self.lifted_by_terms(lift)
             self.nodes.add_to_owners(lifted)
+            if self.inertia is not None:
+                lifted += self.inertia.products(self, lift)
         for tangent in self._of_loads:
             tangent.add(self.pattern.values, lift, lifted)
 

@@ -160,7 +160,7 @@ class NodalTerms:
         held = fixed.astype(bool)
         self._places = []
         for piece, rows in self._parts():
-            columns = block_columns(rows) if block_columns else _columns_of_boxes(piece, rows, matrix)
+            columns = block_columns(rows) if block_columns else _columns(piece, rows, matrix)
             self._places.append(self._find(piece, rows, matrix, held, columns))
 
     def _find(
@@ -205,11 +205,16 @@ class NodalTerms:
         return out
 
 
-def _columns_of_boxes(piece: Piece, rows: np.ndarray, matrix: native.Matrix) -> np.ndarray:
-    """Block columns (m, n, n) of the nodes of boxes in each other's rows."""
+def _columns(piece: Piece, rows: np.ndarray, matrix: native.Matrix) -> np.ndarray:
     assert isinstance(piece.boxes, Boxes)
+    return columns_of_boxes(rows, piece.boxes.offsets, matrix)
+
+
+def columns_of_boxes(rows: np.ndarray, offsets: np.ndarray, matrix: native.Matrix) -> np.ndarray:
+    """Block columns (m, n, n), in each other's rows, of the nodes (m, n) of boxes, which stand at lattice
+    distances `offsets` (n, d) from the boxes' lowest."""
     place, reach = matrix.kept["place"], matrix.reach
-    offset = piece.boxes.offsets[None] - piece.boxes.offsets[:, None] + reach  # [row][column]
+    offset = offsets[None] - offsets[:, None] + reach  # [row][column]
     code = np.ravel_multi_index(tuple(np.moveaxis(offset, -1, 0)), (2 * reach + 1,) * offset.shape[-1])
     columns: np.ndarray = place[rows[:, :, None], code[None]]
     return columns

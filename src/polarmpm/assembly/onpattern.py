@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from ..solvers.linear import LinearSolver
+from .inertia import Inertia, MassSets
 from .sparsity import Pattern
 from .system import NodalSystem
 
@@ -20,6 +23,26 @@ class OnPattern(NodalSystem):
 
     pattern: Pattern
     solver: LinearSolver
+
+    @abstractmethod
+    def mass_sets(self, mass: np.ndarray) -> Iterator[MassSets]:
+        """Sums of the masses (np, 2) of this rank's points, for displacements and for rotations."""
+
+    def add_inertia(
+        self,
+        inertia: Inertia,
+        tangent: bool,
+        lift: np.ndarray | None,
+        internal: np.ndarray,
+        lifted: np.ndarray | None,
+    ) -> None:
+        """Add the points' inertia to sums that are complete on owned rows, with `tangent` to those of the
+        matrix, whose rows of ghosts are still to be collected. Collective."""
+        internal += inertia.forces(self)
+        if tangent:
+            inertia.add_tangent(self)
+        if lift is not None and lifted is not None:
+            lifted += inertia.products(self, lift)
 
     @property
     def tangent(self) -> Any:

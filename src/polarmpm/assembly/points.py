@@ -24,6 +24,7 @@ from ..tools.parallel import errors_on_all_ranks
 from ..tools.timing import Timer
 from . import sparsity
 from .folding import Folding
+from .inertia import MassSets, point_sets
 from .initialstress import InitialStress
 from .interpolation import Interpolation, PointBatch
 from .onpattern import OnPattern
@@ -262,6 +263,10 @@ class PointSystem(OnPattern, LoadedPoints):
         self._few = interpolation.points.total < self.nodes.total
 
     # assembly ---------------------------------------------------------------------------------------
+    def mass_sets(self, mass: np.ndarray) -> Iterator[MassSets]:
+        for batch in self.interpolation.batches:
+            yield from point_sets(batch, mass[batch.rows], self.pattern.matrix)
+
     def assemble(self, tangent: bool, lift: np.ndarray | None = None) -> Assembled:
         internal = np.zeros_like(self.x)
         lifted = None if lift is None else np.zeros_like(self.x)
@@ -281,10 +286,13 @@ class PointSystem(OnPattern, LoadedPoints):
         if tangent:
             self.pattern.mirror()
             self.terms.add_tangents(self.x, self.pattern.values)
-            self._collect()
         if lift is not None and lifted is not None:
             lifted += self.lifted_by_terms(lift)
             self.nodes.add_to_owners(lifted)
+        if self.inertia is not None:
+            self.add_inertia(self.inertia, tangent, lift, internal, lifted)
+        if tangent:
+            self._collect()
         return Assembled(internal - self._dead_forces(), lifted)
 
     def _collect(self) -> None:

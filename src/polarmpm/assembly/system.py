@@ -19,6 +19,7 @@ from ..solvers.choice import is_large
 from ..solvers.linear import ACCURACY, NearNullSpace
 from ..terms.base import Piece
 from ..tools.timing import Timer
+from .inertia import Inertia
 from .nodalterms import NodalTerms
 
 _ROUNDING = 16 * float(np.finfo(float).eps)
@@ -83,7 +84,10 @@ class NodalSystem(ABC):
         terms: what acts on the nodes besides the body's stresses and loads.
         length: size of a cell (m) in each direction, which tells what a displacement means as a strain.
         as_force: factors (block,) by which forces and couples count as forces.
+        inertia: of the points; None where loads are slow.
     """
+
+    inertia: Inertia | None = None
 
     def __init__(
         self,
@@ -178,7 +182,9 @@ class NodalSystem(ABC):
 
     def changing(self) -> Iterator[tuple[Any, tuple[str, ...] | None]]:
         """What a load step changes: objects, and which of their attributes; None: all."""
-        yield self, ("x", "before", "residual", "loads", "external", "carried", "terms")
+        yield self, ("x", "before", "residual", "loads", "external", "carried", "terms", "inertia")
+        if self.inertia is not None:
+            yield self.inertia, None
         yield self.prescribed, None
         for piece in self.terms.pieces:
             yield piece, None

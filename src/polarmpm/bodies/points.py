@@ -52,6 +52,14 @@ PLASTIC_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
 # what bodies with second-gradient materials have beside it
 SECOND_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {"grad_F": ((3, 3, 3), float)}
 
+# what bodies in motion have beside it
+MOTION_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
+    "velocity": (("d",), float),
+    "acceleration": (("d",), float),
+    "spin": ((3,), float),
+    "spin_rate": ((3,), float),
+}
+
 _PRIVATE = ("_has_plastic_state", "_fingerprints")  # what copies take along besides public attributes
 
 
@@ -79,6 +87,9 @@ class Points(Selecting):
             J and K; only in bodies with second-gradient materials, and zero at points of others.
         hardening: accumulated plastic strain chi, scalar.
         dissipation: plastic dissipation per reference volume so far (Pa), scalar.
+        velocity, acceleration: (m/s, m/s^2), vectors, and spin, spin_rate: of the microrotation (rad/s,
+            rad/s^2), (np, 3); only once a dynamic problem has been made of the body. Accelerations are those
+            of the method in time, not forces over masses.
         regions, surfaces: physical groups of the mesh that the points come from; see `region` and `surface`.
         arrangements: how often points have joined or been assigned a material; a problem is made of one.
 
@@ -102,6 +113,10 @@ class Points(Selecting):
     plastic_wryness: np.ndarray
     hardening: np.ndarray
     dissipation: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    spin: np.ndarray
+    spin_rate: np.ndarray
     steps: int = 0
     _mesh: Any = None  # of elements, whose communicator it is and dies with it
 
@@ -252,10 +267,23 @@ class Points(Selecting):
         return any(m.second_gradient for m in self.materials)
 
     @property
+    def moving(self) -> bool:
+        """Whether a dynamic problem has been made of them, so that they have velocities."""
+        return "velocity" in vars(self)
+
+    def set_moving(self) -> None:
+        """Give them velocities and accelerations, zero, if they have none."""
+        if not self.moving:
+            n = len(self)
+            self.velocity, self.acceleration = np.zeros((n, self.dim)), np.zeros((n, self.dim))
+            self.spin, self.spin_rate = np.zeros((n, 3)), np.zeros((n, 3))
+
+    @property
     def fields(self) -> dict[str, tuple[tuple[int | str, ...], type]]:
         """Names of the state's arrays, with their shapes after the point axis and types."""
         found = {**FIELDS, **PLASTIC_FIELDS} if self.plastic else FIELDS
-        return {**found, **SECOND_FIELDS} if self.second_gradient else found
+        found = {**found, **SECOND_FIELDS} if self.second_gradient else found
+        return {**found, **MOTION_FIELDS} if self.moving else found
 
     def plastic_state(self, rows: np.ndarray) -> tuple[np.ndarray, ...]:
         """Fp, Gp and chi of some points; nothing in an elastic body."""

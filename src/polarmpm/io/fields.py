@@ -29,6 +29,7 @@ class Field:
         function: of `Points`; numbers (np,), vectors (np, d) or tensors (np, 3, 3) of this rank's points.
         unit: of its values.
         plastic: only there when one of the materials can yield.
+        moving: only there of bodies in motion, of which a dynamic problem has been made.
 
     Raises:
         InputError: no name, or not a function of one argument.
@@ -41,6 +42,7 @@ class Field:
     function: Callable[[Points], np.ndarray]
     unit: str = ""
     plastic: bool = False
+    moving: bool = False
 
     def __post_init__(self) -> None:
         check_field(self, "a function of the points is", "points")
@@ -64,6 +66,8 @@ OF_POINTS: dict[str, Field] = {
         Field("material", lambda p: p.material),
         Field("hardening", lambda p: p.hardening, plastic=True),
         Field("dissipation", lambda p: p.dissipation, "Pa", plastic=True),
+        Field("velocity", lambda p: p.velocity, "m/s", moving=True),
+        Field("spin", lambda p: p.spin, "rad/s", moving=True),
     )
 }
 
@@ -80,7 +84,9 @@ def choose(fields: str | AnyField | Iterable[str | AnyField], points: Points) ->
     allowed = [
         name
         for name, field in known.items()
-        if (points.plastic or not field.plastic) and (points.second_gradient or not _second(field))
+        if (points.plastic or not field.plastic)
+        and (points.second_gradient or not _second(field))
+        and (points.moving or not _of_motion(field))
     ]
     out: list[AnyField] = []
     several = isinstance(fields, Iterable) and not isinstance(fields, str)
@@ -96,6 +102,8 @@ def choose(fields: str | AnyField | Iterable[str | AnyField], points: Points) ->
             raise InputError(f"fields: {field.name!r}, but none of the materials is plastic")
         if _second(field) and not points.second_gradient:
             raise InputError(f"fields: {field.name!r}, but none of the materials has second gradients")
+        if _of_motion(field) and not points.moving:
+            raise InputError(f"fields: {field.name!r}, but no dynamic problem has been made of the body")
         if known.get(field.name, field) is not field:
             raise InputError(f"fields: {field.name!r} is the name of one of the package's fields")
         if field.name in (other.name for other in out):
@@ -106,6 +114,10 @@ def choose(fields: str | AnyField | Iterable[str | AnyField], points: Points) ->
 
 def _second(field: AnyField) -> bool:
     return field.name == "grad_F" or (isinstance(field, MaterialField) and field.second_gradient)
+
+
+def _of_motion(field: AnyField) -> bool:
+    return isinstance(field, Field) and field.moving
 
 
 def field_arrays(problem: Any, fields: Sequence[AnyField]) -> dict[str, np.ndarray]:

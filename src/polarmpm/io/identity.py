@@ -20,6 +20,7 @@ from ..kernels.codegen import Scalariser, expand
 from ..materials.base import Material, evaluate_energy
 from ..problems.base import Problem
 from ..problems.elements import QuasiStaticFEM
+from ..problems.motion import Moving
 from ..terms.base import Term
 from ..terms.surfaceterms import SurfaceCondition
 from ..tools import checks
@@ -27,8 +28,8 @@ from ..tools.parallel import known_anywhere, raise_on_all_ranks, values_by_numbe
 from . import meshstate
 
 # groups of differences that a script may allow, and what it means to
-ALLOWED = ("materials", "points", "grid", "basis", "terms", "conditions")
-_OF_ELEMENTS = ("materials", "terms", "conditions")
+ALLOWED = ("materials", "points", "grid", "basis", "terms", "conditions", "motion")
+_OF_ELEMENTS = ("materials", "terms", "conditions", "motion")
 _ROUNDING = 1e-12  # of a number that another machine has computed
 _NEAR = 1e-9  # of a cell; farther apart, two positions aren't the same
 
@@ -66,6 +67,8 @@ def made_of(problem: Problem, terms: Sequence[Term]) -> Facts:
         facts["points"] = _points(problem)
         facts["grid"] = dict(p.initial_grid.description())
         facts["basis"] = {"basis": p.basis.name, "boxes": p.boxes, "locking": str(p.locking)}
+    if isinstance(problem, Moving):
+        facts["motion"] = problem.inertia()
     found: Facts = json.loads(json.dumps(facts, default=_plain))
     return found
 

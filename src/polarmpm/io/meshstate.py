@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..bodies.points import PLASTIC_FIELDS, Points
+from ..bodies.points import MOTION_FIELDS, PLASTIC_FIELDS, Points
 from ..errors import InputError
 from ..problems.elements import QuasiStaticFEM
 from ..tools.parallel import raise_on_all_ranks, values_by_number
@@ -110,7 +110,8 @@ def _slopes(problem: QuasiStaticFEM) -> dict[str, Any]:
 
 
 def _names(points: Points) -> tuple[str, ...]:
-    return (*_OF_POINTS, *(PLASTIC_FIELDS if points.plastic else ()))
+    of_state = (*_OF_POINTS, *(PLASTIC_FIELDS if points.plastic else ()))
+    return (*of_state, *MOTION_FIELDS) if points.moving else of_state
 
 
 def _find(

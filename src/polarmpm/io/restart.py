@@ -22,6 +22,7 @@ from mpi4py import MPI
 import h5py
 import numpy as np
 
+from ..bodies.points import MOTION_FIELDS
 from ..bodies.reference import Reference
 from ..errors import InputError
 from ..problems.base import Problem
@@ -36,7 +37,7 @@ from . import container, meshstate
 from .files import reason
 from .identity import Facts, check_allowed, check_points, differences, made_of, refuse_differences
 
-_FORMAT = 8
+_FORMAT = 9
 _KIND = f"format {_FORMAT}"
 _WHOLE = ("terms", "steps")  # groups of arrays that every rank has whole
 _FINITE = ("points", "reference", "nodes", "cells", "equilibrium")  # that have nothing of a script's
@@ -140,7 +141,8 @@ def load(problem: Problem, path: str | os.PathLike[str], *, allow: Collection[st
     Args:
         allow: differences that are meant, a set of: "materials" (other numbers or classes; plastic strain
             that the file doesn't have is zero), "points" (the file's points are taken), "grid" and "basis"
-            (the grid is reset), "terms" (they begin anew), "conditions" (some aren't given any more).
+            (the grid is reset), "terms" (they begin anew), "conditions" (some aren't given any more),
+            "motion" (another mass, or the state of a quasi-static run, which is at rest).
 
     Raises:
         InputError: no such file, a damaged one, or one that belongs to another problem; the message says what
@@ -271,6 +273,8 @@ def _unyielded(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     n = len(rows["points/id"])
     none = {"plastic_wryness": np.zeros((n, 3, 3)), "hardening": np.zeros(n), "dissipation": np.zeros(n)}
     none["grad_F"] = np.zeros((n, 3, 3, 3))
+    d = rows["points/X"].shape[1]
+    none |= {name: np.zeros((n, d if shape == ("d",) else 3)) for name, (shape, _) in MOTION_FIELDS.items()}
     return {"plastic_F": np.tile(np.eye(3), (n, 1, 1)), **none}
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from ..assembly.system import NodalSystem
 from ..bodies.points import Points
 from ..bodies.reference import Increments
+from ..conditions.loads import point_loads
 from ..conditions.prescribed import Prescribed
 from ..conditions.proportional import check_loads, check_supports
 from ..conditions.supports import Support
@@ -95,6 +96,16 @@ class Problem(Results):
     @abstractmethod
     def _commit(self, system: Any, increments: Increments, factor: float) -> None:
         """Make a solution the body's state."""
+
+    @property
+    def _couples_act(self) -> bool:
+        """Whether there are dead couples at points."""
+        return any(load.couple for load in self.loads)
+
+    def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
+        """Dead forces (np, d) and couples (np, r) at the local points at a load factor."""
+        with errors_on_all_ranks(self.comm):
+            return point_loads(self.loads, self.points, self.layout, factor)
 
     # solving --------------------------------------------------------------------------------------
     def march(
@@ -319,11 +330,11 @@ class Problem(Results):
             if outcome.converged:
                 self._trust(system, start.x, outcome)
             if outcome.converged:
-                external, carried = step_work(system, start, system.working_loads(), self._left(system.nodes))
+                external, carried = self._work(system, start)
                 self.progress.external_work += external
                 self.progress.carried_work += carried
                 self._close(system)
-                self._equilibrium = Equilibrium.of(system)
+                self._equilibrium = self._forces(system)
                 self._last_x, self.progress.factor_change = self.points.x, factor - self.progress.factor
                 ranks.tell(self, "after_convergence", factor)
                 self._commit_terms(system, start.x)
@@ -336,6 +347,14 @@ class Problem(Results):
                 ranks.tell(self, "after_commit", self.progress.rotation_factor != base)
             else:
                 self.failed_at, system.x = system.x, start.x
+
+    def _work(self, system: NodalSystem, start: StepStart) -> tuple[float, float]:
+        """Work (J) of a step that has converged, see `step_work`. Collective."""
+        return step_work(system, start, system.working_loads(), self._left(system.nodes))
+
+    def _forces(self, system: NodalSystem) -> Equilibrium:
+        """What acts on the body at the end of a step that has converged. Collective."""
+        return Equilibrium.of(system)
 
     def _commit_terms(self, system: NodalSystem, start: np.ndarray) -> None:
         """Tell the terms of a step that has converged, from increments (nodes, block) at its start."""

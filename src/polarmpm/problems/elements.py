@@ -18,7 +18,7 @@ from ..bodies.facets import Facets
 from ..bodies.reference import Increments
 from ..conditions.amplitudes import Amplitude, check_counts
 from ..conditions.holding import check_held
-from ..conditions.loads import Applied, no_microrotation, point_loads
+from ..conditions.loads import Applied, no_microrotation
 from ..conditions.prescribed import Prescribed
 from ..conditions.supports import Support
 from ..errors import InputError
@@ -291,6 +291,11 @@ class QuasiStaticFEM(Problem):
             term.begin()
         return [piece for term in self.terms for piece in pieces_of(term, setting)]
 
+    @property
+    def _loaded(self) -> bool:
+        """Whether there are dead loads at points."""
+        return bool(self.loads)
+
     def _load_forms(self) -> tuple[list[Any], list[Varying]]:
         from dolfinx import fem
 
@@ -306,10 +311,10 @@ class QuasiStaticFEM(Problem):
             else:
                 dead.append(compiled)
 
-        if self.loads:
+        if self._loaded:
             size, degree = self.layout.block, e.quadrature_degree
             self._body = fem.Function(compat.quadrature_space(e.mesh, size, degree))
-            add(f.body_work(self._body), spatial and any(load.couple for load in self.loads))
+            add(f.body_work(self._body), spatial and self._couples_act)
         for load in self.surface_loads:
             space = compat.function_space(e.mesh, load.amplitude.size, e.degree)
             load.function = fem.Function(space)
@@ -329,9 +334,10 @@ class QuasiStaticFEM(Problem):
         if factor is None and self._last_loads is not None:
             return system.put_external(self._last_loads)
         factor = last if factor is None else factor
+        of_points = None if self._body is None else self._loads_at(factor)
         with errors_on_all_ranks(self.comm):
-            if self._body is not None:
-                forces, couples = point_loads(self.loads, self.points, self.layout, factor)
+            if of_points is not None:
+                forces, couples = of_points
                 density = np.concatenate([forces, couples], axis=1) / self.points.volume0[:, None]
                 self.forms.put_at_points(self._body, density)
             for load in self.surface_loads:

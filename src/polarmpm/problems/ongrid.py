@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -83,10 +82,6 @@ class OnGrid(Problem):
 
     def _dismiss(self, support: Support) -> None:
         self._moving.dismiss(support, self.progress.factor if self.progress.step else None)
-
-    @abstractmethod
-    def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
-        """Forces (np, d) and couples (np, r) at the local points at a load factor."""
 
     @property
     def _in_patches(self) -> bool:
@@ -259,6 +254,6 @@ class OnGrid(Problem):
                 c.kernels = [form.compile(self.comm) for form in self.forms]
                 second = any(form.layout.second for form in self.forms)
                 c.motion = Motion(self.layout.with_second(second), self.comm)
-            unsymmetric = self.layout.rotations == 3 and any(load.couple for load in self.loads)
+            unsymmetric = self.layout.rotations == 3 and self._couples_act
             if unsymmetric and c.couple is None:
                 c.couple = CoupleForm().compile(self.comm)

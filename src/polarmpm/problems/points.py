@@ -17,7 +17,7 @@ from ..bodies.points import Points
 from ..bodies.reference import Increments, Reference
 from ..bodies.selection import Selection
 from ..bodies.validity import Seal
-from ..conditions.loads import Applied, HandedOver, Load, point_loads
+from ..conditions.loads import Applied, HandedOver, Load
 from ..conditions.movinggrid import MovingGrid
 from ..forms.stresses import MaterialField
 from ..forms.trial import try_energy
@@ -227,10 +227,6 @@ class QuasiStatic(OnGrid):
             raise checks.refuse("selection", where, allowed)
         share = 1.0 / max(1, len(where))
         return self._add_loads(f"load {self.given.next('load')}", where, (force, couple), counts, share=share)
-
-    def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
-        with errors_on_all_ranks(self.comm):
-            return point_loads(self.loads, self.points, self.layout, factor)
 
     def _put_loads(self, system: LoadedPoints, factor: float | None) -> None:
         last = self.progress.factor

@@ -163,6 +163,8 @@ class Equilibrium:
         terms: each term, with its forces and couples on the body on this rank.
         nodes: of the system; None if the state was read from a file.
         points_moved: points have gone to other ranks since.
+        inertia: spatial forces and couples of inertia and damping, complete on owned rows; None: there is
+            none.
     """
 
     comm: MPI.Comm
@@ -178,6 +180,7 @@ class Equilibrium:
     tied: dict[int, np.ndarray]
     nodes: Nodes | None = None
     points_moved: bool = False
+    inertia: np.ndarray | None = None
 
     @classmethod
     def of(cls, system: NodalSystem) -> Equilibrium:
@@ -212,6 +215,7 @@ class Equilibrium:
         """For a restart file: names, and this rank's rows."""
         n, names = len(self.residual), {"supports": [s.name for s in self.supports]}
         rows = {name: getattr(self, name) for name in _ROWS}
+        rows |= {} if self.inertia is None else {"inertia": self.inertia}
         rows["held"] = np.array(self.masks, dtype=np.uint8).reshape(-1, n).T
         rows["owned"] = (np.arange(n) < self.owned).astype(np.uint8)
         rows |= {f"term {k}": forces for k, (_, forces) in enumerate(self.terms)}
@@ -250,6 +254,7 @@ class Equilibrium:
             carried,
             [(name, rows[f"term {k}"]) for k, name in enumerate(names["terms"])],
             {k: rows[f"tied {k}"] for k in map(names["supports"].index, names.get("tied", []))},
+            inertia=rows.get("inertia"),
         )
 
     # sums ---------------------------------------------------------------------------------------------
@@ -320,6 +325,8 @@ class Equilibrium:
     def _shares(self) -> Iterator[tuple[str, np.ndarray]]:
         own = self.owned
         yield "loads", self._sums(self.loads[:own])
+        if self.inertia is not None:
+            yield "inertia", self._sums(self.inertia[:own])
         for name, forces in self.terms:
             yield name, self._sums(self._spatial(forces, len(forces)))
         for support in self.supports:

@@ -29,7 +29,7 @@ class Progress:
         reset_factor, rotation_factor: load factor at the last reset and rotation base.
         reset_due: the grid is to be reset before the next step.
         factor_change: of the last step.
-        external_work, carried_work, ghost_work, patch_work, term_work: work (J) so far, see
+        external_work, carried_work, ghost_work, patch_work, term_work, damped_work: work (J) so far, see
             `Problem.energies`.
     """
 
@@ -45,6 +45,7 @@ class Progress:
     ghost_work: float = 0.0
     patch_work: float = 0.0
     term_work: float = 0.0
+    damped_work: float = 0.0
 
 
 class Fields(Mapping[str, np.ndarray]):

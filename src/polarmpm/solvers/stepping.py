@@ -80,6 +80,11 @@ class Step:
         """Linear solves."""
         return len(self.history) - 1
 
+    @property
+    def time(self) -> float:
+        """Time reached (s), in a dynamic problem, where it stands for the load factor."""
+        return self.factor
+
     def __repr__(self) -> str:
         force = f"{self.history[-1][0]:.2g}" if self.history else "unknown"
         unresolved = "" if self.unresolved is None else f", {100 * self.unresolved:.2g} % unresolved"

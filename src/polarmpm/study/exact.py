@@ -1,6 +1,6 @@
 """Closed forms with which the scenes of generalised continua are compared: a beam under a pressure that
 follows it, a ring of a material with second gradients under outer pressure, and of micropolar materials a
-hole under tension and a round bar in torsion."""
+hole under tension, a round bar in torsion, and plane waves."""
 
 from __future__ import annotations
 
@@ -45,6 +45,43 @@ def pressed_cantilever(load: float, steps: int = 4000) -> np.ndarray:
     turn, offset = line[-1, 2], line[-1, :2] - line[::-1, :2]
     cos, sin = np.cos(turn), np.sin(turn)
     return np.stack([offset @ (cos, sin), -(offset @ (-sin, cos))], axis=1)
+
+
+def micropolar_waves(
+    k: float, *, mu: float, kappa: float, stiffness: float, rho: float, j: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies of plane transverse waves in an endless micropolar body, and the microrotations in them.
+
+    A displacement U cos(k x) across x and a microrotation Theta sin(k x) about the third axis swing together:
+
+        (rho w^2 - (mu + kappa) k^2) U = 2 kappa k Theta,
+        (rho j w^2 - c k^2 - 4 kappa) Theta = 2 kappa k U.
+
+    Args:
+        k: wave number (1/m).
+        mu, kappa: moduli (Pa), see `MicropolarElastic`.
+        stiffness: c = gamma + beta (N).
+        rho, j: density (kg/m^3) and microinertia (m^2).
+
+    Returns:
+        Of the acoustic and of the optical wave: w (rad/s), (2,), and Theta / U (1/m), (2,).
+
+    Raises:
+        InputError: an argument is out of range.
+    """
+    given = {"k": k, "mu": mu, "kappa": kappa, "rho": rho, "j": j}
+    k, mu, kappa, rho, j = (checks.number(name, value, above=0.0) for name, value in given.items())
+    stiffness = checks.number("stiffness", stiffness, least=0.0)
+    # symmetric in the unknowns sqrt(rho) U and sqrt(rho j) Theta
+    coupling = 2.0 * kappa * k / (rho * np.sqrt(j))
+    matrix = np.array(
+        [
+            [(mu + kappa) * k**2 / rho, coupling],
+            [coupling, (stiffness * k**2 + 4.0 * kappa) / (rho * j)],
+        ]
+    )
+    squares, modes = np.linalg.eigh(matrix)
+    return np.sqrt(squares), modes[1] / modes[0] / np.sqrt(j)
 
 
 def hole_in_tension(*, radius: float, nu: float, N: float, l_b: float) -> float:

@@ -1,0 +1,237 @@
+"""Dynamic problems: of material points on a grid, and of finite elements."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..assembly.elements import ElementSystem
+from ..assembly.points import LoadedPoints
+from ..basis.base import Basis
+from ..bodies.elements import Elements
+from ..bodies.points import Points
+from ..bodies.reference import Increments
+from ..geometry.grid import Grid
+from ..solvers.newton import Controls
+from ..solvers.resetting import ResetPolicy, WhenDistorted
+from ..terms.ghost import GhostPenalty
+from ..tools.meetings import collective
+from . import takeover
+from .elements import QuasiStaticFEM
+from .motion import Moving
+from .points import QuasiStatic
+
+_DISTORTED = WhenDistorted()
+
+
+class Dynamic(Moving, QuasiStatic):
+    """Motion of material points on a grid. All methods are collective. What isn't said here is as of
+    `QuasiStatic`, with the time (s) for the load factor.
+
+    Args:
+        grid: background grid.
+        points: the body.
+        density: mass per reference volume (kg/m^3): a number; one for each of `points.materials`, in a
+            sequence or by material; or a function of the initial positions (n, d), which gives (n,).
+        microinertia: j (m^2) of the microrotations' moment of inertia rho j, likewise; of a micropolar body
+            it is needed.
+        rho_inf: by what a step multiplies motions whose period is much shorter than it: 1 keeps them (the
+            implicit midpoint rule), 0 ends them at once.
+        drag: of all velocities and spins relative to their inertia (1/s), the part of Rayleigh damping that
+            is proportional to the mass.
+        basis, reset, ghost, rebalance, controls, solver, boxes, locking: as of `QuasiStatic`. Resets aren't
+            balanced: the forces that a balanced one carries along would stay while the motion goes on.
+
+    Raises:
+        InputError: an argument is out of range; materials that don't go together.
+        PointsOutsideGrid: points lie outside the grid; the message names them.
+    """
+
+    @collective("Dynamic", comm=lambda self, grid, *args, **options: grid.comm, compare=True)
+    def __init__(
+        self,
+        grid: Grid,
+        points: Points,
+        *,
+        density: Any,
+        microinertia: Any = None,
+        rho_inf: float = 0.9,
+        drag: float = 0.0,
+        basis: str | Basis = "bspline",
+        reset: int | ResetPolicy | None = _DISTORTED,
+        ghost: str | GhostPenalty | None = None,
+        rebalance: float | None = 1.1,
+        controls: Controls | None = None,
+        solver: str = "auto",
+        boxes: bool | None = None,
+        locking: str | None = "auto",
+    ):
+        super().__init__(
+            grid,
+            points,
+            basis=basis,
+            reset=reset,
+            balanced_reset=False,
+            ghost=ghost,
+            rebalance=rebalance,
+            controls=controls,
+            solver=solver,
+            boxes=boxes,
+            locking=locking,
+        )
+        self._rotation_limit = 0.0  # in each step rotations count from its beginning
+        self._set_motion(density, microinertia, rho_inf, drag)
+
+    @classmethod
+    def of(
+        cls,
+        problem: QuasiStatic,
+        *,
+        density: Any,
+        microinertia: Any = None,
+        rho_inf: float = 0.9,
+        drag: float = 0.0,
+        reset: int | ResetPolicy | None = _DISTORTED,
+        rebalance: float | None = 1.1,
+        controls: Controls | None = None,
+    ) -> Dynamic:
+        """Go on from a quasi-static problem, whose body is taken on. Collective.
+
+        At time 0 the body is at rest, in the equilibrium of the last load step. Supports hold it where it is,
+        loads keep their values, until they are released; what is given from then on counts from now. Initial
+        stresses and forces of balanced resets are kept until the grid is reset. Basis, ghost penalty, solver,
+        boxes and the cure of locking are those of the problem; `controls`, too, by default.
+
+        Raises:
+            InputError: no `QuasiStatic` whose last step is the body's state; conditions on surfaces, terms of
+                one's own, or conditions that are fading.
+        """
+        takeover.check(problem, QuasiStatic)
+        ids = problem.points.id
+        made = cls(
+            problem.grid,
+            problem.points,
+            density=density,
+            microinertia=microinertia,
+            rho_inf=rho_inf,
+            drag=drag,
+            basis=problem.basis,
+            reset=reset,
+            ghost=problem.ghost,
+            rebalance=None,
+            controls=controls or problem.controls,
+            solver=problem.solver,
+            boxes=problem.boxes,
+            locking=problem.locking,
+        )
+        takeover.take_conditions(made, problem)
+        takeover.take_progress(made, problem)
+        takeover.take_points(made, problem, ids, rebalance)
+        return made
+
+    def restore(self, *arguments: Any) -> None:
+        """As of `QuasiStatic`; rotations count from now on, as at the beginning of each step."""
+        super().restore(*arguments)
+        s, d = self._system, self.layout.dim
+        if s is not None and self.comm.allreduce(bool(np.any(s.x[:, d:])), op=MPI.LOR):
+            self._with_boxes(s.rebase_rotations)
+
+    @property
+    def _evaluated_at_end(self) -> bool:
+        return self.points.plastic or any(form.scalars for form in self.forms)
+
+    def _prepare(self) -> LoadedPoints:
+        system = super()._prepare()
+        self._add_inertia(system)
+        return system
+
+    def _put_loads(self, system: LoadedPoints, factor: float | None) -> None:
+        super()._put_loads(system, None if factor is None else self._set_step(system, factor))
+
+    def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
+        super()._commit(system, increments, factor)
+        assert system.inertia is not None
+        self._move(system.inertia, increments)
+
+
+class DynamicFEM(Moving, QuasiStaticFEM):
+    """Motion of a mesh of finite elements. All methods are collective. What isn't said here is as of
+    `QuasiStaticFEM`, with the time (s) for the load factor; velocities live at the quadrature points.
+
+    Args:
+        elements: the body.
+        density, microinertia, rho_inf, drag: as of `Dynamic`.
+        controls, solver, locking: as of `QuasiStaticFEM`.
+
+    Raises:
+        InputError: an argument is out of range; materials with second gradients.
+    """
+
+    @collective("DynamicFEM", comm=lambda self, elements, *args, **options: elements.comm, compare=True)
+    def __init__(
+        self,
+        elements: Elements,
+        *,
+        density: Any,
+        microinertia: Any = None,
+        rho_inf: float = 0.9,
+        drag: float = 0.0,
+        controls: Controls | None = None,
+        solver: str = "auto",
+        locking: str | None = "auto",
+    ):
+        super().__init__(elements, controls=controls, solver=solver, locking=locking)
+        self._set_motion(density, microinertia, rho_inf, drag)
+
+    @classmethod
+    def of(
+        cls,
+        problem: QuasiStaticFEM,
+        *,
+        density: Any,
+        microinertia: Any = None,
+        rho_inf: float = 0.9,
+        drag: float = 0.0,
+        controls: Controls | None = None,
+    ) -> DynamicFEM:
+        """Go on from a quasi-static problem, whose body is taken on; see `Dynamic.of`. Collective."""
+        takeover.check(problem, QuasiStaticFEM)
+        made = cls(
+            problem.elements,
+            density=density,
+            microinertia=microinertia,
+            rho_inf=rho_inf,
+            drag=drag,
+            controls=controls or problem.controls,
+            solver=problem.solver,
+            locking=problem.locking,
+        )
+        takeover.take_conditions(made, problem)
+        takeover.take_progress(made, problem)
+        made.keep(problem.kept())
+        made.restore(made.progress)
+        return made
+
+    @property
+    def _loaded(self) -> bool:
+        return True
+
+    @property
+    def _evaluated_at_end(self) -> bool:
+        return self.points.plastic or bool(self._system and self._system.projected_F())
+
+    def _prepare(self) -> ElementSystem:
+        system = super()._prepare()
+        self._add_inertia(system)
+        return system
+
+    def _put_loads(self, system: ElementSystem, factor: float | None) -> None:
+        super()._put_loads(system, None if factor is None else self._set_step(system, factor))
+
+    def _commit(self, system: ElementSystem, increments: Increments, factor: float) -> None:
+        super()._commit(system, increments, factor)
+        assert system.inertia is not None
+        self._move(system.inertia, increments)

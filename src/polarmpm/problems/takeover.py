@@ -1,0 +1,98 @@
+"""Dynamic problems that begin where quasi-static ones have ended: they take over state, supports and loads."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..bodies.partition import LoadShares
+from ..conditions.loads import Applied, HandedOver
+from ..conditions.supports import Support
+from ..errors import InputError
+from ..terms.base import Term
+from ..terms.ghost import Ghost
+from ..tools import checks
+from .given import Given
+
+
+def check(problem: Any, kind: type) -> None:
+    """Raise InputError unless a problem can be gone on from."""
+    if not isinstance(problem, kind) or hasattr(problem, "velocity"):
+        raise checks.refuse("of: problem", problem, f"a {kind.__name__} is needed")
+    before: Any = problem
+    before.check_open()
+    before._check_outside("of")
+    before._check_left()
+    if not before.progress.step:
+        raise InputError("of: no load step has been solved yet; give conditions to a dynamic problem itself")
+    if any(isinstance(load, HandedOver) or load.amplitude.fade is not None for load in before.loads):
+        raise InputError("of: some conditions are still fading; let them fade out first")
+    terms = [term.name for term in before.terms if not isinstance(term, Ghost)]
+    if terms:
+        raise InputError(
+            f"of: {terms[0]}: conditions on surfaces, and terms of one's own, can't be taken over; "
+            "release them"
+        )
+    if getattr(before, "held_slopes", None):
+        raise InputError("of: slopes that are held on facets can't be taken over; release them")
+
+
+def take_conditions(made: Any, before: Any) -> None:
+    """Supports hold the body where it is, and loads keep the values that they have."""
+    factor = before.progress.factor
+    for given in before.given:
+        if given.released is not None or isinstance(given.condition, Term):
+            continue
+        if isinstance(given.condition, Support):
+            support = _still(given.condition)
+            made._supports.append(support)
+            made.given.add(Given(support.name, support, 0.0, "from now"), "support")
+        else:
+            parts = tuple(_frozen(part, factor) for part in given.condition.parts)
+            made.given.add(Given(given.name, Applied(given.name, parts), 0.0), "load")
+            for part in parts:
+                (made._surface_loads if hasattr(part, "facets") else made._loads).append(part)
+    made._stale = True
+
+
+def _still(support: Support) -> Support:
+    columns = {}
+    for column, (amplitude, k) in support.columns.items():
+        none = copy(amplitude)
+        none.function, none.constant = None, np.zeros(none.size)
+        none.begin(0.0, "from now")
+        columns[column] = none, k
+    return replace(support, columns=columns, total=False, committed=True)
+
+
+def _frozen(load: Any, factor: float) -> Any:
+    """A load whose values are for ever those at a load factor."""
+    made, amplitude = copy(load), copy(load.amplitude)
+    amplitude.function, amplitude.field = (lambda time, x: load.amplitude.at(factor, x)), True
+    amplitude.begin(0.0, "total")
+    made.amplitude = amplitude
+    return made
+
+
+def take_progress(made: Any, before: Any) -> None:
+    """Time begins at zero; the energies of the run so far go on."""
+    p = made.progress = replace(before.progress)
+    p.factor = p.reset_factor = p.rotation_factor = p.factor_change = 0.0
+
+
+def take_points(made: Any, before: Any, ids: np.ndarray, rebalance: float | None) -> None:
+    """Go on in the system of the grid's last reset, with what it carries along. Collective.
+
+    Args:
+        ids: of this rank's points before the new problem was made.
+    """
+    here = np.array_equal(ids, made.points.id)
+    same = made.comm.allreduce(int(not here)) == 0
+    increments = before.increments() if same else None
+    kept, shares = before.kept() if same else {}, before.load_shares.state()
+    made.load_shares = LoadShares(made.comm, rebalance)
+    made.restore(made.progress, increments, kept, shares)
+    made.box_record.restore(before.box_record.state())

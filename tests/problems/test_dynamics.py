@@ -1,0 +1,183 @@
+"""Dynamic problems: closed forms, conservation, and the orders of the method in time (docs/dynamics.md)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import polarmpm as pm
+from tests.conftest import MICROPOLAR, NEO_HOOKEAN
+
+COMM = MPI.COMM_WORLD
+LENGTH, PERIOD = (
+    25.0,
+    10.0,
+)  # of a fixed-free bar with E = 100, rho = 1: four times its length over sqrt(E/rho)
+BAR = pm.SaintVenantKirchhoff(lam=0.0, mu=50.0)
+
+
+def first_mode(x: np.ndarray) -> np.ndarray:
+    return np.column_stack([1e-3 * np.sin(0.5 * np.pi * x[:, 0] / LENGTH), 0.0 * x[:, 0]])
+
+
+def bar(basis: str = "bspline", **options: Any) -> pm.Dynamic:
+    """Fixed at x = 0, in its first mode."""
+    grid = pm.Grid.box((0.0, 0.0), (30.0, 5.0), 2.5)
+    points = pm.seed(grid, bounds=((0.0, 0.0), (LENGTH, 2.5)), material=BAR, points_per_cell=3)
+    problem = pm.Dynamic(grid, points, density=1.0, basis=basis, **options)
+    problem.fix(pm.plane(x=0.0), ux=0.0)
+    problem.fix(pm.plane(y=0.0), uy=0.0)
+    problem.velocity(v=first_mode)
+    return problem
+
+
+def bar_of_elements(degree: int = 2, **options: Any) -> pm.DynamicFEM:
+    from dolfinx import mesh
+
+    sides, kind = [[0.0, 0.0], [LENGTH, 2.5]], mesh.CellType.quadrilateral
+    body = mesh.create_rectangle(COMM, [np.array(x) for x in sides], [10, 1], kind)
+    elements = pm.Elements(body, material=BAR, degree=degree)
+    problem = pm.DynamicFEM(elements, density=1.0, **options)
+    problem.fix(pm.plane(x=0.0), ux=0.0)
+    problem.fix(pm.plane(y=0.0), uy=0.0)
+    problem.velocity(v=first_mode)
+    return problem
+
+
+def end_of(problem: Any, time: float, steps: int) -> np.ndarray:
+    """Displacements of all points, by their ids, at a time."""
+    for _ in problem.march(time, steps=steps):
+        pass
+    return by_id(problem.points, problem.points.displacement)
+
+
+def by_id(points: pm.Points, values: np.ndarray) -> np.ndarray:
+    """Of all ranks."""
+    rows = COMM.allgather((points.id, values))
+    ids = np.concatenate([r[0] for r in rows])
+    found: np.ndarray = np.concatenate([r[1] for r in rows])[np.argsort(ids)]
+    return found
+
+
+@pytest.mark.parametrize("make", [bar, bar_of_elements])
+@pytest.mark.parametrize("rho_inf", [1.0, 0.8])
+def test_second_order_in_time(make: Any, rho_inf: float):
+    fine = end_of(make(rho_inf=rho_inf), PERIOD, 320)
+    errors = [np.linalg.norm(end_of(make(rho_inf=rho_inf), PERIOD, n) - fine) for n in (40, 80)]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.15)
+
+
+@pytest.mark.parametrize("make", [bar, bar_of_elements])
+def test_a_bar_has_the_frequency_of_the_method(make: Any):
+    steps = 40
+    problem = make(rho_inf=1.0)
+    end = end_of(problem, PERIOD, steps)
+    # the midpoint rule turns by 2 atan(omega dt / 2) in a step
+    exact, dt = 2 * np.pi / PERIOD, PERIOD / steps
+    omega = 2 / dt * np.arctan(0.5 * exact * dt)
+    mode = first_mode(by_id(problem.points, problem.points.X)) / exact
+    assert np.abs(end - mode * np.sin(omega * PERIOD))[:, 0].max() < 3e-4 * np.abs(mode).max()
+    e = problem.energies()
+    assert e["kinetic"] + e["stored"] == pytest.approx(e["external"], rel=1e-6)
+    assert abs(e["residue"]) < 1e-6 * e["external"]
+    balance = problem.balance()
+    assert balance.residue[0] < 1e-9
+    assert {part.name for part in balance.parts} >= {"inertia", "support 1 (x = 0)"}
+
+
+@pytest.mark.parametrize("rho_inf", [1.0, 0.8])
+@pytest.mark.parametrize("basis", ["bspline", "gimpm", "mpm"])
+def test_free_fall(basis: str, rho_inf: float):
+    grid = pm.Grid.box((0.0, 0.0), (3.0, 12.0), 1.0)
+    points = pm.seed(grid, bounds=((0.7, 10.2), (2.3, 11.4)), material=MICROPOLAR, points_per_cell=3)
+    problem = pm.Dynamic(
+        grid, points, density=2.0, microinertia=0.1, basis=basis, rho_inf=rho_inf, reset=1, boxes=False
+    )
+    problem.body_load(force=lambda t: (0.0, -2.0 * 9.81))
+    for _ in problem.march(1.4, steps=28):
+        pass
+    assert np.abs(points.velocity - (0.0, -9.81 * 1.4)).max(initial=0.0) < 1e-9
+    assert np.abs(points.F - np.eye(3)).max(initial=0.0) < 1e-11
+    assert np.abs(points.displacement[:, 1] + 0.5 * 9.81 * 1.4**2).max(initial=0.0) < 1e-9
+
+
+def spinning(micropolar: bool, **options: Any) -> tuple[pm.Dynamic, np.ndarray]:
+    """A free block that isn't fitted to the grid and turns once in a second."""
+    grid = pm.Grid.box((0.0, 0.0), (2.5, 2.5), 0.25)
+    middle = np.array([1.21, 1.27])
+    kinds: dict[str, Any] = {"material": NEO_HOOKEAN}
+    if micropolar:
+        kinds = {"material": MICROPOLAR}
+        options["microinertia"] = 1e-2
+    points = pm.seed(grid, bounds=(middle - 0.5, middle + 0.5), points_per_cell=3, **kinds)
+    problem = pm.Dynamic(grid, points, density=5.0, **options)
+    turn = 2 * np.pi
+
+    def v(x: np.ndarray) -> np.ndarray:
+        return turn * np.column_stack([-(x - middle)[:, 1], (x - middle)[:, 0]])
+
+    problem.velocity(v=v, **({"spin": turn} if micropolar else {}))
+    return problem, middle
+
+
+@pytest.mark.parametrize("micropolar", [False, True])
+def test_resets_keep_momenta(micropolar: bool):
+    problem, middle = spinning(micropolar, rho_inf=1.0, reset=1)
+    energy, spin = problem.energies()["kinetic"], problem.angular_momentum(middle)
+    for _ in problem.march(0.25, dt=0.0125):
+        pass
+    e = problem.energies()
+    assert problem.angular_momentum(middle) == pytest.approx(spin, rel=1e-8)
+    assert np.abs(problem.momentum()).max() < 1e-10 * 5 * 2 * np.pi
+    assert e["kinetic"] + e["stored"] == pytest.approx(energy, rel=5e-3)
+    assert e["external"] == pytest.approx(energy, rel=1e-12)
+
+
+def test_drag_slows_down_exponentially():
+    grid = pm.Grid.box((0.0, 0.0), (4.0, 2.0), 1.0)
+    points = pm.seed(grid, bounds=((0.2, 0.3), (1.4, 1.6)), material=NEO_HOOKEAN)
+    problem = pm.Dynamic(grid, points, density=2.0, drag=1.5)
+    problem.velocity(v=(0.5, 0.0))
+    for _ in problem.march(duration=1.0, dt=0.01):
+        pass
+    e = problem.energies()
+    assert np.abs(points.velocity[:, 0] - 0.5 * np.exp(-1.5)).max(initial=0.0) < 1e-5
+    assert e["damped"] == pytest.approx(e["external"] - e["kinetic"], rel=1e-3)
+
+
+def test_what_cannot_be_is_refused():
+    grid = pm.Grid.box((0.0, 0.0), (2.0, 2.0), 1.0)
+
+    def make(material: Any = NEO_HOOKEAN, **options: Any) -> pm.Dynamic:
+        points = pm.seed(grid, bounds=((0.2, 0.3), (1.4, 1.6)), material=material)
+        return pm.Dynamic(grid, points, **options)
+
+    for options in (
+        {"density": 0.0},
+        {"density": -1.0},
+        {"density": [1.0, 2.0]},
+        {"density": "steel"},
+        {"density": lambda x: x},
+        {"density": 1.0, "rho_inf": 1.1},
+        {"density": 1.0, "drag": -1.0},
+        {"density": 1.0, "microinertia": 1.0},
+        {"density": 1.0, "material": MICROPOLAR},
+        {"density": 1.0, "material": MICROPOLAR, "microinertia": -1.0},
+    ):
+        with pytest.raises(pm.InputError):
+            make(**options)
+    problem = make(density=np.float32(2.0))
+    for march in ({}, {"time": 1.0}, {"time": 0.0, "dt": 0.1}, {"duration": 1.0, "steps": 2, "dt": 0.1}):
+        with pytest.raises(pm.InputError):
+            problem.march(**march)
+    for velocity in ({}, {"v": 1.0}, {"v": (1.0, np.nan)}, {"spin": 1.0}, {"v": lambda x: x[:, 0]}):
+        with pytest.raises(pm.InputError):
+            problem.velocity(**velocity)
+    with pytest.raises(pm.InputError, match="time"):
+        problem.attempt(0.0)
+    with pytest.raises(pm.InputError, match="march"):
+        problem.march_arc_length(0.1, steps=1)

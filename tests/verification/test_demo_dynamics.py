@@ -1,0 +1,24 @@
+"""The demos of dynamics: waves in a micropolar solid."""
+
+from __future__ import annotations
+
+import pytest
+
+from polarmpm.study.exact import micropolar_waves
+from tests.helpers.demos import demo_result
+
+
+def test_dispersion_relation():
+    """The numbers of docs/dynamics.md, and the cut-off frequency."""
+    moduli = {"mu": 4e9, "kappa": 4e8, "stiffness": 4e5, "rho": 2000.0, "j": 25e-6}
+    assert micropolar_waves(50.0, **moduli)[0] == pytest.approx([7.18222e4, 2.28783e5], rel=1e-5)
+    assert micropolar_waves(200.0, **moduli)[0] == pytest.approx([2.95015e5, 5.94110e5], rel=1e-5)
+    assert micropolar_waves(1e-3, **moduli)[0][1] == pytest.approx(1.78885e5, rel=1e-5)
+
+
+def test_waves(folder):
+    """Points with resets, and elements of degree 2, to a hundred-thousandth of the closed form."""
+    found = demo_result(folder, "waves", "--numbers", "200", "--periods", "1", "--reset", "1")
+    assert found["error"] < 1e-5
+    assert found["energy_error"] < 1e-8
+    assert {row["method"] for row in found["waves"]} == {"points", "elements"}
