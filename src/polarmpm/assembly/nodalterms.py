@@ -57,6 +57,11 @@ class NodalTerms:
         """Whether there are external forces; the same on all ranks."""
         return any(piece.external for piece in self.pieces)
 
+    @property
+    def kinked(self) -> bool:
+        """Whether tangents jump; the same on all ranks."""
+        return any(piece.kinked for piece in self.pieces)
+
     # forces -----------------------------------------------------------------------------------------
     def _scatter(self, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
         block = values.shape[2]
@@ -97,6 +102,12 @@ class NodalTerms:
         names = sorted({name for part in self.comm.allgather(bad) for name in part})
         if names:
             raise LocalFailure(f"{names[0]}: a place of the body has gone through it")
+
+    def balanced(self, x: np.ndarray) -> None:
+        """Tell all pieces the increments (nodes, b) at which forces are in balance, before those of the step's end.
+        Local."""
+        for piece, rows in self._parts():
+            piece.balanced(x[rows])
 
     def refine(self, x: np.ndarray) -> bool:
         """After iterations have converged at increments (nodes, b): whether pieces have improved their forces, so

@@ -17,12 +17,13 @@ def solve(system: NodalSystem, start: np.ndarray, increments: np.ndarray, contro
         start: nodal increments (nodes, block) at the beginning of the step.
         increments: what the prescribed unknowns are to reach (nodes, block).
     """
-    outcome = newton.solve(system, controls)
+    search = system.terms.kinked
+    outcome = newton.solve(system, controls, search)
     if not outcome.converged and system.start_elastic(True):
         # where points unload, the elastic tangent is the better one to begin with
         tried, system.x = outcome.history, start
         system.set_prescribed(increments)
-        outcome = newton.solve(system, controls)
+        outcome = newton.solve(system, controls, search)
         outcome.history[:0] = tried
         system.start_elastic(False)
     if not outcome.converged and system.leave_out_boxes(True):
@@ -45,7 +46,7 @@ def _refined(system: NodalSystem, controls: Controls, outcome: Outcome) -> Outco
             outcome.converged, outcome.reason = False, str(e)
             return outcome
         tried = outcome.history
-        outcome = newton.solve(system, controls)
+        outcome = newton.solve(system, controls, system.terms.kinked)
         outcome.history[:0] = tried[:-1]
     outcome.converged, outcome.reason = False, f"terms still change after {_MOST_REFINEMENTS} refinements"
     return outcome

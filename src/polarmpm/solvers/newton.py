@@ -31,6 +31,9 @@ class System(Protocol):
     def backtrack(self) -> bool:
         """Take back half of the last correction; False if there is none in this step."""
 
+    def out_of_balance(self) -> float:
+        """Size (N) of the out-of-balance forces of the last evaluation."""
+
     def update(self, fresh: bool, accuracy: float) -> None:
         """Solve with the last tangent and add the correction to the unknowns.
 
@@ -103,26 +106,32 @@ class Outcome:
         return f"Outcome({what}; {self.iterations} iterations{force})"
 
 
-def solve(system: System, controls: Controls) -> Outcome:
-    """Iterate until one of the convergence measures is below its tolerance. Collective."""
+def solve(system: System, controls: Controls, search: bool = False) -> Outcome:
+    """Iterate until one of the convergence measures is below its tolerance. Collective.
+
+    Args:
+        search: the tangent jumps (contact): shorten corrections that make the residual grow.
+    """
     outcome = Outcome()
     try:
-        _iterate(system, controls, outcome)
+        _iterate(system, controls, outcome, search)
     except (LocalFailure, SingularTangent) as e:
         outcome.converged, outcome.reason = False, str(e)
     return outcome
 
 
-def _iterate(system: System, controls: Controls, outcome: Outcome) -> None:
+def _iterate(system: System, controls: Controls, outcome: Outcome, search: bool = False) -> None:
     """Put convergence measures and the result into the outcome.
 
     Near the solution the residual falls quadratically and the tangent hardly changes any more. Where the
     last ratio of residuals promises that the tangent at hand is good enough for the tolerance, the last
     correction is made with it (a chord step); if that isn't enough, a full iteration follows.
     """
-    tangent, chord = True, False
+    tangent, chord, before = True, False, math.inf
     while True:
         evaluate(system, tangent, system.backtrack)
+        if search:
+            before = _shorten(system, tangent, before)
         force, energy = system.convergence_measures()
         outcome.history.append((force, energy))
         if not math.isfinite(force) or force > controls.divergence:
@@ -140,6 +149,8 @@ def _iterate(system: System, controls: Controls, outcome: Outcome) -> None:
             )
             return
         ratio = _ratio(outcome)
+        if search and system.pending():
+            before = math.inf  # prescribed values that are put in make residuals of their own
         chord = not chord and not system.pending() and _SAFETY * ratio * force < controls.force_tolerance
         if not tangent and not chord:
             system.evaluate(True)
@@ -147,6 +158,22 @@ def _iterate(system: System, controls: Controls, outcome: Outcome) -> None:
         # the next residual and ratio if both fall quadratically: is a tangent needed for what then comes?
         following = ratio**2 * force
         tangent = not chord and _SAFETY * ratio**2 * following > controls.force_tolerance
+
+
+def _shorten(system: System, tangent: bool, before: float) -> float:
+    """Halve the last correction until the out-of-balance forces are smaller than before; their size then. Where
+    that doesn't help, the shortest one is taken."""
+    size = system.out_of_balance()
+    if size <= before or not math.isfinite(before):
+        return size
+    for _ in range(_HALVINGS):
+        if size <= before or not system.backtrack():
+            break
+        system.evaluate(False)
+        size = system.out_of_balance()
+    if tangent:
+        system.evaluate(True)
+    return size
 
 
 def evaluate(system: System, tangent: bool, backtrack: Callable[[], bool]) -> None:
@@ -181,6 +208,7 @@ def _accuracy(ratio: float, force: float, controls: Controls) -> float:
 _SHARE = 0.1  # of the residual to come that a linear solution may leave
 _COARSEST, _FINEST = 1e-3, 1e-10  # relative residuals of linear systems
 _BACKTRACKS = 4  # corrections halved before points without stresses end the attempt
+_HALVINGS = 5  # of a correction that makes the residual grow
 _SAFETY = 10.0  # the change of the tangent is about twice the ratio
 
 

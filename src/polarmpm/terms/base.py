@@ -93,6 +93,7 @@ class Piece(ABC):
         fresh: its term has not taken part in a converged step yet: nothing of it is carried along.
         guarded: there are increments at which it has no forces, see `admits`; the same on all ranks.
         refines: it has to be asked by `refine`; the same on all ranks.
+        kinked: its tangent jumps, so that iterations need a line search; the same on all ranks.
     """
 
     name: str
@@ -105,6 +106,7 @@ class Piece(ABC):
     fresh: bool = False
     guarded: bool = False
     refines: bool = False
+    kinked: bool = False
     of: Term | None = None
 
     @abstractmethod
@@ -117,6 +119,9 @@ class Piece(ABC):
 
     def commit(self, x: np.ndarray) -> None:  # noqa: B027
         """Take note of the increments (m, n, b) of a converged step. Collective."""
+
+    def balanced(self, x: np.ndarray) -> None:  # noqa: B027
+        """In dynamics: forces are in balance at increments (m, n, b); those of the step's end follow. Local."""
 
     def admits(self, x: np.ndarray) -> bool:
         """Whether it has forces at increments (m, n, b). Local."""
@@ -269,6 +274,9 @@ class Term(ABC):
     def set_factor(self, factor: float, carrying: bool = False) -> None:  # noqa: B027
         """Put the values of a load factor in. `carrying`: those with which the last step has converged, for
         forces that are to be carried along."""
+
+    def end_at(self, factor: float) -> None:  # noqa: B027
+        """The step ends at a load factor, or time; forces were in balance at that of `set_factor`."""
 
     def state(self) -> dict[str, np.ndarray]:
         """All else that a restart needs, the same on every rank, by name."""

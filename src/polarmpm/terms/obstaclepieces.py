@@ -25,7 +25,7 @@ class SitePiece(Piece):
         self.rows, self.boxes = carried.rows[at], _some(carried.boxes, at)
         self.carried, self.external = term.carried, term.external
         self.symmetric, self.linear = term.form.symmetric or not near, not near
-        self.guarded, self.refines = near and term.law.barrier, True
+        self.guarded, self.refines, self.kinked = near and term.law.barrier, True, True
         b = term.layout.block
         self.pairs = np.zeros((0, 2), dtype=int)
         if near:
@@ -66,6 +66,10 @@ class SitePiece(Piece):
         self.term.commit(np.hstack([self._y(x), gradient.reshape(len(x), d * d)]), self.rows)
         if not self.near:
             self.term.finish()
+
+    def balanced(self, x: np.ndarray) -> None:
+        if self.near:
+            self.term.balance(self._y(x), self.rows)
 
     def admits(self, x: np.ndarray) -> bool:
         return bool(self.term.admits(self._y(x), self.rows))

@@ -98,7 +98,8 @@ class Obstacle(SurfaceCondition):
         self.sums = np.full(d + r + turns, np.nan)
         self.seen_area = self.surface.area.copy()
         self._u_at, self._F_at, self._trial = self.u, self.F, self.multiplier
-        self._factor = 0.0  # of the last converged step
+        self._factor = self._now = 0.0  # of the last converged step, and of the present one
+        self._balanced: tuple[np.ndarray, np.ndarray, list[np.ndarray]] | None = None
         self._checked = False
 
     def make_form(self) -> ContactForm:
@@ -292,6 +293,14 @@ class Obstacle(SurfaceCondition):
         """Whether there are forces at increments y of sites `rows`: a barrier can't be crossed."""
         return not (self.law.barrier and np.any(self.tell(y, rows)["gap"] <= 0.0))
 
+    def balance(self, y: np.ndarray, rows: np.ndarray) -> None:
+        """In dynamics: sites `rows` are in balance at increments y before the end of the step."""
+        self._balanced = y, rows, list(self._data)
+
+    def end_at(self, factor: float) -> None:
+        if factor != self._now:
+            self._data, self._now = self.values(factor), factor
+
     def refine(self, y: np.ndarray, rows: np.ndarray, near: bool) -> bool:
         """After iterations have converged: improve the multipliers; whether they have changed.
 
@@ -353,16 +362,34 @@ class Obstacle(SurfaceCondition):
         self.gap, self.pressure = told["gap"][:, 0], told["pressure"][:, 0]
         touching = self.pressure[:, None] > 0.0
         self.multiplier = np.where(touching[:, 0], multiplier, 0.0)
-        self.seen, self.traction = told["seen"], told["traction"]
+        self.seen = told["seen"]
         self.slip = np.where(touching, told["slip"], 0.0)
         if r:
-            self.turn, self.couple = np.where(touching, told["turn"], 0.0), told["couple"]
+            self.turn = np.where(touching, told["turn"], 0.0)
         self._factor = self._now
+        told = self._in_balance(told)
+        self.pressure, self.traction = told["pressure"][:, 0], told["traction"]
+        if r:
+            self.couple = told["couple"]
         force, couple = self.area[:, None] * self.traction, self.area[:, None] * self.couple
         total = moments(self.x, force, couple).sum(axis=0)
         self.sums = np.concatenate([force.sum(axis=0), couple.sum(axis=0), total])
         self.seen_area = self._area_towards(told["normal"])
         self.renew = bool(np.any(self.gap[~self._near] < 0.5 * _REACH * self._size))
+
+    def _in_balance(self, told: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """What is told of the state in which forces are in balance; by default that of the step's end. Collective."""
+        every = self.comm.allgather(self._balanced is not None)
+        if not any(every):
+            return told
+        y, rows, data = self._balanced or (np.zeros((0, self.form.size)), np.zeros(0, dtype=int), self._data)
+        self._data, self._balanced = data, None
+        out, here = {}, self.tell(y, rows)
+        for name, values in told.items():
+            out[name] = np.zeros_like(values)
+            out[name][rows] = here[name]
+            self.comm.Allreduce(MPI.IN_PLACE, out[name])
+        return out
 
     # restart ------------------------------------------------------------------------------------------
     def state(self) -> dict[str, np.ndarray]:
