@@ -30,6 +30,7 @@ from .errors import (
 from .forms.stresses import MaterialField
 from .geometry.grid import Grid
 from .geometry.planes import plane
+from .geometry.shapes import Box, Cylinder, HalfSpace, Polygon, Shape, Sphere
 from .geometry.surfaces import Surface
 from .io import Field, Recorder, Table
 from .io.restart import load as load_restart
@@ -55,6 +56,7 @@ from .solvers.resetting import EverySteps, Never, WhenDistorted
 from .solvers.stepping import Step
 from .terms.base import Boxes, Piece, Term
 from .terms.ghost import GhostPenalty
+from .terms.obstacles import Obstacle
 from .terms.surfaceterms import SurfaceTerm
 from .tools import ends
 
@@ -89,11 +91,13 @@ __all__ = [
     "PUBLISHED",
     "ArrudaBoyce",
     "Basis",
+    "Box",
     "Boxes",
     "CamClay",
     "ConeApex",
     "Continuation",
     "Controls",
+    "Cylinder",
     "DruckerPrager",
     "Dynamic",
     "DynamicFEM",
@@ -107,6 +111,7 @@ __all__ = [
     "GhostPenalty",
     "GradientElastic",
     "Grid",
+    "HalfSpace",
     "Hencky",
     "Houlsby",
     "InputError",
@@ -120,6 +125,7 @@ __all__ = [
     "NotConserved",
     "NotConverged",
     "Observer",
+    "Obstacle",
     "OrientedMicropolar",
     "OutputError",
     "Piece",
@@ -127,6 +133,7 @@ __all__ = [
     "Points",
     "PointsOutsideGrid",
     "PolarMPMError",
+    "Polygon",
     "QuasiStatic",
     "QuasiStaticFEM",
     "RanksApart",
@@ -134,7 +141,9 @@ __all__ = [
     "Region",
     "SaintVenantKirchhoff",
     "Selection",
+    "Shape",
     "SmoothPart",
+    "Sphere",
     "Step",
     "SupportLost",
     "Surface",

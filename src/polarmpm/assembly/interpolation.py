@@ -99,7 +99,7 @@ class Interpolation:
             checks.instance(f"basis {basis.name!r}: weights", w, Weights, "Weights are")
         order, groups = group_points(points.material, w)
         reached = partial(reached_cells, grid, groups, basis)
-        setting = GridSetting(grid, basis, self.layout, points, w, reached)
+        setting = GridSetting(grid, basis, self.layout, points, w, reached, r.x)
         self.pieces: list[Piece] = []
         for term in terms:
             for piece in pieces_of(term, setting):

@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..errors import LocalFailure
 from ..kernels import native
 from ..terms.base import Boxes, NodeSets, Piece, forces_of, matrices_of, multiply
 
@@ -56,6 +57,11 @@ class NodalTerms:
         """Whether there are external forces; the same on all ranks."""
         return any(piece.external for piece in self.pieces)
 
+    @property
+    def kinked(self) -> bool:
+        """Whether tangents jump; the same on all ranks."""
+        return any(piece.kinked for piece in self.pieces)
+
     # forces -----------------------------------------------------------------------------------------
     def _scatter(self, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
         block = values.shape[2]
@@ -86,6 +92,48 @@ class NodalTerms:
         """Tell all pieces the increments (nodes, b) of a converged step. Collective."""
         for piece, rows in self._parts():
             piece.commit(x[rows])
+
+    def check_admitted(self, x: np.ndarray) -> None:
+        """Raise LocalFailure if some piece has no forces at increments (nodes, b). Collective."""
+        guarded = [(piece, rows) for piece, rows in self._parts() if piece.guarded]
+        if not guarded:
+            return
+        bad = [piece.name for piece, rows in guarded if not piece.admits(x[rows])]
+        names = sorted({name for part in self.comm.allgather(bad) for name in part})
+        if names:
+            raise LocalFailure(f"{names[0]}: a place of the body has gone through it")
+
+    def balanced(self, x: np.ndarray) -> None:
+        """Tell all pieces the increments (nodes, b) at which forces are in balance, before those of the step's end.
+        Local."""
+        for piece, rows in self._parts():
+            piece.balanced(x[rows])
+
+    def refine(self, x: np.ndarray) -> bool:
+        """After iterations have converged at increments (nodes, b): whether pieces have improved their forces, so
+        that iterations have to go on. Collective.
+
+        Raises:
+            LocalFailure: the solution can't be taken.
+        """
+        refining = [(piece, rows) for piece, rows in self._parts() if piece.refines]
+        if not refining:
+            return False
+        better, reasons = False, []
+        for piece, rows in refining:
+            try:
+                better = piece.refine(x[rows]) or better
+            except LocalFailure as e:
+                reasons.append(str(e))
+        answers = self.comm.allgather((better, reasons))
+        reasons = [reason for _, part in answers for reason in part]
+        if reasons:
+            raise LocalFailure(reasons[0])
+        if not any(one for one, _ in answers):
+            return False
+        for piece, _ in refining:
+            piece.refined()
+        return True
 
     # tangent ----------------------------------------------------------------------------------------
     def batches(self) -> list[native.Batch]:

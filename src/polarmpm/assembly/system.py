@@ -330,6 +330,7 @@ class NodalSystem(ABC):
 
     def evaluate(self, tangent: bool) -> None:
         s = self.step
+        self.terms.check_admitted(self.x)
         with self.timer("assembly"):
             sums = self.assemble(tangent, s.lift if tangent and s.pending else None)
             self.residual, s.lifted = sums.forces - self.carried, sums.lifted
@@ -364,6 +365,12 @@ class NodalSystem(ABC):
         force = out / loads if loads > 0 else np.inf
         energy = sums[2] / abs(sums[3]) if sums[3] != 0 else np.inf
         return float(force), float(energy)
+
+    def out_of_balance(self) -> float:
+        own = slice(0, self.nodes.owned)
+        with np.errstate(over="ignore", invalid="ignore"):
+            square = float(np.sum((self.on_free(self.residual)[own] * self.as_force) ** 2))
+        return math.sqrt(self.comm.allreduce(square))
 
     def _rounding_squares(self) -> np.ndarray:
         """Squares of the out-of-balance forces (N) that a relative rounding of strains makes, and of those

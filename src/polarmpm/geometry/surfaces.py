@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -79,6 +80,30 @@ class Surface:
         along = (end - start) / length
         x = start + (np.arange(n)[:, None] + 0.5) / n * (end - start)
         return cls(x, np.full(n, length / n), np.tile([along[1], -along[0]], (n, 1)))
+
+    @classmethod
+    def arc(
+        cls,
+        centre: Sequence[float],
+        radius: float,
+        points: int,
+        *,
+        start: float = 0.0,
+        end: float = 2 * math.pi,
+    ) -> Surface:
+        """The arc about a centre (m) in the plane from an angle to a larger one (rad, from the x-axis to the
+        y-axis), by default a circle, cut in equal parts with a point in the middle of each. The normal points
+        outward: the body is inside."""
+        middle = checks.vector("Surface.arc: centre", centre, 2)
+        r = checks.number("Surface.arc: radius", radius, above=0.0)
+        first, last = (checks.number(f"Surface.arc: {k}", v) for k, v in (("start", start), ("end", end)))
+        if not first < last <= first + 2 * math.pi * (1 + 1e-12):
+            raise checks.refuse("Surface.arc: end", end, f"it lies above start = {first:g}, by a turn at most")
+        n = checks.whole("Surface.arc: points", points, least=1)
+        check_memory("Surface.arc: points", points, n * _BYTES)
+        angle = first + (np.arange(n) + 0.5) / n * (last - first)
+        normal = np.column_stack([np.cos(angle), np.sin(angle)])
+        return cls(middle + r * normal, np.full(n, r * (last - first) / n), normal)
 
     @classmethod
     def rectangle(

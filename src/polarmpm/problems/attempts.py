@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..assembly.system import NodalSystem
+from ..errors import LocalFailure
 from ..solvers import newton
 from ..solvers.newton import Controls, Outcome
 
@@ -16,12 +17,13 @@ def solve(system: NodalSystem, start: np.ndarray, increments: np.ndarray, contro
         start: nodal increments (nodes, block) at the beginning of the step.
         increments: what the prescribed unknowns are to reach (nodes, block).
     """
-    outcome = newton.solve(system, controls)
+    search = system.terms.kinked
+    outcome = newton.solve(system, controls, search)
     if not outcome.converged and system.start_elastic(True):
         # where points unload, the elastic tangent is the better one to begin with
         tried, system.x = outcome.history, start
         system.set_prescribed(increments)
-        outcome = newton.solve(system, controls)
+        outcome = newton.solve(system, controls, search)
         outcome.history[:0] = tried
         system.start_elastic(False)
     if not outcome.converged and outcome.local:
@@ -31,6 +33,27 @@ def solve(system: NodalSystem, start: np.ndarray, increments: np.ndarray, contro
         outcome.history[:0] = tried
     if not outcome.converged and system.leave_out_boxes(True):
         outcome = _start_without_boxes(system, start, increments, controls, outcome)
+    return _refined(system, controls, outcome)
+
+
+_MOST_REFINEMENTS = 50
+
+
+def _refined(system: NodalSystem, controls: Controls, outcome: Outcome) -> Outcome:
+    """Go on from an equilibrium until no term has to improve its forces. Collective."""
+    for _ in range(_MOST_REFINEMENTS):
+        if not outcome.converged:
+            return outcome
+        try:
+            if not system.terms.refine(system.x):
+                return outcome
+        except LocalFailure as e:
+            outcome.converged, outcome.reason = False, str(e)
+            return outcome
+        tried = outcome.history
+        outcome = newton.solve(system, controls, system.terms.kinked)
+        outcome.history[:0] = tried[:-1]
+    outcome.converged, outcome.reason = False, f"terms still change after {_MOST_REFINEMENTS} refinements"
     return outcome
 
 

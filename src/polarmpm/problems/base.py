@@ -337,6 +337,8 @@ class Problem(Results):
                 self._equilibrium = self._forces(system)
                 self._last_x, self.progress.factor_change = self.points.x, factor - self.progress.factor
                 ranks.tell(self, "after_convergence", factor)
+                for term in self.terms:
+                    term.end_at(factor)
                 self._commit_terms(system, start.x)
                 base = self.progress.rotation_factor
                 self._commit(system, at_points, factor)

@@ -310,6 +310,7 @@ class Moving(Problem):
         if outcome.converged:
             assert self._step is not None
             self._found = self._collocated(system, start.x), self._on_body(system)
+            system.terms.balanced(system.x)
             system.jump(start.x + (system.x - start.x) / self._step.theta)
             try:
                 if self._evaluated_at_end:

@@ -289,7 +289,7 @@ class QuasiStatic(OnGrid):
         p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
         with errors_on_all_ranks(self.comm, "the reset policy") as answer:
             due = answer.alike = bool(self.policy.due(p.since_reset, increments.gradient, self.comm))
-        p.reset_due = due
+        p.reset_due = due or any(term.renew for term in self.terms)
         if not p.reset_due and self.layout.rotations:
             largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
             if self.comm.allreduce(largest, op=MPI.MAX) > self.rotation_limit:

@@ -17,6 +17,7 @@ from ..conditions.supports import Support
 from ..geometry.nodes import Nodes
 from ..kinematics import rotations
 from ..kinematics.moments import moments
+from ..terms.obstacles import Obstacle
 from ..terms.surfaces import SurfaceSupport
 from ..tools.checks import vector
 
@@ -376,8 +377,8 @@ def point_about(about: Any, dim: int) -> np.ndarray:
     return vector("about", about, dim, f"{dim} finite coordinates")
 
 
-def surface_reaction(support: SurfaceSupport, about: np.ndarray) -> Reaction:
-    """Reaction of springs on a surface, which have taken part in a step."""
+def surface_reaction(support: SurfaceSupport | Obstacle, about: np.ndarray) -> Reaction:
+    """Reaction of springs on a surface, or of an obstacle, which have taken part in a step."""
     assert support.reaction is not None
     assert support.moment is not None
     force, couple = support.reaction

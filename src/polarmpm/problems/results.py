@@ -7,6 +7,7 @@ from typing import Any
 from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.stresses import MaterialField
+from ..terms.obstacles import Obstacle
 from ..terms.surfaces import SurfaceSupport
 from ..tools.checks import shown
 from ..tools.meetings import collective
@@ -75,7 +76,7 @@ class Results(Releasable):
         return out | {"residue": gained - out["stored"] - spent}
 
     @collective("reaction", compare=True)
-    def reaction(self, support: Support | SurfaceSupport, about: Any = None) -> Reaction:
+    def reaction(self, support: Support | SurfaceSupport | Obstacle, about: Any = None) -> Reaction:
         """Force (N), shape (d,), couple (N m), shape (r,), and moment with which a support holds the body in
         the last converged step, by the components that it prescribes: `force, couple = problem.reaction(s)`,
         or `.force`, `.couple` and `.moment`, see `Reaction`.
@@ -90,15 +91,15 @@ class Results(Releasable):
             InputError: nothing has been solved yet, the support has been released, or not what `fix` has
                 returned.
         """
-        if not isinstance(support, Support | SurfaceSupport):
-            raise InputError(f"reaction: support = {shown(support)} is not what fix has returned")
+        if not isinstance(support, Support | SurfaceSupport | Obstacle):
+            raise InputError(f"reaction: support = {shown(support)} is not what fix or obstacle has returned")
         point, given = point_about(about, self.layout.dim), self.given.of(support)
-        if given is None or not isinstance(given.condition, Support | SurfaceSupport):
+        if given is None or not isinstance(given.condition, Support | SurfaceSupport | Obstacle):
             raise InputError(f"reaction: {support.name} isn't a support of this problem")
         if given.released is not None:
             raise InputError(f"reaction: {support.name} was released at load factor {given.released:g}")
         e = self._equilibrium
-        if isinstance(support, SurfaceSupport):
+        if isinstance(support, SurfaceSupport | Obstacle):
             if e is not None and support.reaction is not None:
                 return surface_reaction(support, point)
         elif e is not None and support in e.supports:

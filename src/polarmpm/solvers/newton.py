@@ -31,6 +31,9 @@ class System(Protocol):
     def backtrack(self) -> bool:
         """Take back half of the last correction; False if there is none in this step."""
 
+    def out_of_balance(self) -> float:
+        """Size (N) of the out-of-balance forces of the last evaluation."""
+
     def update(self, fresh: bool, accuracy: float) -> None:
         """Solve with the last tangent and add the correction to the unknowns.
 
@@ -109,8 +112,8 @@ def solve(system: System, controls: Controls, search: bool = False) -> Outcome:
     """Iterate until one of the convergence measures is below its tolerance. Collective.
 
     Args:
-        search: halve corrections that don't make the residual smaller from the beginning; else from when on
-            iterations go round in circles.
+        search: halve corrections that make the residual grow from the beginning, as where the tangent jumps
+            (contact); else from when on iterations go round in circles.
     """
     outcome = Outcome()
     try:
@@ -128,10 +131,10 @@ def _iterate(system: System, controls: Controls, outcome: Outcome, search: bool)
     last ratio of residuals promises that the tangent at hand is good enough for the tolerance, the last
     correction is made with it (a chord step); if that isn't enough, a full iteration follows.
     """
-    tangent, chord, lifted = True, False, True
+    tangent, chord, before = True, False, math.inf
     while True:
-        if search and not lifted:
-            _evaluate_less(system, tangent, outcome.history[-1][0])
+        if math.isfinite(before):
+            _evaluate_less(system, tangent, before)
         else:
             evaluate(system, tangent, system.backtrack)
         force, energy = system.convergence_measures()
@@ -150,8 +153,10 @@ def _iterate(system: System, controls: Controls, outcome: Outcome, search: bool)
                 f"no convergence in {controls.max_iterations} iterations (force measure {force:.3g})"
             )
             return
-        ratio, lifted = _ratio(outcome), system.pending()
+        ratio = _ratio(outcome)
         search = search or _in_circles(outcome)
+        # prescribed values that are put in make forces of their own
+        before = system.out_of_balance() if search and not system.pending() else math.inf
         chord = not chord and not system.pending() and _SAFETY * ratio * force < controls.force_tolerance
         if not tangent and not chord:
             system.evaluate(True)
@@ -178,8 +183,8 @@ def evaluate(system: System, tangent: bool, backtrack: Callable[[], bool]) -> No
 
 
 def _evaluate_less(system: System, tangent: bool, before: float) -> None:
-    """Evaluate, and while the force measure isn't smaller than before, go back half of the last correction;
-    where points have no stresses it counts as infinite.
+    """Evaluate, and while the out-of-balance forces are larger than before, go back half of the last correction;
+    where points have no stresses they count as infinite. Where nothing helps, the shortest one is taken.
 
     Raises:
         LocalFailure: they still have none.
@@ -187,7 +192,7 @@ def _evaluate_less(system: System, tangent: bool, before: float) -> None:
     for _ in range(_SEARCHES):
         try:
             system.evaluate(tangent)
-            if system.convergence_measures()[0] < before:
+            if system.out_of_balance() <= before:
                 return
         except LocalFailure:
             pass
@@ -219,7 +224,7 @@ def _accuracy(ratio: float, force: float, controls: Controls) -> float:
 _SHARE = 0.1  # of the residual to come that a linear solution may leave
 _COARSEST, _FINEST = 1e-3, 1e-10  # relative residuals of linear systems
 _BACKTRACKS = 4  # corrections halved before points without stresses end the attempt
-_SEARCHES = 8  # the same where the residual is to become smaller
+_SEARCHES = 6  # the same where the residual is not to grow
 _PATIENCE, _CIRCLE = 8, 4  # iterations before they may be said to go round in circles, and that have to
 _SAFETY = 10.0  # the change of the tangent is about twice the ratio
 

@@ -91,6 +91,9 @@ class Piece(ABC):
         carried: see `Term`.
         of: its term; the problem sees to it.
         fresh: its term has not taken part in a converged step yet: nothing of it is carried along.
+        guarded: there are increments at which it has no forces, see `admits`; the same on all ranks.
+        refines: it has to be asked by `refine`; the same on all ranks.
+        kinked: its tangent jumps, so that iterations need a line search; the same on all ranks.
     """
 
     name: str
@@ -101,6 +104,9 @@ class Piece(ABC):
     external: bool = False
     carried: bool = True
     fresh: bool = False
+    guarded: bool = False
+    refines: bool = False
+    kinked: bool = False
     of: Term | None = None
 
     @abstractmethod
@@ -113,6 +119,25 @@ class Piece(ABC):
 
     def commit(self, x: np.ndarray) -> None:  # noqa: B027
         """Take note of the increments (m, n, b) of a converged step. Collective."""
+
+    def balanced(self, x: np.ndarray) -> None:  # noqa: B027
+        """In dynamics: forces are in balance at increments (m, n, b); those of the step's end follow. Local."""
+
+    def admits(self, x: np.ndarray) -> bool:
+        """Whether it has forces at increments (m, n, b). Local."""
+        return True
+
+    def refine(self, x: np.ndarray) -> bool:
+        """After iterations have converged at increments (m, n, b): whether its forces are to be improved, so that
+        iterations go on. Local.
+
+        Raises:
+            LocalFailure: the solution can't be taken.
+        """
+        return False
+
+    def refined(self) -> None:  # noqa: B027
+        """Some piece has something to improve: take what `refine` has found. Local."""
 
 
 @dataclass
@@ -195,6 +220,8 @@ class Term(ABC):
             factor doesn't depend on the increments: the arc-length method can take it.
         committed: it has taken part in a converged step; the problem sees to it.
         taken: it belongs to a problem.
+        renew: its pieces don't fit the present state any more: the next step is to begin with a reset; the same
+            on all ranks.
         rows: arrays (np, ...) with one row for each local point of the body, by name. They move with the
             points to other ranks and into restart files.
     """
@@ -204,6 +231,7 @@ class Term(ABC):
     proportional: bool = True
     committed: bool = False
     taken: bool = False
+    renew: bool = False
     rows: dict[str, np.ndarray]
 
     def __new__(cls, *arguments: Any, **options: Any) -> Self:
@@ -246,6 +274,9 @@ class Term(ABC):
     def set_factor(self, factor: float, carrying: bool = False) -> None:  # noqa: B027
         """Put the values of a load factor in. `carrying`: those with which the last step has converged, for
         forces that are to be carried along."""
+
+    def end_at(self, factor: float) -> None:  # noqa: B027
+        """The step ends at a load factor, or time; forces were in balance at that of `set_factor`."""
 
     def state(self) -> dict[str, np.ndarray]:
         """All else that a restart needs, the same on every rank, by name."""

@@ -29,6 +29,7 @@ class GridSetting(Setting):
 
     Args:
         reached: gives the lattice numbers, ascending, of the cells that this rank's points reach.
+        x: where the points were at the last reset (m), (np, d).
 
     Attributes:
         grid, basis: the lattice, and its functions.
@@ -44,9 +45,10 @@ class GridSetting(Setting):
         points: Points,
         weights: Weights,
         reached: Callable[[], np.ndarray],
+        x: np.ndarray,
     ):
         self.grid, self.basis, self.layout, self.comm = grid, basis, layout, grid.comm
-        self.points, self.weights, self._reached = points, weights, reached
+        self.points, self.weights, self._reached, self._x = points, weights, reached, x
 
     @cached_property
     def reached(self) -> np.ndarray:
@@ -70,6 +72,26 @@ class GridSetting(Setting):
         count = (self.basis.functions,) * self.grid.dim
         table = self.basis.at(self.grid, x, cells[rows])
         return Carried(rows, Boxes(count, self.grid.node_number(cells[rows])), table)
+
+    def beside(self, name: str, parents: np.ndarray, x: np.ndarray) -> Carried:
+        """The functions that carry places x (n, d) (m) beside material points of given ids (n,): those of the
+        points' cells, continued beyond them where a place lies there. Collective.
+
+        Raises:
+            InputError: a point isn't there.
+        """
+        order = np.argsort(self.points.id, kind="stable")
+        found = np.searchsorted(self.points.id, parents, sorter=order)
+        at = order[np.minimum(found, len(order) - 1)] if len(order) else np.zeros(len(parents), dtype=int)
+        here = self.points.id[at] == parents if len(order) else np.zeros(len(parents), dtype=bool)
+        if not np.all(self.comm.allreduce(here.astype(int))):
+            raise InputError(f"{name}: material points that carry its sites have left the body")
+        rows = np.flatnonzero(here)
+        at, w, x = at[rows], self.weights, x[rows]
+        alone = np.all(w.count[at] == self.basis.functions, axis=1)  # else over several cells, of which theirs is one
+        cells = np.where(alone[:, None], w.lowest[at], self.grid.cells_of(self._x[at]))
+        boxes = Boxes((self.basis.functions,) * self.grid.dim, self.grid.node_number(cells))
+        return Carried(rows, boxes, self.basis.at(self.grid, x, cells))
 
     def _find(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
         """Rank (n,) and lattice index (n, d) of the cell that weights each place: the nearest of those that

@@ -1,0 +1,64 @@
+"""The outside of a body of material points, as far as they tell: the corners of their domains that no others share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..geometry.grid import box_indices
+from .points import Points
+
+_NEAR = 1e-3  # of a half-length: corners that are nearer to each other are one place
+_SHIFT = 0.318309886  # of that: so that lattices of round numbers don't lie on the borders of bins
+
+
+def outer_corners(points: Points) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Corners of the points' domains as they are now at which faces are free: positions (n, d) (m), undeformed areas
+    (n,) (m^2; m in the plane), outward normals (n, d) and ids of the points (n,); the same on all ranks, in the
+    order of the ids. Area and normal are those of the sum of a point's shares of its free faces: at the end of two
+    faces it is aslant. A corner of several points is there once for each. A point without a domain stands for
+    itself. Collective."""
+    d, comm = points.dim, points.comm
+    rows = [points.id, points.X, points.x, points.F[:, :d, :d], points.half_length0, points.volume0]
+    every = [np.concatenate(parts) for parts in zip(*comm.allgather(rows), strict=True)]
+    order = np.argsort(every[0], kind="stable")
+    number, X, x, F, half, volume = (a[order] for a in every)
+    signs = 2.0 * box_indices((2,) * d) - 1.0
+    arms = signs[None] * half[:, None]
+    alone = np.any(half <= 0.0, axis=1)
+    directions = _outward(X, arms, alone, signs)
+    kept = np.any(directions != 0.0, axis=2)
+    kept[alone] = np.arange(len(signs)) == 0
+    at, corner = np.nonzero(kept)
+    place = x[at] + np.einsum("nij,nj->ni", F[at], arms[at, corner])
+    d_area = volume[:, None] / np.where(half > 0.0, 2.0 * half, 1.0) / 2 ** (d - 1)  # of a corner, by axis
+    vector = directions[at, corner] * d_area[at]
+    vector[alone[at]] = (volume[at] ** ((d - 1) / d))[alone[at], None] * np.eye(d)[-1]
+    area = np.linalg.norm(vector, axis=1)
+    return place, area, vector / area[:, None], number[at]
+
+
+def _outward(X: np.ndarray, arms: np.ndarray, alone: np.ndarray, signs: np.ndarray) -> np.ndarray:
+    """Along which axes the points' faces are free at their corners, with the sign (n, 2^d, d); zero where none
+    is."""
+    n, corners, d = arms.shape
+    low = float(arms[~alone].__abs__().min(initial=np.inf))
+    if not np.isfinite(low):
+        return np.zeros(arms.shape)
+    bins = np.floor((X[:, None] + arms) / (_NEAR * low) + _SHIFT).astype(np.int64).reshape(-1, d)
+    _, place = np.unique(bins, axis=0, return_inverse=True)
+    place, seen = place.ravel(), np.tile(np.arange(corners), n)
+    around = np.zeros((int(place.max()) + 1, corners), dtype=bool)
+    around[place, seen] = True  # on which sides of a place there are points
+    directions = np.zeros(arms.shape).reshape(-1, d)
+    for axis in range(d):
+        # the point's face across the axis is free at this corner if no point lies beyond it there
+        beyond = np.argmax(np.all(signs[:, None] * _flip(axis, d) == signs[None], axis=2), axis=1)
+        directions[:, axis] = np.where(around[place, beyond[seen]], 0.0, signs[seen, axis])
+    directions = directions.reshape(n, corners, d)
+    directions[alone] = 0.0
+    return directions
+
+
+def _flip(axis: int, dim: int) -> np.ndarray:
+    flip: np.ndarray = np.where(np.arange(dim) == axis, -1.0, 1.0)
+    return flip

@@ -1,0 +1,142 @@
+"""Rigid obstacles, as terms of a problem (docs/contact.md)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..bodies.corners import outer_corners
+from ..bodies.nearby import of_nearest
+from ..errors import InputError
+from ..forms.contact import Law
+from ..forms.rest import stiffness_across
+from ..geometry.shapes import shape_of
+from ..geometry.surfaces import Surface
+from ..terms.obstacles import Obstacle
+from ..tools import checks
+from .surfaces import Loaded
+
+_STIFF = 10.0  # default of the penalty: times the body's stiffness over a cell
+_SKIN = 1e-9  # cells by which springs are ahead of the surface
+_ASIDE = (0.61803, 0.38197, 0.23607)  # by which ties between the points beside a site are broken
+
+
+def add_obstacle(problem: Any, phi: Any, on: Any, options: dict[str, Any]) -> Obstacle:
+    """See `Conditions.obstacle`. Collective."""
+    number = 1 + sum(isinstance(g.condition, Obstacle) for g in problem.given)
+    name = f"obstacle {number}"
+    if options.get("name") is not None:
+        name = checks.text("obstacle: name", options["name"])
+    shape = shape_of(f"{name}: phi", phi)
+    law, constants, gap = _law(problem, name, options)
+    surface, parents = _sites(problem, name, on)
+    made = Obstacle(
+        name,
+        shape,
+        surface,
+        parents,
+        law,
+        constants,
+        problem.cell_size,
+        gap,
+        options["motion"],
+        options["rotation"],
+        options["about"],
+        aslant=on is None and parents is not None,
+    )
+    problem.add(made)
+    return made
+
+
+def _law(problem: Loaded, name: str, given: dict[str, Any]) -> tuple[Law, dict[str, float], float | None]:
+    """Which forces there are, their numbers, and the gap (m) that is allowed."""
+    numbers = {key: checks.number(f"{name}: {key}", given[key], least=0.0) for key in ("friction",)}
+    for key in ("rolling", "drilling"):
+        numbers[key] = checks.number(f"{name}: {key}", given[key], least=0.0)
+        if numbers[key] and not problem.layout.rotations:
+            raise InputError(
+                f"{name}: {key} = {numbers[key]:g}: a classical material has no rotations for it to resist"
+            )
+    if numbers["drilling"] and problem.layout.dim == 2:
+        raise InputError(f"{name}: drilling = {numbers['drilling']:g}: in the plane nothing turns about a normal")
+    barrier, gap, stiffness = given["barrier"], given["gap"], given["stiffness"]
+    if barrier is not None:
+        barrier = checks.number(f"{name}: barrier", barrier, above=0.0)
+        if gap is not None:
+            raise InputError(f"{name}: gap = {gap!r} belongs to springs; a barrier = {barrier:g} lets nothing through")
+    if gap is not None:
+        gap = checks.number(f"{name}: gap", gap, above=0.0)
+    if stiffness is None:
+        stiffness = _STIFF * _modulus(problem, name) / problem.cell_size
+    stiffness = checks.number(f"{name}: stiffness", stiffness, above=0.0)
+    law = Law(numbers["friction"] > 0, numbers["rolling"] > 0, numbers["drilling"] > 0, barrier is not None)
+    turning = stiffness * problem.cell_size**2
+    constants = {
+        **numbers,
+        "stiffness": stiffness,
+        "tangential": stiffness,
+        "turning": turning,
+        "distance": _SKIN * problem.cell_size if barrier is None else barrier,
+    }
+    return law, constants, gap
+
+
+def _modulus(problem: Any, name: str) -> float:
+    """The stiffest of the materials, lam + 2 mu (Pa). Collective."""
+    most, dim = 0.0, problem.layout.dim
+    for material in problem.points.materials:
+        p = material.moduli("lam", "mu")
+        if len(p) == 2:
+            most = max(most, p["lam"] + 2 * p["mu"])
+        elif material.second_gradient:
+            kind = type(material).__name__
+            raise InputError(f"{name}: stiffness: {kind} has no parameters named lam and mu; give stiffness")
+        else:
+            most = max(most, float(stiffness_across(material, dim, np.eye(dim), problem.comm)[0].max()))
+    if not most > 0.0:
+        kinds = ", ".join(dict.fromkeys(type(m).__name__ for m in problem.points.materials))
+        raise InputError(f"{name}: stiffness: {kinds} has no stiffness in the undeformed state; give stiffness")
+    return most
+
+
+def _sites(problem: Any, name: str, on: Any) -> tuple[Surface, np.ndarray | None]:
+    """Sites of contact as a surface, and ids of the material points that carry them; None for elements."""
+    if problem.holds_on_facets:
+        if on is None:
+            on = _everywhere
+        return problem._surface_of(on), None
+    if on is None:
+        x, area, normal, parents = outer_corners(problem.points)
+        return Surface(x, area, normal), parents
+    surface = problem._named(on)
+    if not isinstance(surface, Surface):
+        raise checks.refuse(
+            f"{name}: on", on, "a Surface, or the name of a group of facets of the points' mesh, is needed"
+        )
+    if surface.dim != problem.layout.dim:
+        raise InputError(f"{name}: the surface has {surface.dim} dimensions, the body has {problem.layout.dim}")
+    return surface, _parents(problem, name, surface)
+
+
+def _everywhere(x: np.ndarray) -> np.ndarray:
+    return np.ones(len(x), dtype=bool)
+
+
+def _parents(problem: Any, name: str, surface: Surface) -> np.ndarray:
+    """Ids of the points nearest to the sites. Collective."""
+    points = problem.points
+    place, volume = (points.x, points.volume) if problem.progress.step else (points.X, points.volume0)
+    size = volume ** (1.0 / points.dim)
+    aside = np.array(_ASIDE[: points.dim]) * 1e-6 * problem.cell_size
+    values = np.column_stack([points.id.astype(float), size])
+    distance, found = of_nearest(problem.comm, place, values, surface.x + aside)
+    far = distance > 2.0 * np.maximum(found[:, 1], problem.cell_size)
+    if np.any(far):
+        at = int(np.argmax(distance * far))
+        where = tuple(float(round(c, 9)) for c in surface.x[at])
+        raise InputError(
+            f"{name}: on: surface point {at} at {where} lies {distance[at]:.4g} m from the nearest material point "
+            f"({int(far.sum())} such in all): it isn't on this body"
+        )
+    return found[:, 0].astype(np.int64)
