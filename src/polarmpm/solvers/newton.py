@@ -183,8 +183,8 @@ def evaluate(system: System, tangent: bool, backtrack: Callable[[], bool]) -> No
 
 
 def _evaluate_less(system: System, tangent: bool, before: float) -> None:
-    """Evaluate, and while the out-of-balance forces are larger than before, go back half of the last correction;
-    where points have no stresses they count as infinite. Where nothing helps, the shortest one is taken.
+    """Evaluate, and while the out-of-balance forces are larger than before, go back half of the last
+    correction; where points have no stresses they count as infinite. Where nothing helps, take the shortest.
 
     Raises:
         LocalFailure: they still have none.
