@@ -115,6 +115,13 @@ class QuasiStaticFEM(Problem):
         for thing in (self.elements, self.forms, *self.forms.changing()):
             yield thing, None
 
+    def _check_change(self, name: str) -> None:
+        if not self.forms.takes_numbers:
+            raise InputError(f"{name}: materials of elements with second gradients can't change during a run")
+
+    def _put_into_forms(self) -> None:
+        self.forms.put_materials(self.points.materials)
+
     def _free(self) -> None:
         if self._system is not None:
             self._system.destroy()

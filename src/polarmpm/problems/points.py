@@ -171,6 +171,12 @@ class QuasiStatic(OnGrid):
         ):
             yield thing, None
 
+    def _put_into_forms(self) -> None:
+        for form, material in zip(self.forms, self.points.materials, strict=True):
+            form.take(material)
+        if self._system is not None:
+            self._system.interpolation.pack()
+
     def _free(self) -> None:
         self.box_record.kept = self.box_record.energies(self._system)
         if self._system is not None:
