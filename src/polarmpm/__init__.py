@@ -11,6 +11,7 @@ from .bodies.meshseeding import seed_mesh
 from .bodies.points import Points
 from .bodies.seeding import seed
 from .bodies.selection import Selection
+from .conditions.ground import K0
 from .errors import (
     ErrorOnAnotherRank,
     Finding,
@@ -105,6 +106,7 @@ __all__ = [
     "Hencky",
     "Houlsby",
     "InputError",
+    "K0",
     "KernelError",
     "Material",
     "MaterialField",

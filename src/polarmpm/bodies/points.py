@@ -147,7 +147,7 @@ class Points(Selecting):
         self._has_plastic_state = False
         self._fingerprints: tuple[int, ...] = ()  # the present one, then those before other points joined
         self.arrangements = 0
-        self._add_state()
+        self.add_state()
 
     def _put_positions(self, x: Any, volume: Any, half_length: Any, half_axes: Any) -> None:
         """Check and copy what a point is seeded with."""
@@ -266,9 +266,9 @@ class Points(Selecting):
     def put_materials(self, materials: tuple[Material, ...], rows: np.ndarray) -> None:
         """Give the local points the materials of these rows (np,)."""
         self.materials, self.material = materials, rows.astype(np.int32)
-        self._add_state()
+        self.add_state()
 
-    def _add_state(self) -> None:
+    def add_state(self) -> None:
         """Arrays of plastic and of second-gradient materials, where they are needed and missing."""
         if self.second_gradient and "grad_F" not in vars(self):
             self.grad_F = np.zeros((len(self), 3, 3, 3))
@@ -321,8 +321,8 @@ class Points(Selecting):
         first = self.comm.allreduce(int(self.id.max(initial=-1)), op=MPI.MAX) + 1
         number, mine = len(self.materials), self.materials
         self.materials = other.materials = mine + other.materials  # both sets know all fields
-        self._add_state()
-        other._add_state()
+        self.add_state()
+        other.add_state()
         theirs = dict(other.arrays())
         other.materials = other.materials[number:]
         theirs["id"] = theirs["id"] + first
@@ -351,7 +351,7 @@ class Points(Selecting):
             raise InputError("material: micropolar and classical materials can't be mixed in one body")
         if material not in self.materials:
             self.materials = (*self.materials, material)
-        self._add_state()
+        self.add_state()
         self.material = self.material.copy()
         self.material[self.rows(selection)] = self.materials.index(material)
         self.arrangements += 1

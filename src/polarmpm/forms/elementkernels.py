@@ -39,7 +39,7 @@ class KernelForms(ElementForms):
     def __init__(self, elements: Elements, forms: Sequence[PointForm] = ()):
         super().__init__(elements)
         points = elements.points
-        self.symmetric = not points.plastic
+        self.symmetric = not any(m.yields for m in points.materials)
         self._rows_of = [np.flatnonzero(points.material == m) for m in range(len(points.materials))]
         self._point_forms = list(forms) or [make_form(m, elements.dim) for m in points.materials]
         for form in self._point_forms:
@@ -71,7 +71,7 @@ class KernelForms(ElementForms):
         mappings: list[ReturnMapping | None] = []
         for form, rows in zip(self._point_forms, self._rows_of, strict=True):
             kernels.append(form.compile(self._comm))
-            mappings.append(self._mapping(form, rows) if form.material.plastic else None)
+            mappings.append(self._mapping(form, rows) if form.material.yields else None)
         return kernels, mappings
 
     def _mapping(self, form: PointForm, rows: np.ndarray) -> ReturnMapping:

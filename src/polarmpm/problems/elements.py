@@ -96,8 +96,8 @@ class QuasiStaticFEM(Problem):
         super().__init__(elements.comm, elements.points, elements.dim, controls)
         self.elements = elements
         slope_penalty = checks.number("slope_penalty", slope_penalty, above=0.0, allowed="a positive number")
-        self.forms = faceslopes.make_forms(elements, slope_penalty, self.assembly, self.locking)
-        _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
+        self._slope_penalty = slope_penalty
+        self._renew_forms()
         for material in elements.points.materials:
             try_energy(material)
         with errors_on_all_ranks(elements.comm):  # of warnings a script may make errors
@@ -118,6 +118,11 @@ class QuasiStaticFEM(Problem):
     def _check_change(self, name: str) -> None:
         if not self.forms.takes_numbers:
             raise InputError(f"{name}: materials of elements with second gradients can't change during a run")
+
+    def _renew_forms(self) -> None:
+        self.forms = faceslopes.make_forms(self.elements, self._slope_penalty, self.assembly, self.locking)
+        _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
+        self._stale = True
 
     def _put_into_forms(self) -> None:
         self.forms.put_materials(self.points.materials)

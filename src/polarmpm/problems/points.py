@@ -123,11 +123,7 @@ class QuasiStatic(OnGrid):
         check_second_gradients(points, self.basis)
         super().__init__(grid.comm, points, grid.dim, controls)
         self.locking = check_locking(locking)
-        of_points = None if assembly == "projection" else self.locking
-        self.forms = [choose_form(of_points, m, grid.dim, self.basis) for m in points.materials]
-        for form in self.forms:
-            _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
-            try_energy(form.material)
+        self._make_forms()
         with errors_on_all_ranks(grid.comm):
             self._warn_of_locking()
         self.rotation_limit = 1.0
@@ -170,6 +166,26 @@ class QuasiStatic(OnGrid):
             *(self._conservation, self._moving, self._compiled, self._resets),
         ):
             yield thing, None
+
+    def _make_forms(self) -> None:
+        locking = None if self.assembly == "projection" else self.locking
+        materials = self.points.materials
+        self.forms = [choose_form(locking, m, self.initial_grid.dim, self.basis) for m in materials]
+        for form in self.forms:
+            _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
+            try_energy(form.material)
+
+    def _renew_forms(self) -> None:
+        self.points.arrangements += 1
+        self._arrangement = self.points.arrangements
+        self._make_forms()
+        self.box_record = BoxRecord(self.points, self.forms, self.comm)
+        self._compiled = Compiled()
+        self._resets = BalancedResets((f.layout for f in self.forms), self.comm, self.timer)
+        if self._system is not None:
+            self._system.destroy()
+            self._system = None
+        self.progress.reset_due = True
 
     def _put_into_forms(self) -> None:
         for form, material in zip(self.forms, self.points.materials, strict=True):
