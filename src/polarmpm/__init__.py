@@ -84,6 +84,7 @@ def __getattr__(name: str) -> Any:
 __version__ = "0.1.0"  # the one place that states it; read without an import when the package is built
 
 __all__ = [
+    "K0",
     "PUBLISHED",
     "ArrudaBoyce",
     "Basis",
@@ -106,7 +107,6 @@ __all__ = [
     "Hencky",
     "Houlsby",
     "InputError",
-    "K0",
     "KernelError",
     "Material",
     "MaterialField",

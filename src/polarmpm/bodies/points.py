@@ -52,6 +52,9 @@ PLASTIC_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
 # what bodies with second-gradient materials have beside it
 SECOND_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {"grad_F": ((3, 3, 3), float)}
 
+# what bodies have whose displacements don't count from their initial positions
+COUNTED_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {"counted_from": (("d",), float)}
+
 _PRIVATE = ("_has_plastic_state", "_fingerprints")  # what copies take along besides public attributes
 
 
@@ -77,6 +80,8 @@ class Points(Selecting):
             following two only in bodies with plastic materials.
         grad_F: second gradient of the motion H_iJK = d^2 x_i / dX_J dX_K (1/m), (np, 3, 3, 3), symmetric in
             J and K; only in bodies with second-gradient materials, and zero at points of others.
+        counted_from: positions (m) from which displacements count, vector; only after
+            `problem.zero_displacements()`, else these are X.
         hardening: accumulated plastic strain chi, scalar.
         dissipation: plastic dissipation per reference volume so far (Pa), scalar.
         regions, surfaces: physical groups of the mesh that the points come from; see `region` and `surface`.
@@ -97,6 +102,7 @@ class Points(Selecting):
     half_length0: np.ndarray
     half_axes0: np.ndarray
     unresolved: np.ndarray
+    counted_from: np.ndarray
     grad_F: np.ndarray
     plastic_F: np.ndarray
     plastic_wryness: np.ndarray
@@ -216,8 +222,8 @@ class Points(Selecting):
     # state --------------------------------------------------------------------------------------
     @property
     def displacement(self) -> np.ndarray:
-        """x - X (m), vector."""
-        u: np.ndarray = self.x - self.X
+        """x - X (m), or what it has grown by since `problem.zero_displacements()`, vector."""
+        u: np.ndarray = self.x - vars(self).get("counted_from", self.X)
         return u
 
     @property
@@ -255,7 +261,8 @@ class Points(Selecting):
     def fields(self) -> dict[str, tuple[tuple[int | str, ...], type]]:
         """Names of the state's arrays, with their shapes after the point axis and types."""
         found = {**FIELDS, **PLASTIC_FIELDS} if self.plastic else FIELDS
-        return {**found, **SECOND_FIELDS} if self.second_gradient else found
+        found = {**found, **SECOND_FIELDS} if self.second_gradient else found
+        return {**found, **COUNTED_FIELDS} if "counted_from" in vars(self) else found
 
     def plastic_state(self, rows: np.ndarray) -> tuple[np.ndarray, ...]:
         """Fp, Gp and chi of some points; nothing in an elastic body."""
@@ -286,6 +293,10 @@ class Points(Selecting):
         """Put in a whole state (restart, migration): every one of `fields`, one row a point. `same`: they
         are the points of before, so that selections of them stay valid; collective."""
         known = self.fingerprints() if same else ()
+        for name in COUNTED_FIELDS:  # whether it is there is part of the state
+            vars(self).pop(name, None)
+            if name in arrays:
+                setattr(self, name, arrays[name])
         for name, (shape, kind) in self.fields.items():
             full = (len(arrays["id"]), *(self.dim if s == "d" else s for s in shape))
             setattr(self, name, np.ascontiguousarray(arrays[name], dtype=kind).reshape(full))
@@ -321,6 +332,9 @@ class Points(Selecting):
         first = self.comm.allreduce(int(self.id.max(initial=-1)), op=MPI.MAX) + 1
         number, mine = len(self.materials), self.materials
         self.materials = other.materials = mine + other.materials  # both sets know all fields
+        for one, two in ((self, other), (other, self)):
+            if "counted_from" in vars(one) and "counted_from" not in vars(two):
+                two.counted_from = two.X.copy()
         self.add_state()
         other.add_state()
         theirs = dict(other.arrays())

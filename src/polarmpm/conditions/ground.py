@@ -63,7 +63,8 @@ class K0:
     def __repr__(self) -> str:
         where = "a function" if callable(self.surface) else ", ".join(f"{s:g}" for s in self.surface)
         numbers = [", ".join(f"{v:g}" for v in values) for values in (self.weight, self.ratio)]
-        return f"K0(weight = {numbers[0]} N/m^3, K0 = {numbers[1]}, surface = {where}, surcharge = {self.surcharge:g} Pa)"
+        last = f"surface = {where}, surcharge = {self.surcharge:g} Pa"
+        return f"K0(weight = {numbers[0]} N/m^3, K0 = {numbers[1]}, {last})"
 
     def _height(self, positions: np.ndarray) -> np.ndarray:
         """Of the ground above positions (n,)."""
@@ -72,25 +73,27 @@ class K0:
         found = checks.numeric("surface", self.surface(positions.copy()), "heights (n,) (m)")
         if found.shape not in ((), (len(positions),)) or not np.isfinite(found).all():
             raise InputError(f"surface: heights ({len(positions)},) are needed, not {checks.shown(found)}")
-        return np.broadcast_to(found, (len(positions),))
+        heights: np.ndarray = np.broadcast_to(found, (len(positions),))
+        return heights
 
     def _layer(self, positions: np.ndarray) -> np.ndarray:
         """In which layer positions are (n,)."""
         if callable(self.surface):
             return np.zeros(len(positions), dtype=np.int64)
         below = positions[:, -1][:, None] < np.array(self.surface[1:])
-        return np.count_nonzero(below, axis=1)
+        layer: np.ndarray = np.count_nonzero(below, axis=1)
+        return layer
 
     def stress(self, positions: np.ndarray) -> np.ndarray:
         """Stresses (n, 3, 3) (Pa) at positions (n, d) (m); none above the ground."""
         positions = np.asarray(positions, dtype=float)
         y = positions[:, -1]
-        vertical = self.surcharge + self.weight[0] * np.maximum(self._height(positions) - y, 0.0)
+        vertical: np.ndarray = self.surcharge + self.weight[0] * np.maximum(self._height(positions) - y, 0.0)
         if not callable(self.surface):
             for k, top in enumerate(self.surface[1:], 1):
                 vertical = vertical + (self.weight[k] - self.weight[k - 1]) * np.maximum(top - y, 0.0)
         ratio = np.array(self.ratio)[self._layer(positions)]
-        out = np.einsum("n,ij->nij", -vertical * ratio, np.eye(3))
+        out: np.ndarray = np.einsum("n,ij->nij", -vertical * ratio, np.eye(3))
         axis = positions.shape[1] - 1
         out[:, axis, axis] = -vertical
         return out

@@ -80,9 +80,7 @@ class InitialState:
         (tau, nu), p = self._kirchhoff(self._x), named_parameters(material, self._p)
         surfaces = check_regions(material)[1]
         chi, owner = self._chi[0], type(material).__name__
-        found = [
-            evaluate_scalar(f"{s.name} of {owner}", s.function, tau, nu, chi, p) for s in surfaces
-        ]
+        found = [evaluate_scalar(f"{s.name} of {owner}", s.function, tau, nu, chi, p) for s in surfaces]
         return self._compile([ufl.as_vector(found)], [self._x, self._p, self._chi])
 
     def _compile(self, expressions: list[Any], coefficients: list[Any]) -> Kernel:
@@ -115,7 +113,11 @@ class InitialState:
                 inverse = np.linalg.pinv(tangent[good], 1e-13)
                 change[good] = np.einsum("nij,nj->ni", inverse, missing[good])
                 far = np.abs(change).max(axis=1, initial=0.0)
-                x = np.where(good[:, None], x + change * np.minimum(1.0, _FARTHEST / np.maximum(far, 1e-300))[:, None], best)
+                x = np.where(
+                    good[:, None],
+                    x + change * np.minimum(1.0, _FARTHEST / np.maximum(far, 1e-300))[:, None],
+                    best,
+                )
         fe = np.zeros((n, 3, 3))
         fe[:, i, j] = best
         if not self.material.micropolar:

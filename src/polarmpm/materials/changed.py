@@ -112,7 +112,9 @@ def _functions(material: Material) -> list[Any]:
     parts = [material] if material.elastic_part is material else [material, material.elastic_part]
     found = []
     for part in parts:
-        names: list[str] = [f.name for f in dataclasses.fields(part)] if dataclasses.is_dataclass(part) else []
+        names: list[str] = (
+            [f.name for f in dataclasses.fields(part)] if dataclasses.is_dataclass(part) else []
+        )
         for value in (getattr(part, name) for name in names):
             if callable(value):
                 found.append(value)

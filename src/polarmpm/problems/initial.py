@@ -10,15 +10,19 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..assembly.carrying import closing
+from ..assembly.system import NodalSystem
 from ..conditions.ground import K0
 from ..errors import InputError
 from ..materials.base import Material
 from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
+from ..tools.timing import Timer
 from .changes import Changeable
 
-_APART = 0.2  # forces out of balance over all of them
+_APART = 0.15  # forces out of balance over the loads
+_OF_ELEMENTS = 0.4  # the same of elements, whose middle nodes see more of the mean pressures of a cell
 
 Stress = K0 | Callable[[np.ndarray], np.ndarray] | np.ndarray
 
@@ -27,15 +31,20 @@ class Initial(Changeable):
     """Initial stresses. All methods are collective.
 
     Attributes:
-        at_rest: the body had an initial stress before the first load step: the loads and supports of load
-            factor 0 hold it.
+        at_rest: the body had an initial stress before the first load step.
+        balanced_at_rest: loads and supports at load factor 0 hold it.
+        typical_force: force (N/m^3) that changes it over the size of the body.
     """
 
-    at_rest = False
+    timer: Timer
+    at_rest = balanced_at_rest = False
+    typical_force = 0.0
     _initial_energy = 0.0  # J, that the stress has stored
 
     @collective("initial_stress", compare=True)
-    def initial_stress(self, stress: Stress, *, overconsolidation: float | None = None) -> None:
+    def initial_stress(
+        self, stress: Stress, *, overconsolidation: float | None = None, balanced: bool = True
+    ) -> None:
         """Give the undeformed body a stress, in equilibrium with the loads at load factor 0.
 
         The points get an elastic deformation at which their material has this stress; it isn't felt in F, in
@@ -43,7 +52,8 @@ class Initial(Changeable):
         The stress needs loads that act from the beginning on: functions of the load factor that aren't zero
         there, such as `body_load(force=ground.force)`. What of it the points can't balance is carried along
         as by a balanced reset, so that nothing moves; if it is more than a small share, the first step
-        refuses it.
+        refuses it. `balanced=False` carries nothing: the first step moves the body into an equilibrium, such
+        as below a slope, for which K0 isn't one.
 
         Before the first load step, and before `load_restart`, which puts the saved state in its place.
 
@@ -62,15 +72,36 @@ class Initial(Changeable):
         self._check_outside("initial_stress")
         self.check_open()
         if self.progress.step:
-            raise InputError(f"initial_stress: after {self.progress.step} load step(s); give it before the first")
+            raise InputError(
+                f"initial_stress: after {self.progress.step} load step(s); give it before the first"
+            )
         if self.points.second_gradient:
             raise InputError("initial_stress: materials with second gradients have none yet")
         if overconsolidation is not None:
             overconsolidation = checks.number("overconsolidation", overconsolidation, least=1.0)
+        balanced = checks.flag("balanced", balanced)
         with errors_on_all_ranks(self.comm):
             self._check_undeformed()
             found = self._stresses(stress)
         self.whole(lambda: self._put_stress(found, overconsolidation))
+        self.at_rest, self.balanced_at_rest = True, balanced
+
+    @collective("zero_displacements")
+    def zero_displacements(self) -> None:
+        """Let displacements count from the present state on: those of points and nodes, in output and tables,
+        and what `counts="total"` of later supports means. Stresses, deformation and rotations stay, and so
+        do the values of supports, which go on from where they are.
+
+        Raises:
+            InputError: within a load step, or of a closed problem.
+        """
+        self._check_outside("zero_displacements")
+        self.check_open()
+        self._count_from_here()
+        self._stale = True  # supports know the nodes' motion
+
+    def _count_from_here(self) -> None:
+        self.points.counted_from = self.points.x.copy()
 
     def _check_undeformed(self) -> None:
         if not np.array_equal(self.points.F, np.broadcast_to(np.eye(3), self.points.F.shape)):
@@ -95,8 +126,11 @@ class Initial(Changeable):
         if np.abs(found - np.swapaxes(found, 1, 2)).max(initial=0.0) > 1e-9 * size:
             raise InputError("initial_stress: stresses that aren't symmetric; couple stresses need a wryness")
         if d == 2 and np.abs(found[:, 2, :2]).max(initial=0.0) > 1e-9 * size:
-            raise InputError("initial_stress: shear stresses out of the plane, which plane strain doesn't have")
-        return 0.5 * (found + np.swapaxes(found, 1, 2))
+            raise InputError(
+                "initial_stress: shear stresses out of the plane, which plane strain doesn't have"
+            )
+        even: np.ndarray = 0.5 * (found + np.swapaxes(found, 1, 2))
+        return even
 
     def _put_stress(self, stress: np.ndarray, overconsolidation: float | None) -> None:
         from ..forms.initialstate import InitialState  # lazy import: most scenes need no plasticity
@@ -122,13 +156,29 @@ class Initial(Changeable):
             plastic[at] = np.linalg.inv(deformation)
         p.plastic_F, p.hardening = plastic, hardening
         self._renew_forms()
-        self.at_rest = True
+        self.typical_force = self._typical(stress)
         stored = self.energy()  # type: ignore[attr-defined]
         self.progress.external_work += stored - self._initial_energy
         self._initial_energy = stored
 
+    def _typical(self, stress: np.ndarray) -> float:
+        """Root of the mean square of stresses (np, 3, 3) over the size of the body. Collective."""
+        p = self.points
+        ends = np.concatenate([p.X.max(axis=0, initial=-np.inf), -p.X.min(axis=0, initial=np.inf)])
+        self.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
+        sums = np.array([p.volume0 @ np.einsum("nij,nij->n", stress, stress), p.volume0.sum()])
+        self.comm.Allreduce(MPI.IN_PLACE, sums)
+        size = float((ends[: p.dim] + ends[p.dim :]).max()) or 1.0
+        return float(np.sqrt(sums[0] / sums[1])) / size
+
     def _refuse(
-        self, rows: np.ndarray, bad: np.ndarray, stress: np.ndarray, by: np.ndarray, material: Material, why: str
+        self,
+        rows: np.ndarray,
+        bad: np.ndarray,
+        stress: np.ndarray,
+        by: np.ndarray,
+        material: Material,
+        why: str,
     ) -> None:
         """Raise InputError where stresses are bad, naming the worst point. Collective."""
         p, mine = self.points, (-np.inf, -1, "", 0)
@@ -160,17 +210,50 @@ def _hardening(material: Any, stress: np.ndarray, ratio: float) -> np.ndarray:
     return found
 
 
-def check_equilibrium(system: Any) -> None:
-    """Raise InputError where an initial stress is far from an equilibrium with the loads that are set; what
-    the points' places leave of it is a small share. Collective."""
-    left, forces = system.imbalance(), system.assemble(False).forces
-    own, scale = slice(0, system.nodes.owned), system.as_force
-    sums = np.array([np.sum((f[own] * scale) ** 2) for f in (left, forces, system.loads)])
-    system.comm.Allreduce(MPI.IN_PLACE, sums)
-    share = float(np.sqrt(sums[0] / max(sums[1] + sums[2], 1e-300)))
-    if share > _APART:
+def carried(problem: Any, system: NodalSystem, before: np.ndarray | None) -> np.ndarray | None:
+    """Forces (nodes, block) on the nodes of elements that hold an initial stress, as far as the elements
+    can't balance it; put into the system. Those of before the first step are found anew. Collective."""
+    if problem.at_rest and problem.balanced_at_rest and not problem.progress.step:
+        problem._put_loads(system, problem.progress.factor)
+        check_equilibrium(problem, system, _OF_ELEMENTS)
+        left = system.imbalance()
+        before = left + closing(system, left)
+    if before is not None:
+        system.carried[:] = before
+    return before
+
+
+def check_equilibrium(problem: Any, system: NodalSystem, most: float = _APART) -> None:
+    """Raise InputError where an initial stress is far from an equilibrium with the loads that are set. What
+    the points' places leave out of balance varies from node to node, and is small as a mean over nearby
+    nodes. Collective."""
+    d, typical = system.layout.dim, problem.typical_force
+    left, loads = (_density(system, f[:, :d]) for f in (system.imbalance(), system.loads))
+    share = left / max(loads, typical, 1e-300)
+    if share > most:
         raise InputError(
-            f"initial_stress: it isn't in equilibrium: {100 * share:.3g} % of the nodes' forces at load "
-            "factor 0 are out of balance. Loads that hold it have to act from the beginning on: functions of "
-            "the load factor, such as body_load(force=ground.force)"
+            f"initial_stress: it isn't in equilibrium: forces out of balance are {100 * share:.3g} % of the "
+            "loads at load factor 0. Loads that hold it have to act from the beginning on: functions of the "
+            "load factor, such as body_load(force=ground.force). Or let the first step find the equilibrium, "
+            "balanced=False"
         )
+
+
+def _density(system: NodalSystem, forces: np.ndarray) -> float:
+    """Root of the mean square (N/m^3) of what nodal forces (nodes, d) are per volume, as means over nearby
+    nodes. Collective."""
+    volume, own = system.node_volumes()[:, None], slice(0, system.nodes.owned)
+    most = system.comm.allreduce(float(volume[own].max(initial=0.0)), op=MPI.MAX)
+    volume, d = np.maximum(volume, 0.2 * most), forces.shape[1]
+    weight = system.point_volumes()[:, None]
+    block = np.zeros((len(forces), system.layout.block))
+    block[:, :d] = forces
+    values = np.zeros((len(weight), d))
+    for _ in range(3):
+        density = block / volume
+        system.nodes.update_ghosts(density)
+        values = system.at_points(density)[:, :d]
+        block = system.from_points(weight * system.at_points(density))
+    sums = np.array([np.sum(weight * values**2), np.sum(weight)])
+    system.comm.Allreduce(MPI.IN_PLACE, sums)
+    return float(np.sqrt(sums[0] / sums[1]))

@@ -137,7 +137,7 @@ class OnGrid(Problem):
             interpolation = self._interpolate(None)
         balanced = self.balanced_reset and p.step > 0
         held = self._held_before() if balanced else None
-        balanced = balanced or (self.at_rest and not p.step)
+        balanced = balanced or (self.balanced_at_rest and not p.step)
         if held is not None:  # before anything is changed
             self._check_held(interpolation, self._prescribed(interpolation.nodes))
         system = self._build(interpolation, supports=held)
@@ -147,7 +147,7 @@ class OnGrid(Problem):
         if balanced:
             self._put_balance(system)
             if not p.step:
-                initial.check_equilibrium(system)
+                initial.check_equilibrium(self, system)
             self._resets.carry(system)
         if not self._drop_pieces(interpolation) and held is None:
             return system
