@@ -23,6 +23,7 @@ from .plastic import entries
 from .strains import elastic_stress, pushed
 
 _MOST = 100  # iterations
+_PATIENCE = 10  # of them that find nothing better, as beyond the solution of an exponential law
 _FARTHEST = 0.1  # change of an entry of Fe in one of them
 _ACCURACY = 1e-14  # of the residual stress over the largest one, where rounding ends the iteration
 _LOOSE = 1e-10
@@ -98,6 +99,7 @@ class InitialState:
         numbers = np.tile(self._numbers, (n, 1))
         scale = np.maximum(np.abs(aim).max(axis=1, initial=0.0), 1e-12 * self._stiffness())
         best, left = x.copy(), np.full(n, np.inf)
+        idle: np.ndarray = np.zeros(n, dtype=int)
         with np.errstate(all="ignore"):
             for _ in range(_MOST):
                 out = self._kernel(x, numbers)
@@ -105,7 +107,8 @@ class InitialState:
                 size = np.abs(missing).max(axis=1, initial=0.0) / scale
                 better = size < left  # False where it isn't a number
                 best[better], left[better] = x[better], size[better]
-                if not np.any(better & (size > _ACCURACY)):
+                idle = np.where(better, 0, idle + 1)
+                if np.all((left <= _ACCURACY) | (idle > _PATIENCE)):
                     break
                 tangent = out[:, m:].reshape(n, m, m)
                 good = np.isfinite(tangent).all(axis=(1, 2)) & np.isfinite(missing).all(axis=1)

@@ -21,7 +21,8 @@ from ..tools.parallel import errors_on_all_ranks
 from ..tools.timing import Timer
 from .changes import Changeable
 
-_APART = 0.15  # forces out of balance over the loads
+_PASSES = 12  # means over nearby nodes
+_APART = 0.09  # forces out of balance over the loads
 _OF_ELEMENTS = 0.4  # the same of elements, whose middle nodes see more of the mean pressures of a cell
 
 Stress = K0 | Callable[[np.ndarray], np.ndarray] | np.ndarray
@@ -249,7 +250,7 @@ def _density(system: NodalSystem, forces: np.ndarray) -> float:
     block = np.zeros((len(forces), system.layout.block))
     block[:, :d] = forces
     values = np.zeros((len(weight), d))
-    for _ in range(3):
+    for _ in range(_PASSES):
         density = block / volume
         system.nodes.update_ghosts(density)
         values = system.at_points(density)[:, :d]
