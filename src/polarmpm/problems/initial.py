@@ -216,6 +216,8 @@ def carried(problem: Any, system: NodalSystem, before: np.ndarray | None) -> np.
     can't balance it; put into the system. Those of before the first step are found anew. Collective."""
     if problem.at_rest and problem.balanced_at_rest and not problem.progress.step:
         problem._put_loads(system, problem.progress.factor)
+        for piece in system.terms.pieces:
+            piece.fresh = False
         check_equilibrium(problem, system, _OF_ELEMENTS)
         left = system.imbalance()
         before = left + closing(system, left)

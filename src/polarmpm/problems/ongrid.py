@@ -147,6 +147,8 @@ class OnGrid(Problem):
         if balanced:
             self._put_balance(system)
             if not p.step:
+                for piece in interpolation.pieces:
+                    piece.fresh = False  # an initial stress bears what acts from the beginning on
                 initial.check_equilibrium(self, system)
             self._resets.carry(system)
         if not self._drop_pieces(interpolation) and held is None:
