@@ -55,7 +55,11 @@ SECOND_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {"grad_F": ((3, 3
 # what bodies have whose displacements don't count from their initial positions
 COUNTED_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {"counted_from": (("d",), float)}
 
-_PRIVATE = ("_has_plastic_state", "_fingerprints")  # what copies take along besides public attributes
+_PRIVATE = (
+    "_has_plastic_state",
+    "_fingerprints",
+    "_last_id",
+)  # what copies take along besides public attributes
 
 
 class Points(Selecting):
@@ -152,6 +156,7 @@ class Points(Selecting):
         self.surfaces: dict[str | int, Surface] = {}
         self._has_plastic_state = False
         self._fingerprints: tuple[int, ...] = ()  # the present one, then those before other points joined
+        self._last_id = -1  # of points that have been there
         self.arrangements = 0
         self.add_state()
 
@@ -313,6 +318,11 @@ class Points(Selecting):
         self._fingerprints = known
         return route
 
+    def remember_ids(self) -> None:
+        """Points that join get ids beyond the present ones, also when these are gone then. Collective."""
+        last = self.comm.allreduce(int(self.id.max(initial=-1)), op=MPI.MAX)
+        self._last_id = max(last, self._last_id)
+
     @collective("join")
     def join(self, other: Points) -> None:
         """Add the points of another set (another material, say); their ids follow on. Before a problem is
@@ -329,7 +339,8 @@ class Points(Selecting):
         if other.dim != self.dim:
             raise InputError(f"other has {other.dim} dimensions, these points have {self.dim}")
         known = self.fingerprints()
-        first = self.comm.allreduce(int(self.id.max(initial=-1)), op=MPI.MAX) + 1
+        self.remember_ids()
+        first = self._last_id + 1
         number, mine = len(self.materials), self.materials
         self.materials = other.materials = mine + other.materials  # both sets know all fields
         for one, two in ((self, other), (other, self)):

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..assembly.carrying import closing
 from ..assembly.system import NodalSystem
+from ..bodies.points import Points
 from ..conditions.ground import K0
 from ..errors import InputError
 from ..materials.base import Material
@@ -83,7 +84,7 @@ class Initial(Changeable):
         balanced = checks.flag("balanced", balanced)
         with errors_on_all_ranks(self.comm):
             self._check_undeformed()
-            found = self._stresses(stress)
+            found = stresses_of(self.points, stress)
         self.whole(lambda: self._put_stress(found, overconsolidation))
         self.at_rest, self.balanced_at_rest = True, balanced
 
@@ -101,6 +102,14 @@ class Initial(Changeable):
         self._count_from_here()
         self._stale = True  # supports know the nodes' motion
 
+    def remove(self, selection: Any, *, over: float | None = None, until: float | None = None) -> Any:
+        """Take points out of the body; not of elements.
+
+        Raises:
+            InputError: always, of elements.
+        """
+        raise InputError("remove: elements stay in their mesh; excavation and fill are for material points")
+
     def _count_from_here(self) -> None:
         self.points.counted_from = self.points.x.copy()
 
@@ -108,38 +117,21 @@ class Initial(Changeable):
         if not np.array_equal(self.points.F, np.broadcast_to(np.eye(3), self.points.F.shape)):
             raise InputError("initial_stress: the body is deformed already; it has the stress of that")
 
-    def _stresses(self, given: Any) -> np.ndarray:
-        """Stresses (np, 3, 3) of the local points. Local."""
-        p, d = self.points, self.points.dim
-        if isinstance(given, K0):
-            given = given.stress
-        if callable(given):
-            with checks.evaluating("initial_stress: stress"):
-                given = given(p.X.copy())
-        allowed = "stresses (3, 3), or one for each of the local points"
-        found = checks.numeric("initial_stress: stress", given, allowed)
-        if found.shape not in ((3, 3), (len(p), 3, 3)):
-            raise InputError(f"initial_stress: stress of shape {found.shape}: {allowed}, are needed")
-        found = np.array(np.broadcast_to(found, (len(p), 3, 3)), dtype=float)
-        if not np.isfinite(found).all():
-            raise InputError("initial_stress: stresses that aren't finite")
-        size = np.abs(found).max(initial=0.0)
-        if np.abs(found - np.swapaxes(found, 1, 2)).max(initial=0.0) > 1e-9 * size:
-            raise InputError("initial_stress: stresses that aren't symmetric; couple stresses need a wryness")
-        if d == 2 and np.abs(found[:, 2, :2]).max(initial=0.0) > 1e-9 * size:
-            raise InputError(
-                "initial_stress: shear stresses out of the plane, which plane strain doesn't have"
-            )
-        even: np.ndarray = 0.5 * (found + np.swapaxes(found, 1, 2))
-        return even
-
     def _put_stress(self, stress: np.ndarray, overconsolidation: float | None) -> None:
+        self._stress_points(self.points, stress, overconsolidation)
+        self.first_materials = self._settled = self.points.materials
+        self._renew_forms()
+        self.typical_force = self._typical(stress)
+        stored = self.energy()  # type: ignore[attr-defined]
+        self.progress.external_work += stored - self._initial_energy
+        self._initial_energy = stored
+
+    def _stress_points(self, p: Points, stress: np.ndarray, overconsolidation: float | None) -> None:
+        """Give undeformed points stresses (np, 3, 3). Collective."""
         from ..forms.initialstate import InitialState  # lazy import: most scenes need no plasticity
         from ..materials.prestressed import Prestressed
 
-        p = self.points
         p.materials = tuple(m if m.plastic else Prestressed(m) for m in p.materials)
-        self.first_materials = self._settled = p.materials
         p.add_state()
         plastic, hardening = p.plastic_F.copy(), p.hardening.copy()
         for row, material in enumerate(p.materials):
@@ -147,20 +139,16 @@ class Initial(Changeable):
                 state = InitialState(material, p.dim, self.comm)
             at = np.flatnonzero(p.material == row)
             deformation, lost = state.invert(stress[at])
-            self._refuse(at, lost, stress, np.zeros(len(at)), material, "its elastic law doesn't bear it")
+            none = np.zeros(len(at))
+            _refuse(p, at, lost, stress, none, material, "its elastic law doesn't bear it")
             if overconsolidation is not None:
                 with errors_on_all_ranks(self.comm):
                     hardening[at] = _hardening(material, stress[at], overconsolidation)
             beyond = state.outside(deformation, hardening[at])
-            what = "it is outside of the yield surface"
-            self._refuse(at, ~(beyond <= 0.0), stress, beyond, material, what)
+            outside = "it is outside of the yield surface"
+            _refuse(p, at, ~(beyond <= 0.0), stress, beyond, material, outside)
             plastic[at] = np.linalg.inv(deformation)
         p.plastic_F, p.hardening = plastic, hardening
-        self._renew_forms()
-        self.typical_force = self._typical(stress)
-        stored = self.energy()  # type: ignore[attr-defined]
-        self.progress.external_work += stored - self._initial_energy
-        self._initial_energy = stored
 
     def _typical(self, stress: np.ndarray) -> float:
         """Root of the mean square of stresses (np, 3, 3) over the size of the body. Collective."""
@@ -172,35 +160,60 @@ class Initial(Changeable):
         size = float((ends[: p.dim] + ends[p.dim :]).max()) or 1.0
         return float(np.sqrt(sums[0] / sums[1])) / size
 
-    def _refuse(
-        self,
-        rows: np.ndarray,
-        bad: np.ndarray,
-        stress: np.ndarray,
-        by: np.ndarray,
-        material: Material,
-        why: str,
-    ) -> None:
-        """Raise InputError where stresses are bad, naming the worst point. Collective."""
-        p, mine = self.points, (-np.inf, -1, "", 0)
-        if np.any(bad):
-            k = int(np.flatnonzero(bad)[np.argmax(np.nan_to_num(by[bad], nan=np.inf))])
-            at = int(rows[k])
-            place = ", ".join(f"{c:.6g}" for c in p.X[at])
-            s = stress[at]
-            shown = ", ".join(f"{v:.4g}" for v in (s[0, 0], s[1, 1], s[2, 2], s[0, 1], s[1, 2], s[0, 2]))
-            text = f"point {p.id[at]} at ({place}) m has (xx, yy, zz, xy, yz, xz) = ({shown}) Pa"
-            mine = (float(by[k]), int(p.id[at]), text, int(bad.sum()))
-        found = self.comm.allgather(mine)
-        count = sum(one[3] for one in found)
-        if count:
-            worst = max((one for one in found if one[3]), key=lambda one: (one[0], -one[1]))
-            kind = type(material.elastic_part if not material.yields else material).__name__
-            raise InputError(f"initial_stress: {worst[2]}: {why} ({kind}); {count} point(s) in all")
-
     @abstractmethod
     def _renew_forms(self) -> None:
         """Make the forms of the points' materials, which have changed. Collective."""
+
+
+def stresses_of(points: Points, given: Any) -> np.ndarray:
+    """Stresses (np, 3, 3) of points. Local."""
+    p, d = points, points.dim
+    if isinstance(given, K0):
+        given = given.stress
+    if callable(given):
+        with checks.evaluating("initial_stress: stress"):
+            given = given(p.X.copy())
+    allowed = "stresses (3, 3), or one for each of the local points"
+    found = checks.numeric("initial_stress: stress", given, allowed)
+    if found.shape not in ((3, 3), (len(p), 3, 3)):
+        raise InputError(f"initial_stress: stress of shape {found.shape}: {allowed}, are needed")
+    found = np.array(np.broadcast_to(found, (len(p), 3, 3)), dtype=float)
+    if not np.isfinite(found).all():
+        raise InputError("initial_stress: stresses that aren't finite")
+    size = np.abs(found).max(initial=0.0)
+    if np.abs(found - np.swapaxes(found, 1, 2)).max(initial=0.0) > 1e-9 * size:
+        raise InputError("initial_stress: stresses that aren't symmetric; couple stresses need a wryness")
+    if d == 2 and np.abs(found[:, 2, :2]).max(initial=0.0) > 1e-9 * size:
+        raise InputError("initial_stress: shear stresses out of the plane, which plane strain doesn't have")
+    even: np.ndarray = 0.5 * (found + np.swapaxes(found, 1, 2))
+    return even
+
+
+def _refuse(
+    points: Points,
+    rows: np.ndarray,
+    bad: np.ndarray,
+    stress: np.ndarray,
+    by: np.ndarray,
+    material: Material,
+    why: str,
+) -> None:
+    """Raise InputError where stresses are bad, naming the worst point. Collective."""
+    p, mine = points, (-np.inf, -1, "", 0)
+    if np.any(bad):
+        k = int(np.flatnonzero(bad)[np.argmax(np.nan_to_num(by[bad], nan=np.inf))])
+        at = int(rows[k])
+        place = ", ".join(f"{c:.6g}" for c in p.X[at])
+        s = stress[at]
+        shown = ", ".join(f"{v:.4g}" for v in (s[0, 0], s[1, 1], s[2, 2], s[0, 1], s[1, 2], s[0, 2]))
+        text = f"point {p.id[at]} at ({place}) m has (xx, yy, zz, xy, yz, xz) = ({shown}) Pa"
+        mine = (float(by[k]), int(p.id[at]), text, int(bad.sum()))
+    found = points.comm.allgather(mine)
+    count = sum(one[3] for one in found)
+    if count:
+        worst = max((one for one in found if one[3]), key=lambda one: (one[0], -one[1]))
+        kind = type(material.elastic_part if not material.yields else material).__name__
+        raise InputError(f"initial_stress: {worst[2]}: {why} ({kind}); {count} point(s) in all")
 
 
 def _hardening(material: Any, stress: np.ndarray, ratio: float) -> np.ndarray:

@@ -67,15 +67,24 @@ def hand_over(
             f"release: {support.name}: the grid has been reset, or a restart file read, since the last "
             "converged step; release it at once, without over and until, or after another step"
         )
+    turned = np.pad(equilibrium.w, ((0, 0), (system.layout.dim, 0)))
+    forces = equilibrium.free_residual(support, still)
+    return handed_forces(f"{support.name}, released", system, forces, turned, fade)
+
+
+def handed_forces(
+    name: str, system: NodalSystem, forces: np.ndarray, x: np.ndarray, fade: Fade
+) -> list[HandedOver]:
+    """Dead forces and couples on the points that fade, in the place of forces (nodes, block) on the nodes at
+    increments x (nodes, block), of which rotations count. Collective."""
     d, r = system.layout.dim, system.layout.rotations
-    values = point_values(system, equilibrium.free_residual(support, still))
+    values = point_values(system, forces)
     if r == 3:  # a dead couple m at a point does the work J_r(Dw) m
-        w = system.at_points(np.pad(equilibrium.w, ((0, 0), (d, 0))))[:, d:]
+        w = system.at_points(x)[:, d:]
         values[:, d:] = rotations.couples_on_spins(w, values[:, d:])
     out = []
     for couple, part in ((False, values[:, :d]), (True, values[:, d:])):
         if system.comm.allreduce(float(np.abs(part).max(initial=0.0))) > 0.0:
-            name = f"{support.name}, released"
             out.append(HandedOver(name, couple, fade, np.ascontiguousarray(part)))
     return out
 
@@ -136,7 +145,10 @@ class Releasable(Conditions):
         if given is None:
             raise InputError(f"release: {described(condition)} is no condition of this problem")
         if not self._can_go(given.condition):
-            raise InputError(f"release: {given.name}: it can't be released; another change puts numbers back")
+            raise InputError(
+                f"release: {given.name} is no condition that can be released; another change puts numbers "
+                "back, and another fill points"
+            )
         if given.released is not None:
             raise InputError(f"release: {given.name} was released at load factor {given.released:g} already")
         if fade is not None and not self.progress.step:
@@ -252,6 +264,7 @@ class Releasable(Conditions):
         count from the load factor of the saved state; see `check_conditions`."""
         known, _ = self.given.match(state["given"])
         empty = np.zeros((0, 0))
+        self._loads = [load for load in self._loads if not isinstance(load, HandedOver)]
         self._loads += [
             HandedOver(name, couple, Fade(*ends), empty)
             for name, couple, *ends in json.loads(state.get("handed", "[]"))
