@@ -311,9 +311,9 @@ class Problem(Results):
         return outcome, path.factor
 
     def _begin(self, system: NodalSystem, factor: float) -> StepStart:
-        """Set the loads of a step; in the first one they grow from nothing."""
+        """Set the loads of a step; in the first one they grow from nothing, but for a body at rest."""
         before = np.zeros_like(system.x)
-        if self.progress.step:
+        if self.progress.step or self.at_rest:
             self._put_loads(system, None)
             before = system.working_loads()
         self._put_loads(system, factor)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from mpi4py import MPI
@@ -16,6 +16,7 @@ from ..bodies.points import Points
 from ..conditions.ground import K0
 from ..errors import InputError
 from ..materials.base import Material
+from ..terms.base import Piece
 from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
@@ -229,14 +230,19 @@ def carried(problem: Any, system: NodalSystem, before: np.ndarray | None) -> np.
     can't balance it; put into the system. Those of before the first step are found anew. Collective."""
     if problem.at_rest and problem.balanced_at_rest and not problem.progress.step:
         problem._put_loads(system, problem.progress.factor)
-        for piece in system.terms.pieces:
-            piece.fresh = False
+        act_from_the_beginning(system.terms.pieces)
         check_equilibrium(problem, system, _OF_ELEMENTS)
         left = system.imbalance()
         before = left + closing(system, left)
     if before is not None:
         system.carried[:] = before
     return before
+
+
+def act_from_the_beginning(pieces: Iterable[Piece]) -> None:
+    """Let an initial stress bear what terms do at load factor 0."""
+    for piece in pieces:
+        piece.fresh = False
 
 
 def check_equilibrium(problem: Any, system: NodalSystem, most: float = _APART) -> None:

@@ -147,8 +147,7 @@ class OnGrid(Problem):
         if balanced:
             self._put_balance(system)
             if not p.step:
-                for piece in interpolation.pieces:
-                    piece.fresh = False  # an initial stress bears what acts from the beginning on
+                initial.act_from_the_beginning(interpolation.pieces)
                 initial.check_equilibrium(self, system)
             self._resets.carry(system)
         if not self._drop_pieces(interpolation) and held is None:

@@ -21,6 +21,7 @@ from ..terms.base import Term
 from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks, values_by_number
+from . import initial
 from .conservation import Conservation
 from .given import Given
 from .initial import Stress, stresses_of
@@ -146,6 +147,8 @@ class Staged(OnGrid):
         nodes; what is out of balance without the others fades."""
         self._compile()
         interpolation = self._interpolate(reference)
+        if not self.progress.step:
+            initial.act_from_the_beginning(interpolation.pieces)
         here = values_by_number(self.comm, lattice, values, interpolation.nodes.lattice)
         x, carried = np.hsplit(here, 2)
         held = self._held_before() if self.progress.step else None
