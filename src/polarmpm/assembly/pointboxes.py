@@ -24,6 +24,7 @@ from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
 
+_INSIDE = 0.9  # how far a box may reach to the axis of a body of revolution, over its radius
 FLOWED = 0.01  # share of points that have flowed: what keeps cells from deforming for nothing
 
 
@@ -48,6 +49,9 @@ class PointBoxes:
         F, self._half_axes0 = reference.F[rows, :d, :d], points.half_axes0[rows]
         axes = np.einsum("pij,pkj->pki", F, self._half_axes0)
         self._arrays: dict[str, np.ndarray] = {"box_axes": np.ascontiguousarray(axes)}
+        if layout.axial:  # a box that has been sheared may come to reach over the axis
+            hoop = np.clip(axes[:, :, 0] / reference.x[rows, :1], -_INSIDE, _INSIDE)
+            self._arrays["box_hoop"] = np.ascontiguousarray(hoop)
 
     @property
     def share(self) -> np.ndarray:
@@ -147,6 +151,16 @@ class PointBoxes:
             raise MemoryError("no memory for the points' boxes")
         return z, zk
 
+    def side_state(self, k: int, sign: float) -> np.ndarray:
+        """States (n, ...) on a side of half axis k: in a body of revolution at another radius."""
+        state: np.ndarray = self.batch.kept["state"]
+        if not self.layout.axial:
+            return state
+        state, first = state.copy(), self.layout.state(rotated=False).at_hoop.start + 1
+        columns = slice(first, first + 1 + self.layout.rotations)
+        state[:, columns] /= 1.0 + sign * self._arrays["box_hoop"][:, k, None]
+        return state
+
     def energies(self, kernel: Kernel, x: np.ndarray) -> np.ndarray:
         """Strain energy (J) of the points (n,) that is in the variation over their boxes.
 
@@ -154,11 +168,11 @@ class PointBoxes:
             kernel: of the elastic energy, see `PointForm.compile_energy`.
         """
         z, zk = self.gather(x)
-        known = self.batch.kept["state"], np.tile(self.batch.kept["param"], (len(z), 1))
-        energy = -2.0 * self.layout.dim * kernel(z, *known)[:, 0]
+        numbers = np.tile(self.batch.kept["param"], (len(z), 1))
+        energy = -2.0 * self.layout.dim * kernel(z, self.batch.kept["state"], numbers)[:, 0]
         for k in range(self.layout.dim):
-            for side in (z + zk[:, k], z - zk[:, k]):
-                energy += kernel(side, *known)[:, 0]
+            for sign in (1.0, -1.0):
+                energy += kernel(z + sign * zk[:, k], self.side_state(k, sign), numbers)[:, 0]
         weight: np.ndarray = self.share * self.batch.kept["volume"] / 6.0
         energy *= weight
         return energy

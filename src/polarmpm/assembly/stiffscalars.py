@@ -117,6 +117,10 @@ class StiffScalars:
     def _inputs(self, z: np.ndarray) -> tuple[np.ndarray, ...]:
         return z, self._state, self._parameters
 
+    def _on_side(self, boxes: PointBoxes, k: int, sign: float) -> tuple[np.ndarray, ...]:
+        assert self._zk is not None
+        return self._z + sign * self._zk[:, k], boxes.side_state(k, sign), self._parameters
+
     def _mean(self, kernel: Kernel, boxes: PointBoxes | None) -> Mean:
         here = kernel(*self._inputs(self._z))
         if boxes is None or self._zk is None:
@@ -124,7 +128,7 @@ class StiffScalars:
         d = self._zk.shape[1]
         even, odd = -2.0 * d * here, np.empty((len(here), d, here.shape[1]))
         for k in range(d):
-            up, down = (kernel(*self._inputs(self._z + s * self._zk[:, k])) for s in (1.0, -1.0))
+            up, down = (kernel(*self._on_side(boxes, k, s)) for s in (1.0, -1.0))
             even += up + down
             odd[:, k] = up - down
         weight = boxes.share / 6.0
@@ -228,15 +232,15 @@ class StiffScalars:
         self.place(x, boxes)
         t = self._state[:, self.form.state_size]
 
-        def away(z: np.ndarray) -> np.ndarray:
-            found: np.ndarray = (self.kernels.measure(*self._inputs(z))[:, 0] - t) ** 2
+        def away(*inputs: np.ndarray) -> np.ndarray:
+            found: np.ndarray = (self.kernels.measure(*inputs)[:, 0] - t) ** 2
             return found
 
-        total = away(self._z)
+        total = away(*self._inputs(self._z))
         if boxes is not None and self._zk is not None:
             d, weight, here = self._zk.shape[1], boxes.share / 6.0, total
-            sides = (self._z + s * self._zk[:, k] for k in range(d) for s in (1.0, -1.0))
-            total = here + weight * (sum(away(side) for side in sides) - 2.0 * d * here)
+            sides = (self._on_side(boxes, k, s) for k in range(d) for s in (1.0, -1.0))
+            total = here + weight * (sum(away(*side) for side in sides) - 2.0 * d * here)
         return 0.5 * self.form.stabilisation * float(total @ self.patches.volume)
 
     def values(self, x: np.ndarray) -> np.ndarray:

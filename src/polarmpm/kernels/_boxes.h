@@ -24,6 +24,7 @@ typedef struct {
     double *z, *up, *down;     /* inputs, and outputs on both sides */
     double *moduli;            /* [2 side + (0: up, 1: down)][outputs][LANES]: residuals and moduli on the sides */
     vec *moved;                /* [lane][shapes_of(second)][sv]: shapes on a side */
+    double *hoop;              /* [side][LANES]: `box_hoop` */
 } BoxWork;
 
 static int create_boxes(const Batch *b, int sv, int whole, BoxWork *w)
@@ -34,15 +35,16 @@ static int create_boxes(const Batch *b, int sv, int whole, BoxWork *w)
                    .sides = vectors(SIDES * LANES * shapes_of(b->second) * stride), .zk = vectors(SIDES * nz * LANES),
                    .before = vectors(SIDES * nz * LANES), .moved = vectors(LANES * shapes_of(b->second) * stride),
                    .moduli = vectors(whole ? (size_t)2 * SIDES * outputs * LANES : 1), .sums = vectors((1 + SIDES) * nz * LANES), .z = vectors(inputs * LANES),
-                   .up = vectors(nz * LANES), .down = vectors(nz * LANES)};
+                   .up = vectors(nz * LANES), .down = vectors(nz * LANES),
+                   .hoop = vectors(SIDES * LANES)};
     return !(w->first && w->second && w->sides && w->zk && w->before && w->sums && w->z && w->up && w->down && w->moduli &&
-             w->moved);
+             w->moved && w->hoop);
 }
 
 static void free_boxes(BoxWork *w)
 {
     free(w->first), free(w->second), free(w->sides), free(w->zk);
-    free(w->sums), free(w->z), free(w->up), free(w->down), free(w->before), free(w->moduli), free(w->moved);
+    free(w->sums), free(w->z), free(w->up), free(w->down), free(w->before), free(w->moduli), free(w->moved), free(w->hoop);
 }
 
 /* A point's shapes differentiated along a half axis, in the layout and frame of `shape`. */
@@ -73,6 +75,7 @@ INLINE void find_sides(const int dim, const int second, const Batch *b, const Po
 {
     const int nv = (n + WIDTH - 1) / WIDTH;
     curved_shape(dim, b, p, count, sv * WIDTH, (double *)w->first, (double *)w->second);
+    for (int k = 0; kernels->box_hoop && k < dim; ++k) w->hoop[k * LANES + l] = kernels->box_hoop[p * dim + k];
     for (int k = 0; k < dim; ++k)
         side_shapes(dim, n, nv, sv, kernels->box_axes + (p * dim + k) * dim, b->state + p * b->nstate, w,
                     w->sides + ((int64_t)k * LANES + l) * shapes_of(second) * sv);
@@ -82,15 +85,23 @@ INLINE void find_sides(const int dim, const int second, const Batch *b, const Po
 INLINE void gather_sides(const int dim, const int rot, const int second, const PointKernels *kernels, int64_t p, int nv, int sv, const vec *x,
                          int l, const BoxWork *w, double *zk, const int step)
 {
-    const int nz = unknowns_of(dim, rot, second);
+    const int nz = unknowns_of(dim, rot, second), plain = second == SECOND ? 0 : second;
     for (int k = 0; k < dim; ++k) {
         double *own = zk + k * nz * step;
-        for (int i = unknowns_of(dim, rot, 0); i < nz; ++i) own[i * step] = 0.0;
-        interpolate(dim, rot, 0, nv, sv, w->sides + ((int64_t)k * LANES + l) * shapes_of(second) * sv, x, own, step);
+        for (int i = unknowns_of(dim, rot, plain); i < nz; ++i) own[i * step] = 0.0;
+        interpolate(dim, rot, plain, nv, sv, w->sides + ((int64_t)k * LANES + l) * shapes_of(second) * sv, x, own, step);
         const int turning = rot * (1 + dim);  /* rotations, then their gradients */
         for (int i = 0; i < turning; ++i)
             own[(value_slot(dim, rot, dim) + i) * step] += kernels->box_turns[(p * dim + k) * turning + i];
     }
+}
+
+/* In a body of revolution, the radius that a point's state has over on the side `sign` of half axis k. */
+INLINE void put_radius(const int dim, const int rot, const int second, const double *in, double sign, int k, BoxWork *w)
+{
+    const int first = (unknowns_of(dim, rot, second) + dim * dim + AT_HOOP) * LANES;
+    for (int i = 0; second == AXIAL && i < (1 + rot) * LANES; ++i)
+        w->z[first + i] = in[first + i] / (1.0 + sign * w->hoop[k * LANES + i % LANES]);
 }
 
 /* What the boxes' virtual work multiplies, from the kernel's inputs and its residual at z. */
@@ -104,8 +115,10 @@ INLINE void evaluate_boxes(const int dim, const int rot, const int second, const
         const double *zk = w->zk + k * block;
         double *odd = w->sums + (1 + k) * block;
         for (int i = 0; i < block; ++i) w->z[i] = in[i] + zk[i];
+        put_radius(dim, rot, second, in, 1.0, k, w);
         kernel(w->z, w->up);
         for (int i = 0; i < block; ++i) w->z[i] = in[i] - zk[i];
+        put_radius(dim, rot, second, in, -1.0, k, w);
         kernel(w->z, w->down);
         for (int i = 0; i < block; ++i) {
             w->sums[i] += w->up[i] + w->down[i];
@@ -123,7 +136,7 @@ INLINE void add_sides(const int dim, const int rot, const int second, int nv, in
     for (int i = 0; i < nz; ++i) r[i] += weight * w->sums[i * LANES + l];
     for (int k = 0; k < dim; ++k) {
         for (int i = 0; i < nz; ++i) side[i] = weight * w->sums[((1 + k) * nz + i) * LANES + l];
-        add_residual(dim, rot, 0, nv, sv, w->sides + (k * LANES + l) * shapes_of(second) * sv, side, f);
+        add_residual(dim, rot, second == SECOND ? 0 : second, nv, sv, w->sides + (k * LANES + l) * shapes_of(second) * sv, side, f);
     }
 }
 
@@ -140,6 +153,7 @@ INLINE void evaluate_sides(const int dim, const int rot, const int second, const
                 w->z[i] = in[i] + sign * w->zk[k * block + i];
                 w->z[block + known + i] = in[block + known + i] + sign * w->before[k * block + i];
             }
+            put_radius(dim, rot, second, in, sign, k, w);
             kernel(w->z, w->moduli + (2 * k + down) * outputs * LANES);
         }
 }

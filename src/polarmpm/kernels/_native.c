@@ -15,9 +15,9 @@ int polarmpm_interface(void) { return INTERFACE; }
  * nowhere; for the test of _layout.h. */
 int polarmpm_slot(int32_t dim, int32_t rot, int32_t second, int32_t component, int32_t axis)
 {
-    if (axis >= dim) return second && component < dim ? second_slot(dim, rot, component) + axis - dim : -1;
+    if (axis >= dim) return second == SECOND && component < dim ? second_slot(dim, rot, component) + axis - dim : -1;
     if (axis >= 0) return gradient_slot(dim, rot, component) + axis;
-    return has_value(dim, component) ? value_slot(dim, rot, component) : -1;
+    return has_value(dim, second, component) ? value_slot(dim, rot, component) : -1;
 }
 
 int polarmpm_unknowns(int32_t dim, int32_t rot, int32_t second) { return unknowns_of(dim, rot, second); }
@@ -131,7 +131,7 @@ INLINE void evaluate(const int dim, const int rot, const int second, const Batch
         }
         vec *s = w->shapes + (int64_t)l * shapes_of(second) * sv;
         shape(dim, b, p, b->count + *group * dim, b->state + p * ns, sv * WIDTH, (double *)s);
-        if (second) second_shape(dim, b, p, b->count + *group * dim, b->state + p * ns, n, sv, w->raw, s);
+        if (second == SECOND) second_shape(dim, b, p, b->count + *group * dim, b->state + p * ns, n, sv, w->raw, s);
         interpolate(dim, rot, second, nv, sv, s, w->x, w->in + l, LANES);
         if (kernels->before)
             interpolate(dim, rot, second, nv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l, LANES);
@@ -156,6 +156,7 @@ INLINE void evaluate(const int dim, const int rot, const int second, const Batch
         for (int k = nz + ns + np; kernels->before && k < 2 * nz + ns + np; ++k)
             w->in[k * LANES + l] = w->in[k * LANES + lanes - 1];
         for (int k = 0; k < 2 * SPIN; ++k) w->cin[k * LANES + l] = w->cin[k * LANES + lanes - 1];
+        for (int k = 0; kernels->box_hoop && k < dim; ++k) w->boxes.hoop[k * LANES + l] = w->boxes.hoop[k * LANES + lanes - 1];
         for (int k = 0; kernels->box_axes && k < dim * nz; ++k) {
             w->boxes.zk[k * LANES + l] = w->boxes.zk[k * LANES + lanes - 1];
             w->boxes.before[k * LANES + l] = w->boxes.before[k * LANES + lanes - 1];
@@ -213,7 +214,7 @@ static int create_work(const Batch *b, int tangent, int scatter, int boxes, Work
                 .iin = vectors((nz + b->dim * b->dim + INITIAL_MAX) * LANES), .iout = vectors((size_t)outputs * LANES),
                 .A = vectors((size_t)LANES * nz * nz),
                 .shapes = vectors(LANES * shapes_of(b->second) * stride),
-                .raw = vectors(b->second ? (3 + PAIRS) * stride : 1), .x = vectors(nb * stride), .before = vectors(nb * stride),
+                .raw = vectors(b->second == SECOND ? (3 + PAIRS) * stride : 1), .x = vectors(nb * stride), .before = vectors(nb * stride),
                 .f = vectors(nb * stride), .K = vectors(tangent && scatter ? most * nb * nb * stride : 1),
                 .at = malloc(sizeof(Place) * (most + 1)), .sv = (int)sv, .gathered = -1};
     if (!(w->in && w->out && w->cin && w->cout && w->iin && w->iout && w->A && w->shapes && w->raw && w->x && w->before && w->f && w->K && w->at))
@@ -240,7 +241,7 @@ INLINE void gather(const int dim, const int rot, const int second, const Batch *
         for (int64_t p = b->offsets[g]; p < b->offsets[g + 1]; ++p) {
             const double *frame = framed ? b->state + p * b->nstate : NULL;
             shape(dim, b, p, b->count + g * dim, frame, sv * WIDTH, (double *)w->shapes);
-            if (second) second_shape(dim, b, p, b->count + g * dim, frame, n, sv, w->raw, w->shapes);
+            if (second == SECOND) second_shape(dim, b, p, b->count + g * dim, frame, n, sv, w->raw, w->shapes);
             interpolate(dim, rot, second, nv, sv, w->shapes, w->x, z + p * nz, 1);
             for (int i = 0; value && i < nb; ++i) value[p * nb + i] = dot(nv, w->x + i * sv, w->shapes);
         }
@@ -413,7 +414,7 @@ INLINE void gather_boxes(const int dim, const int rot, const int second, const B
         gather_group(nb, n, sv, b->nodes + b->node_offsets[g], x, w->x);
         for (int64_t p = b->offsets[g]; p < b->offsets[g + 1]; ++p) {
             shape(dim, b, p, count, b->state + p * b->nstate, sv * WIDTH, (double *)w->shapes);
-            if (second) second_shape(dim, b, p, count, b->state + p * b->nstate, n, sv, w->raw, w->shapes);
+            if (second == SECOND) second_shape(dim, b, p, count, b->state + p * b->nstate, n, sv, w->raw, w->shapes);
             interpolate(dim, rot, second, nv, sv, w->shapes, w->x, z + p * nz, 1);
             find_sides(dim, second, b, kernels, p, count, n, sv, 0, &w->boxes);
             gather_sides(dim, rot, second, kernels, p, nv, sv, w->x, 0, &w->boxes, zk + p * dim * nz, 1);
