@@ -25,7 +25,7 @@ from .facets import group_surfaces
 from .partition import distribute
 from .points import Points
 from .regions import Regions, materials_of
-from .revolution import check_axisymmetric, rings
+from .revolution import check_axisymmetric, turned
 from .seeding import check_inside
 
 
@@ -100,7 +100,7 @@ def _points(
     if axisymmetric:
         with errors_on_all_ranks(grid.comm):
             check_axisymmetric(x, materials[0])
-        x, volume, axes = rings(x, volume, axes)
+        volume = turned(volume, x)
     points = Points(x, volume, half, materials[0], grid.comm, half_axes=axes, axisymmetric=axisymmetric)
     parts = len(x) // max(len(of_cell), 1)
     points.put_materials(materials, np.repeat(of_cell, parts))

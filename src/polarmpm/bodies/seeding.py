@@ -19,7 +19,7 @@ from ..tools.parallel import errors_on_all_ranks
 from .cutboxes import half_axes, inside_parts
 from .partition import distribute
 from .points import Points
-from .revolution import check_axisymmetric, rings
+from .revolution import check_axisymmetric, turned
 
 _CHUNK = 1_000_000  # positions tested at once
 _MOST = 2**32  # candidates of a rank: minutes to hours of search
@@ -63,8 +63,7 @@ def seed(
         cut: False keeps whole boxes whose centres are inside, as in the papers; the body's volume is then
             only met on average.
         axisymmetric: the body is one of revolution about the axis x = 0, of which this is the section: a
-            point is a ring, at the centroid and with the volume and the second moments of what its box
-            becomes by a whole turn.
+            point stands for the ring that its box becomes by a whole turn, with the ring's volume.
 
     Raises:
         InputError: an argument is out of range, no point lies inside the body, or more points or candidates
@@ -94,7 +93,7 @@ def seed(
     if checks.flag("axisymmetric", axisymmetric):
         with errors_on_all_ranks(grid.comm):
             check_axisymmetric(made.x, material)
-        made.x, made.volume, axes0 = rings(made.x, made.volume, axes0)
+        made.volume = turned(made.volume, made.x)
     points = Points(
         made.x,
         made.volume,

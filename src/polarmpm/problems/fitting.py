@@ -16,7 +16,7 @@ from ..geometry.grid import Grid
 from ..tools import checks
 
 ASSEMBLIES = ("direct", "projection")
-_AT_AXIS = 4.0 / 3.0 + 1e-3  # of a half width: where the centroid of the ring nearest to the axis is
+_AT_AXIS = 1.0 + 1e-6  # of a half width: where the ring nearest to the axis is
 
 
 def check_assembly(assembly: str, basis: Basis) -> str:
@@ -71,8 +71,7 @@ def check_revolution(grid: Grid, points: Points, assembly: str) -> None:
 
 
 def touches_axis(points: Points) -> bool:
-    """Whether a body of revolution reaches its axis: a ring from there has its centroid at 4/3 of its half
-    width. Collective."""
+    """Whether a body of revolution reaches its axis. Collective."""
     with np.errstate(divide="ignore"):
         nearest = np.min(points.X[:, 0] / points.half_length0[:, 0], initial=np.inf)
     return bool(points.comm.allreduce(float(nearest), op=MPI.MIN) < _AT_AXIS)
