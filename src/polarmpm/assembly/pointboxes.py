@@ -172,7 +172,7 @@ class PointBoxes:
     def side(
         self, k: int, sign: float, z: np.ndarray, zk: np.ndarray, both: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | float]:
-        """z and states (n, ...) on a side of half axis k, of what `gather` gives, and what the side counts."""
+        """z and states (n, ...) on a side of half axis k, of what `gather` gives; what the side counts."""
         state: np.ndarray = self.batch.kept["state"]
         there: np.ndarray = z + sign * zk[:, k]
         if both is None:
