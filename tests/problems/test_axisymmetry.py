@@ -1,4 +1,4 @@
-"""Bodies of revolution, of points and of elements: patch tests, tangents, closed forms, and what is refused."""
+"""Bodies of revolution, of points and of elements: patch tests, tangents, closed forms."""
 
 from __future__ import annotations
 
