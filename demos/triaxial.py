@@ -198,7 +198,7 @@ def exact_at(kind, strains):
     first, rows = yields_at(kind), []
     for e in strains:
         eta = bisected(lambda eta, e=e: clay_at(kind, eta, first)[0] - e, 0.0, SLOPE * (1 - 1e-13))
-        rows.append(clay_at(kind, eta, first))
+        rows.append((e, *clay_at(kind, eta, first)[1:]))  # beyond that eta the state is the critical one
     return np.array(rows)
 
 
@@ -238,7 +238,7 @@ def main(argv=None):
             "--tests": {"nargs": "+", "choices": tuple(NAMES), "default": list(NAMES)},
             "--basis": {
                 "choices": ("bspline", "mpm", "gimpm", "fem1", "fem2"),
-                "default": "bspline",
+                "default": "gimpm",
                 "help": "weighting functions, or elements of degree 1 or 2",
             },
             "--cells": {"type": demo.count, "default": 2, "help": "along the radius"},
