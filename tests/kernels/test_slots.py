@@ -5,14 +5,15 @@ from __future__ import annotations
 import pytest
 
 from polarmpm.kernels import native, structures
-from polarmpm.kinematics.layout import SECOND, Layout
+from polarmpm.kinematics.layout import AXIAL, SECOND, Layout
 
 LAYOUTS = [Layout(2, 0), Layout(3, 0), Layout(2, 1), Layout(3, 3), Layout(2, 0, SECOND), Layout(3, 0, SECOND)]
+LAYOUTS += [Layout(2, 0, AXIAL), Layout(2, 1, AXIAL)]
 
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=str)
 def test_every_slot_is_where_c_has_it(layout):
-    lib, d, r, second = native.library(), layout.dim, layout.rotations, int(layout.second)
+    lib, d, r, second = native.library(), layout.dim, layout.rotations, layout.kind
     assert lib.polarmpm_unknowns(d, r, second) == layout.unknowns
     derivatives = [(), *layout.axes(1), *layout.axes(2)]
     in_c = {

@@ -116,8 +116,8 @@ def carry_stress(system: LoadedPoints) -> None:
 
 def carry_forces(system: LoadedPoints) -> None:
     """The same with forces alone. Collective."""
-    assert system.initial is not None
-    system.initial.replace(np.zeros_like(system.interpolation.reference.initial_stress))
+    if system.initial is not None:
+        system.initial.replace(np.zeros_like(system.interpolation.reference.initial_stress))
     left = system.imbalance()
     system.carried = left + closing(system, left)
 
@@ -178,6 +178,8 @@ def _sums(system: NodalSystem) -> np.ndarray:
     out = np.zeros((d + len(axes), own, d + r))
     for i in range(d):
         out[i, :, i] = 1.0
+    if system.layout.axial:  # what is across the axis balances over a turn
+        return out[1:2]
     for row, (i, j, k) in enumerate(axes, d):
         out[row, :, j], out[row, :, i] = x[:, i] / size, -x[:, j] / size
         if r:

@@ -49,7 +49,11 @@ class ElementPatches(Patches):
         self._length = self.count * e.nodes * self.block * self.modes
 
     def vectors(
-        self, kernels: native.PointKernels, work: np.ndarray, sides: np.ndarray | None = None
+        self,
+        kernels: native.PointKernels,
+        work: np.ndarray,
+        sides: np.ndarray | None = None,
+        both: np.ndarray | None = None,
     ) -> np.ndarray:
         out = np.zeros(self._length)
         own = ctypes.byref(self.elements), ctypes.byref(self._structure)

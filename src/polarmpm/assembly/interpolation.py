@@ -143,7 +143,7 @@ class Interpolation:
             batch,
             dim=self.layout.dim,
             rot=self.layout.rotations,
-            second=int(form.layout.second),
+            second=form.layout.kind,
             slots=w.table.shape[-1],
             orders=w.table.shape[-2],
             nstate=form.packed_size,
@@ -185,7 +185,8 @@ class Interpolation:
         for b in self.batches:
             second = r.grad_F[b.rows] if b.form.layout.second else None
             plastic = p.plastic_state(b.rows)
-            state = b.form.pack(r.F[b.rows], r.q[b.rows], r.wryness[b.rows], plastic, second)
+            radii = np.stack([p.X[b.rows, 0], r.x[b.rows, 0]], axis=1)
+            state = b.form.pack(r.F[b.rows], r.q[b.rows], r.wryness[b.rows], plastic, second, radii)
             if isinstance(b.form, ProjectedForm):
                 state = b.form.extend(state, r.stiff_scalars[b.rows])
             native.fill(b.batch, state=np.ascontiguousarray(state), param=parameter_values(b.form.material))

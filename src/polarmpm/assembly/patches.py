@@ -156,14 +156,21 @@ class Patches:
 
     # sums -----------------------------------------------------------------------------------------
     def vectors(
-        self, kernels: native.PointKernels, work: np.ndarray, sides: np.ndarray | None = None
+        self,
+        kernels: native.PointKernels,
+        work: np.ndarray,
+        sides: np.ndarray | None = None,
+        both: np.ndarray | None = None,
     ) -> np.ndarray:
         """Vectors of the modes from what does work on z per volume, (n, scalars, nz), and on its derivatives
-        along the points' half axes (n, d, scalars, nz), of which the kernels know the axes."""
+        along the points' half axes (n, d, scalars, nz), of which the kernels know the axes; `both`: of bodies
+        of revolution, on what values have on both sides (n, d, scalars, values)."""
         out = np.zeros(self._length)
         own = ctypes.byref(self.batch), ctypes.byref(kernels), ctypes.byref(self._structure)
         flat = None if sides is None else np.ascontiguousarray(sides)
-        if native.library().polarmpm_patch_vectors(*own, np.ascontiguousarray(work), flat, out):
+        if both is not None:  # room for all values that there may be
+            both = np.concatenate([both, np.zeros_like(both)], axis=-1)[..., :2].copy()
+        if native.library().polarmpm_patch_vectors(*own, np.ascontiguousarray(work), flat, both, out):
             raise MemoryError("no memory for the sums over patches")
         return out
 

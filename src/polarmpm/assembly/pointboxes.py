@@ -6,7 +6,8 @@ rule of degree 3 with its centre and the centres of its faces,
 
     W(z) + share / 6 sum_k [W(z + z_k) + W(z - z_k) - 2 W(z)].
 
-The sums over points hold the first term; what the others add is here. Plastic points take their elastic
+In a body of revolution the sides count more outside, and are at other radii (docs/theory.md). The sums over
+points hold the first term; what the others add is here. Plastic points take their elastic
 energy at frozen flow, with a small share once they have flowed: the energy of points that flow on hardly
 grows.
 """
@@ -19,11 +20,13 @@ import numpy as np
 
 from ..bodies.points import Points
 from ..bodies.reference import Reference
-from ..kernels import native
+from ..kernels import native, structures
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
 
+_BENT = structures.constant("_boxes.h", "BENT")
+_INSIDE = 1.0 - 1e-9  # how far a box may reach to the axis of a body of revolution, over its radius
 FLOWED = 0.01  # share of points that have flowed: what keeps cells from deforming for nothing
 
 
@@ -47,7 +50,14 @@ class PointBoxes:
         d = layout.dim
         F, self._half_axes0 = reference.F[rows, :d, :d], points.half_axes0[rows]
         axes = np.einsum("pij,pkj->pki", F, self._half_axes0)
+        hoop: np.ndarray | None = None
+        if layout.axial:  # a box that has been sheared may come to reach over the axis
+            hoop = axes[:, :, 0] / reference.x[rows, :1]
+            shorter = _INSIDE / np.maximum(np.abs(hoop), _INSIDE)
+            axes, hoop = axes * shorter[:, :, None], np.ascontiguousarray(hoop * shorter)
         self._arrays: dict[str, np.ndarray] = {"box_axes": np.ascontiguousarray(axes)}
+        if hoop is not None:
+            self._arrays["box_hoop"] = hoop
 
     @property
     def share(self) -> np.ndarray:
@@ -87,7 +97,7 @@ class PointBoxes:
         """Put into the reference state how the wryness at the sides has come to differ from that at the
         points; before the rotations get a new base, at nodal increments x (nodes, block)."""
         layout, d, r, n = self.layout, self.layout.dim, self.layout.rotations, len(self.rows)
-        z, zk = self.gather(x)
+        z, zk, both = self.gather(x)
         back = np.linalg.inv(self._to_frame(reference))
         turn_back = np.swapaxes(rotations.to_tensor(reference.q[self.rows]), 1, 2)
         turn = rotations.to_tensor(self.points.q[self.rows])
@@ -101,7 +111,8 @@ class PointBoxes:
             return added
 
         for k in range(d):
-            odd = 0.5 * (wryness(z + zk[:, k]) - wryness(z - zk[:, k]))
+            up, down = (self.side(k, sign, z, zk, both)[0] for sign in (1.0, -1.0))
+            odd = 0.5 * (wryness(up) - wryness(down))
             reference.side_gradients[self.rows, k] = (turn @ odd)[:, 3 - r :]
 
     def put(self, kernels: native.PointKernels, kernel: Kernel | None) -> None:
@@ -135,17 +146,41 @@ class PointBoxes:
         if add(ctypes.byref(self.batch), ctypes.byref(kernels), ctypes.byref(matrix), int(whole), x, lifted):
             raise MemoryError("no memory for the sums over the points' boxes")
 
-    def gather(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """z (n, unknowns), gradients in the frame of the state, and z_k (n, d, unknowns) at nodal
-        increments."""
-        n, nz = len(self.rows), self.layout.unknowns
-        z, zk = np.empty((n, nz)), np.empty((n, self.layout.dim, nz))
+    def gather(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """z (n, unknowns), gradients in the frame of the state, z_k (n, d, unknowns) at nodal increments, and
+        what is the same on both sides of half axis k, (n, d, unknowns), of a body of revolution."""
+        n, d, nz = len(self.rows), self.layout.dim, self.layout.unknowns
+        z, zk = np.empty((n, nz)), np.empty((n, d, nz))
+        bent = np.zeros((n, d, _BENT)) if self.layout.axial else None
         kernels = native.PointKernels()
         self.put(kernels, None)
         gather = native.library().polarmpm_gather_boxes
-        if gather(ctypes.byref(self.batch), ctypes.byref(kernels), x, z, zk):
+        if gather(ctypes.byref(self.batch), ctypes.byref(kernels), x, z, zk, bent):
             raise MemoryError("no memory for the points' boxes")
-        return z, zk
+        if bent is None:
+            return z, zk, None
+        both = np.zeros_like(zk)
+        both[:, :, self.value_slots] = bent[:, :, : len(self.value_slots)]
+        return z, zk, both
+
+    @property
+    def value_slots(self) -> list[int]:
+        """Slots of values in z, in the order of the compiled loops."""
+        fields = ("radial", "rotation")[: 1 + self.layout.rotations]
+        return [self.layout.where(field).start for field in fields]
+
+    def side(
+        self, k: int, sign: float, z: np.ndarray, zk: np.ndarray, both: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | float]:
+        """z and states (n, ...) on a side of half axis k, of what `gather` gives; what the side counts."""
+        state: np.ndarray = self.batch.kept["state"]
+        there: np.ndarray = z + sign * zk[:, k]
+        if both is None:
+            return there, state, 1.0
+        state, first = state.copy(), self.layout.state(rotated=False).at_hoop.start + 1
+        weight = 1.0 + sign * self._arrays["box_hoop"][:, k, None]
+        state[:, first : first + 1 + self.layout.rotations] /= weight
+        return there + both[:, k], state, weight
 
     def energies(self, kernel: Kernel, x: np.ndarray) -> np.ndarray:
         """Strain energy (J) of the points (n,) that is in the variation over their boxes.
@@ -153,15 +188,15 @@ class PointBoxes:
         Args:
             kernel: of the elastic energy, see `PointForm.compile_energy`.
         """
-        z, zk = self.gather(x)
-        known = self.batch.kept["state"], np.tile(self.batch.kept["param"], (len(z), 1))
-        energy = -2.0 * self.layout.dim * kernel(z, *known)[:, 0]
+        z, zk, both = self.gather(x)
+        numbers = np.tile(self.batch.kept["param"], (len(z), 1))
+        energy = -2.0 * self.layout.dim * kernel(z, self.batch.kept["state"], numbers)
         for k in range(self.layout.dim):
-            for side in (z + zk[:, k], z - zk[:, k]):
-                energy += kernel(side, *known)[:, 0]
-        weight: np.ndarray = self.share * self.batch.kept["volume"] / 6.0
-        energy *= weight
-        return energy
+            for sign in (1.0, -1.0):
+                there, state, weight = self.side(k, sign, z, zk, both)
+                energy += weight * kernel(there, state, numbers)
+        total: np.ndarray = energy[:, 0] * self.share * self.batch.kept["volume"] / 6.0
+        return total
 
     def work(self, kernel: Kernel, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Work (J) of the change of the elastic stresses on the change of the strains between nodal

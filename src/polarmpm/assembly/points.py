@@ -310,7 +310,8 @@ class PointSystem(OnPattern, LoadedPoints):
         values[:] = 0.0 if boxes is None or due else step.boxes
         if boxes is None or not due:
             return
-        whole = bool(np.any(self.x))  # right after a reset the sides have the moduli of the points
+        # right after a reset the sides have the moduli of the points, but at other radii
+        whole = bool(np.any(self.x)) or self.layout.axial
         for own, form, (_, kernel) in zip(boxes, self.interpolation.forms, self.kernels, strict=True):
             before = self.before if form.predicts else None
             own.add_moduli(kernel, self.pattern.matrix, self.x, before, lifted, whole=whole)

@@ -108,7 +108,9 @@ class ProjectedPoints(NodalSystem):
         if isinstance(batch.form, ProjectedForm):
             form, r, rows = batch.form.plain, i.reference, batch.rows
             plastic = i.points.plastic_state(rows)
-            state = form.pack(r.F[rows], r.q[rows], r.wryness[rows], plastic if form.material.plastic else ())
+            radii = np.stack([i.points.X[rows, 0], r.x[rows, 0]], axis=1)
+            plastic = plastic if form.material.plastic else ()
+            state = form.pack(r.F[rows], r.q[rows], r.wryness[rows], plastic, radii=radii)
             parameters = np.tile(parameter_values(form.material), (n, 1))
             kernel, inputs = batch.form.compile_plain(self.comm), (np.hstack([still, state, parameters]),)
         else:

@@ -30,17 +30,20 @@ if TYPE_CHECKING:
 @dataclass
 class Mean:
     """What a kernel gives at the points (n, k), and what their boxes add: to it, and times the derivatives
-    along the half axes (n, d, k); None without boxes."""
+    along the half axes (n, d, k); None without boxes. Of bodies of revolution also times what is the same on
+    both sides of a half axis (n, d, k)."""
 
     at_points: np.ndarray
     even: np.ndarray | None = None
     odd: np.ndarray | None = None
+    both: np.ndarray | None = None
 
     def columns(self, first: int, end: int) -> Mean:
         """Some of the columns."""
         even = None if self.even is None else self.even[:, first:end]
         odd = None if self.odd is None else self.odd[:, :, first:end]
-        return Mean(self.at_points[:, first:end], even, odd)
+        both = None if self.both is None else self.both[:, :, first:end]
+        return Mean(self.at_points[:, first:end], even, odd, both)
 
     @property
     def whole(self) -> np.ndarray:
@@ -101,6 +104,8 @@ class StiffScalars:
         self._parameters = np.tile(self._batch.batch.kept["param"], (n, 1))
         self._z: np.ndarray = np.zeros((n, form.layout.unknowns))
         self._zk: np.ndarray | None = None
+        self._both: np.ndarray | None = None
+        self._value_slots: list[int] = []
 
     # at the points --------------------------------------------------------------------------------
     @property
@@ -117,26 +122,40 @@ class StiffScalars:
     def _inputs(self, z: np.ndarray) -> tuple[np.ndarray, ...]:
         return z, self._state, self._parameters
 
+    def _on_side(self, kernel: Kernel, boxes: PointBoxes, k: int, sign: float) -> np.ndarray:
+        """What a kernel gives on a side of the boxes, times what the side counts."""
+        assert self._zk is not None
+        z, state, weight = boxes.side(k, sign, self._z, self._zk, self._both)
+        found: np.ndarray = weight * kernel(z, state, self._parameters)
+        return found
+
     def _mean(self, kernel: Kernel, boxes: PointBoxes | None) -> Mean:
         here = kernel(*self._inputs(self._z))
         if boxes is None or self._zk is None:
             return Mean(here)
         d = self._zk.shape[1]
         even, odd = -2.0 * d * here, np.empty((len(here), d, here.shape[1]))
+        both = None if self._both is None else np.empty_like(odd)
         for k in range(d):
-            up, down = (kernel(*self._inputs(self._z + s * self._zk[:, k])) for s in (1.0, -1.0))
+            up, down = (self._on_side(kernel, boxes, k, s) for s in (1.0, -1.0))
             even += up + down
             odd[:, k] = up - down
+            if both is not None:
+                both[:, k] = up + down
         weight = boxes.share / 6.0
-        return Mean(here, weight[:, None] * even, weight[:, None, None] * odd)
+        if both is not None:
+            both *= weight[:, None, None]
+        return Mean(here, weight[:, None] * even, weight[:, None, None] * odd, both)
 
     def place(self, x: np.ndarray, boxes: PointBoxes | None) -> Mean:
         """Put t at nodal values x (nodes, block) into the state; e and e_z at the points."""
         nz = self.form.layout.unknowns
         if boxes is None:
             self._z, self._zk = self._interpolation.kernel_inputs(self._batch, x)[:, :nz].copy(), None
+            self._both = None
         else:
-            self._z, self._zk = boxes.gather(x)
+            self._z, self._zk, self._both = boxes.gather(x)
+            self._value_slots = [] if self._both is None else boxes.value_slots
         measure = self._mean(self.kernels.measure, boxes)
         values = measure.whole[:, : self.form.scalars]
         self._put(0, self.patches.at_points(self.patches.moments(values)))
@@ -146,7 +165,10 @@ class StiffScalars:
     def _vectors(self, mean: Mean, kernels: native.PointKernels) -> np.ndarray:
         m, nz, n = self.form.scalars, self.form.layout.unknowns, len(self._z)
         sides = None if mean.odd is None else mean.odd.reshape(n, mean.odd.shape[1], m, nz)
-        return self.patches.vectors(kernels, mean.whole.reshape(n, m, nz), sides)
+        both = None
+        if mean.both is not None:
+            both = mean.both.reshape(n, mean.both.shape[1], m, nz)[..., self._value_slots]
+        return self.patches.vectors(kernels, mean.whole.reshape(n, m, nz), sides, both)
 
     def evaluate(
         self,
@@ -175,7 +197,7 @@ class StiffScalars:
             mean.columns(m, m + m * nz),
             mean.columns(m + m * nz, m * (1 + nz + m)),
         )
-        zt = Mean(tz.at_points, tz.even, tz.odd)
+        zt = Mean(tz.at_points, tz.even, tz.odd, tz.both)
         if yielding is not None and len(yielding.rows):
             _put_yielding(yielding, (by_t, tz, zt, tt), nz, m, tangent=tangent)
         exact = self.patches.moments(by_t.whole)
@@ -228,15 +250,17 @@ class StiffScalars:
         self.place(x, boxes)
         t = self._state[:, self.form.state_size]
 
-        def away(z: np.ndarray) -> np.ndarray:
-            found: np.ndarray = (self.kernels.measure(*self._inputs(z))[:, 0] - t) ** 2
+        def away(z: np.ndarray, state: np.ndarray, *_: object) -> np.ndarray:
+            found: np.ndarray = (self.kernels.measure(z, state, self._parameters)[:, 0] - t) ** 2
             return found
 
-        total = away(self._z)
+        total = away(self._z, self._state)
         if boxes is not None and self._zk is not None:
             d, weight, here = self._zk.shape[1], boxes.share / 6.0, total
-            sides = (self._z + s * self._zk[:, k] for k in range(d) for s in (1.0, -1.0))
-            total = here + weight * (sum(away(side) for side in sides) - 2.0 * d * here)
+            at = self._z, self._zk, self._both
+            sides = (boxes.side(k, s, *at) for k in range(d) for s in (1.0, -1.0))
+            there = sum(np.ravel(side[2]) * away(*side) for side in sides)
+            total = here + weight * (there - 2.0 * d * here)
         return 0.5 * self.form.stabilisation * float(total @ self.patches.volume)
 
     def values(self, x: np.ndarray) -> np.ndarray:

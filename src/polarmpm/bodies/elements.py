@@ -25,6 +25,7 @@ from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks
 from .facets import Facets, FacetSurface
 from .points import Points
 from .regions import Regions, materials_of
+from .revolution import check_axisymmetric, turned
 
 # exact for the stiffness of undistorted elements: degree + 1 Gauss points a direction on boxes
 _QUADRATURE = {"tensor": (3, 5, 7), "simplex": (2, 4, 6)}
@@ -42,6 +43,8 @@ class Elements:
         quadrature_degree: of the integration rule; default: 3, 5 and 7 on boxes (2, 3 and 4 Gauss
             points a direction), 2, 4 and 6 on simplices.
         cells, facets: tags (dolfinx MeshTags) of a dolfinx mesh.
+        axisymmetric: the body is one of revolution about the axis x = 0, of which the mesh is the section, at
+            x >= 0; volumes, areas and loads are those of whole turns.
         comm: of the ranks that share the body; default: the mesh's, of files and models all ranks.
 
     Attributes:
@@ -67,6 +70,7 @@ class Elements:
         cells: Any = None,
         facets: Any = None,
         comm: MPI.Comm | None = None,
+        axisymmetric: bool = False,
     ):
         given = material.values() if isinstance(material, Mapping) else [material]
         gradient = any(getattr(m, "second_gradient", False) is True for m in given)
@@ -84,7 +88,8 @@ class Elements:
         rule = whole("quadrature_degree", rule, least=1, most=20, allowed="a whole number from 1 to 20")
         self.degree, self.quadrature_degree = degree, rule
         materials, of_cell = materials_of(self.body, material)
-        self.layout = Layout.of(materials[0], self.dim)
+        self.axisymmetric = checks.flag("axisymmetric", axisymmetric)
+        self.layout = Layout.of(materials[0], self.dim, self.axisymmetric)
         self.space = compat.function_space(self.mesh, self.layout.block, degree)
         self.nodes = SpaceNodes(self.space, self.dim)
         self.cell_nodes = compat.cell_dofs(self.space)
@@ -105,16 +110,20 @@ class Elements:
         position, determinant = ufl.SpatialCoordinate(self.mesh), ufl.JacobianDeterminant(self.mesh)
         geometry = ufl.as_vector([*(position[i] for i in range(self.dim)), determinant])
         values = compat.Evaluator(self.mesh, geometry, xi)(own)
-        volume = (np.abs(values[:, :, -1]) * weight).ravel()
+        area = volume = (np.abs(values[:, :, -1]) * weight).ravel()
         error = None
         if len(volume) and not volume.min() > 0:
             error = InputError(
                 f"quadrature_degree = {self.quadrature_degree}: the rule has weights that are not positive"
             )
         raise_on_all_ranks(self.comm, error)
-        half = np.tile(0.5 * volume[:, None] ** (1 / self.dim), (1, self.dim))
+        half = np.tile(0.5 * area[:, None] ** (1 / self.dim), (1, self.dim))
         x = values[:, :, : self.dim].reshape(-1, self.dim)
-        points = Points(x, volume, half, materials[0], self.comm)
+        if self.axisymmetric:
+            with errors_on_all_ranks(self.comm):
+                check_axisymmetric(x, materials[0])
+            volume = turned(area, x)
+        points = Points(x, volume, half, materials[0], self.comm, axisymmetric=self.axisymmetric)
         points.put_materials(materials, np.repeat(of_cell, len(xi)))
         points._mesh = self.mesh
         points.id = (self.body.original_cells[:, None] * len(xi) + np.arange(len(xi))).ravel()
@@ -122,9 +131,16 @@ class Elements:
         return points
 
     @property
+    def turn(self) -> Any:
+        """Length of a whole turn in a body of revolution, in UFL; else 1."""
+        return 2 * np.pi * ufl.SpatialCoordinate(self.mesh)[0] if self.axisymmetric else 1
+
+    @property
     def cell_size(self) -> float:
         """Typical edge (m): mean volume of a cell to the power of 1/d. Collective."""
-        sums = self.comm.allreduce(np.array([self.points.volume0.sum(), len(self.body.owned_cells)]))
+        p = self.points
+        volume = p.volume0 / (2 * np.pi * p.X[:, 0]) if self.axisymmetric else p.volume0
+        sums = self.comm.allreduce(np.array([volume.sum(), len(self.body.owned_cells)]))
         return float((sums[0] / sums[1]) ** (1 / self.dim))
 
     # groups of facets -----------------------------------------------------------------------------
@@ -216,7 +232,7 @@ class Elements:
     def _integrals(self, facets: np.ndarray) -> np.ndarray:
         """Integrals of the shape functions over facets, in column 0 of (nodes, block); ghosts' part apart."""
         v = ufl.TestFunction(self.space)
-        form = compat.compile_form(v[0] * self.surface_measure(facets))
+        form = compat.compile_form(v[0] * self.turn * self.surface_measure(facets))
         return compat.assemble_vector(form, len(self.nodes)).reshape(-1, self.layout.block)
 
     def surface_measure(self, facets: np.ndarray) -> Any:

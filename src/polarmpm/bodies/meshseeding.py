@@ -16,14 +16,16 @@ from ..errors import InputError
 from ..geometry.grid import Grid, box_indices
 from ..geometry.meshes import BodyMesh
 from ..materials.base import Material
-from ..tools import compat
+from ..tools import checks, compat
 from ..tools.checks import instance, whole
 from ..tools.meetings import collective
+from ..tools.parallel import errors_on_all_ranks
 from .cutboxes import half_axes
 from .facets import group_surfaces
 from .partition import distribute
 from .points import Points
 from .regions import Regions, materials_of
+from .revolution import check_axisymmetric, turned
 from .seeding import check_inside
 
 
@@ -37,6 +39,7 @@ def seed_mesh(
     degree: int | None = None,
     cells: Any = None,
     facets: Any = None,
+    axisymmetric: bool = False,
 ) -> Points:
     """Divide the cells of a mesh into parts, one a point. Collective.
 
@@ -59,6 +62,7 @@ def seed_mesh(
             in a triangle, 4 in a tetrahedron), which integrates squares itself: they have no half axes, and
             domains are boxes of equal volume.
         cells, facets: tags (dolfinx MeshTags) of a dolfinx mesh.
+        axisymmetric: as of `seed`; the mesh is the section.
 
     Raises:
         InputError: a mesh that can't be used, see `geometry.meshes.BodyMesh`; its dimension is not the
@@ -73,14 +77,17 @@ def seed_mesh(
     body = BodyMesh.of(mesh, grid.comm, cells=cells, facets=facets)
     if body.dim != grid.dim:
         raise InputError(f"mesh: its cells have {body.dim} dimensions, the grid has {grid.dim}")
-    points = _points(body, grid, material, number, degree)
+    axisymmetric = checks.flag("axisymmetric", axisymmetric)
+    points = _points(body, grid, material, number, degree, axisymmetric)
     points.surfaces = group_surfaces(body, partial(_facet_rule, body.cell, min(grid.smallest)))
     check_inside(grid, points)
     distribute(grid, points)
     return points
 
 
-def _points(body: BodyMesh, grid: Grid, material: Any, number: int, degree: int | None) -> Points:
+def _points(
+    body: BodyMesh, grid: Grid, material: Any, number: int, degree: int | None, axisymmetric: bool
+) -> Points:
     """Points in this rank's cells, with their materials and regions. Collective."""
     materials, of_cell = materials_of(body, material)
     if degree is None:
@@ -90,7 +97,11 @@ def _points(body: BodyMesh, grid: Grid, material: Any, number: int, degree: int 
         x, volume = _quadrature(body.mesh, degree, grid.comm)
         half = np.tile(0.5 * volume[:, None] ** (1.0 / grid.dim), (1, grid.dim))
         axes = np.zeros((len(x), grid.dim, grid.dim))
-    points = Points(x, volume, half, materials[0], grid.comm, half_axes=axes)
+    if axisymmetric:
+        with errors_on_all_ranks(grid.comm):
+            check_axisymmetric(x, materials[0])
+        volume = turned(volume, x)
+    points = Points(x, volume, half, materials[0], grid.comm, half_axes=axes, axisymmetric=axisymmetric)
     parts = len(x) // max(len(of_cell), 1)
     points.put_materials(materials, np.repeat(of_cell, parts))
     points.id = (body.original_cells[:, None] * parts + np.arange(parts)).ravel()

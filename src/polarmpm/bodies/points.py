@@ -23,6 +23,7 @@ from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import Route, communicator_named, errors_on_all_ranks, name_of
 from .regions import Regions
+from .revolution import check_axisymmetric
 from .selecting import Selecting
 from .selection import Selection, fingerprint
 
@@ -99,6 +100,8 @@ class Points(Selecting):
         velocity, acceleration: (m/s, m/s^2), vectors, and spin, spin_rate: of the microrotation (rad/s,
             rad/s^2), (np, 3); only once a dynamic problem has been made of the body. Accelerations are those
             of the method in time, not forces over masses.
+        axisymmetric: the body is one of revolution, x the radius and y along the axis: volumes are those of
+            whole turns, and F and the wryness have their hoop components in the third row and column.
         regions, surfaces: physical groups of the mesh that the points come from; see `region` and `surface`.
         arrangements: how often points have joined or been assigned a material; a problem is made of one.
 
@@ -128,6 +131,7 @@ class Points(Selecting):
     spin: np.ndarray
     spin_rate: np.ndarray
     steps: int = 0
+    axisymmetric: bool = False
     _mesh: Any = None  # of elements, whose communicator it is and dies with it
 
     @collective("Points", comm=lambda self, x, volume, half_length, material, comm, *args, **options: comm)
@@ -140,6 +144,7 @@ class Points(Selecting):
         comm: MPI.Comm,
         first_id: int = 0,
         half_axes: np.ndarray | None = None,
+        axisymmetric: bool = False,
     ):
         """Unloaded points at x (n, d) (m) with volumes (n,), domain half-lengths (n, d) and half axes
         (n, d, d) of their boxes, by default along the grid; collective.
@@ -150,8 +155,11 @@ class Points(Selecting):
         """
         self.comm = checks.communicator("comm", comm)
         self.materials: tuple[Material, ...] = (check_material(material),)
+        self.axisymmetric = checks.flag("axisymmetric", axisymmetric)
         with errors_on_all_ranks(comm):
             self._put_positions(x, volume, half_length, half_axes)
+            if self.axisymmetric:
+                check_axisymmetric(self.X, material)
             material.check_dimension(self.dim)
             first_id = checks.whole("first_id", first_id, least=0, most=2**61)
         n = len(self.x)
@@ -199,6 +207,8 @@ class Points(Selecting):
     def __repr__(self) -> str:
         of = "" if self.comm.size == 1 else f" of rank {self.comm.rank}, of {self.comm.size} ranks,"
         where, unit = ("in space", "m^3") if self.dim == 3 else ("in the plane", "m^2")
+        if self.axisymmetric:
+            where, unit = "of a body of revolution", "m^3"
         kinds = ", ".join(dict.fromkeys(type(m).__name__ for m in self.materials))
         return f"<Points: {len(self)} point(s){of} {where}, {self.volume0.sum():.6g} {unit}, {kinds}>"
 

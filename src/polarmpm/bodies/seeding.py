@@ -19,6 +19,7 @@ from ..tools.parallel import errors_on_all_ranks
 from .cutboxes import half_axes, inside_parts
 from .partition import distribute
 from .points import Points
+from .revolution import check_axisymmetric, turned
 
 _CHUNK = 1_000_000  # positions tested at once
 _MOST = 2**32  # candidates of a rank: minutes to hours of search
@@ -40,6 +41,7 @@ def seed(
     bounds: tuple[Sequence[float], Sequence[float]] | None = None,
     layout: str = "uniform",
     cut: bool = True,
+    axisymmetric: bool = False,
 ) -> Points:
     """Seed lattice cells with points and keep what is inside the body. Collective.
 
@@ -60,6 +62,8 @@ def seed(
             squares already: the boxes have no half axes, and aren't cut).
         cut: False keeps whole boxes whose centres are inside, as in the papers; the body's volume is then
             only met on average.
+        axisymmetric: the body is one of revolution about the axis x = 0, of which this is the section: a
+            point stands for the ring that its box becomes by a whole turn, with the ring's volume.
 
     Raises:
         InputError: an argument is out of range, no point lies inside the body, or more points or candidates
@@ -86,7 +90,19 @@ def seed(
             f"{of}: none of the candidate points between {grid.lower} and {grid.upper} is in the body"
         )
     axes0 = made.axes if layout == "uniform" else np.zeros_like(made.axes)
-    points = Points(made.x, made.volume, made.half, material, grid.comm, half_axes=axes0)
+    if checks.flag("axisymmetric", axisymmetric):
+        with errors_on_all_ranks(grid.comm):
+            check_axisymmetric(made.x, material)
+        made.volume = turned(made.volume, made.x)
+    points = Points(
+        made.x,
+        made.volume,
+        made.half,
+        material,
+        grid.comm,
+        half_axes=axes0,
+        axisymmetric=axisymmetric,
+    )
     distribute(grid, points)
     return points
 

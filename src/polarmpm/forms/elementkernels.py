@@ -41,7 +41,9 @@ class KernelForms(ElementForms):
         points = elements.points
         self.symmetric = not any(m.yields for m in points.materials)
         self._rows_of = [np.flatnonzero(points.material == m) for m in range(len(points.materials))]
-        self._point_forms = list(forms) or [make_form(m, elements.dim) for m in points.materials]
+        self._point_forms = list(forms) or [
+            make_form(m, elements.dim, points.axisymmetric) for m in points.materials
+        ]
         for form in self._point_forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
         self._comm = elements.comm
@@ -90,7 +92,8 @@ class KernelForms(ElementForms):
         p = self.elements.points
         self._states, self._turns = [], []
         for form, rows in zip(self._point_forms, self._rows_of, strict=True):
-            state = form.pack(p.F[rows], p.q[rows], p.wryness[rows], p.plastic_state(rows))
+            radii = np.stack([p.X[rows, 0], p.x[rows, 0]], axis=1)
+            state = form.pack(p.F[rows], p.q[rows], p.wryness[rows], p.plastic_state(rows), radii=radii)
             if isinstance(form, ProjectedForm):
                 state = form.extend(state, np.zeros((len(rows), form.scalars)))
             self._states.append(np.ascontiguousarray(state))
@@ -166,6 +169,7 @@ class NativeElementForms(KernelForms):
             out,
             dim=e.dim,
             rot=self.layout.rotations,
+            second=self.layout.kind,
             nodes=nodes,
             points=points,
             nstate=0 if form is None else form.packed_size,

@@ -99,7 +99,8 @@ class ElementForms:
     def pack(self) -> None:
         """Write the points' current state into the quadrature function."""
         p = self.elements.points
-        self.put_at_points(self.state, self.layout.state().pack(p.F, p.wryness, p.q))
+        layout, radii = self.layout.state(), np.stack([p.X[:, 0], p.x[:, 0]], axis=1)
+        self.put_at_points(self.state, layout.put_radii(layout.pack(p.F, p.wryness, p.q), radii))
 
     def put_at_points(self, function: Any, values: np.ndarray) -> None:
         """Set a quadrature function from values (np, c) at the points."""
@@ -145,7 +146,7 @@ class ElementForms:
     def residual_form(self) -> ufl.Form:
         """Virtual work of the stresses, T (3.145)-(3.146)."""
         return sum(
-            virtual_work(m, self._strains(m, self.x), self.x, self.test, numbers) * dx
+            virtual_work(m, self._strains(m, self.x), self.x, self.test, numbers) * self.elements.turn * dx
             for m, numbers, dx in self._parts()
         )
 
@@ -156,7 +157,7 @@ class ElementForms:
         for m, numbers, dx in self._parts():
             at = [self._strains(m, x) for x in (self.x, self.before)]
             unknowns = self.x, self.before, self.correction
-            form += tangent_work(m, at, unknowns, (self.test, self.trial), numbers) * dx
+            form += tangent_work(m, at, unknowns, (self.test, self.trial), numbers) * self.elements.turn * dx
         return form
 
     @cached_property
@@ -221,7 +222,7 @@ class ElementForms:
         """Virtual work of forces and couples per reference volume (a quadrature function of block size)."""
         degree = {"quadrature_degree": self.elements.quadrature_degree, "quadrature_rule": "default"}
         dx = ufl.Measure("dx", domain=self.elements.mesh, metadata=degree)
-        return self._work([density[i] for i in range(self.layout.block)]) * dx
+        return self._work([density[i] for i in range(self.layout.block)]) * self.elements.turn * dx
 
     def _work(self, load: list[Any]) -> Any:
         """f . dv + m . (spin): couples in space do work on the spin J_l(Dw) d(Dw) (docs/theory.md)."""
@@ -243,17 +244,24 @@ class ElementForms:
         ds, values = self.elements.surface_measure(facets.facets), _components(load)
         if follows:
             normal = ufl.FacetNormal(self.elements.mesh)
-            values = _components(kin.convected(ufl.as_vector(values), normal, self._deformation()))
+            now = kin.convected(ufl.as_vector(values), normal, self._deformation())
+            values = [self._hoop() * c for c in _components(now)]
         if couple:
-            return self._work([0.0] * self.layout.dim + values) * ds
-        return sum(f * self.test[i] for i, f in enumerate(values)) * ds
+            return self._work([0.0] * self.layout.dim + values) * self.elements.turn * ds
+        return sum(f * self.test[i] for i, f in enumerate(values)) * self.elements.turn * ds
 
     def pressure_work(self, facets: Facets, pressure: Any) -> Any:
         """Virtual work of a pressure (a scalar function) against the current normal."""
         area = ufl.dot(kin.cofactor(self._deformation()), ufl.FacetNormal(self.elements.mesh))
-        force = [-pressure * area[i] for i in range(self.layout.dim)]
+        force = [-pressure * self._hoop() * area[i] for i in range(self.layout.dim)]
         ds = self.elements.surface_measure(facets.facets)
-        return sum(f * self.test[i] for i, f in enumerate(force)) * ds
+        return sum(f * self.test[i] for i, f in enumerate(force)) * self.elements.turn * ds
+
+    def _hoop(self) -> Any:
+        """Stretch along the hoop on surfaces of a body of revolution."""
+        if not self.layout.axial:
+            return 1.0
+        return 1 + (self.total[0] + self.x[0]) / ufl.SpatialCoordinate(self.elements.mesh)[0]
 
     def _deformation(self) -> Any:
         """F on surfaces, from the total displacement."""

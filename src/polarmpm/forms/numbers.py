@@ -28,6 +28,7 @@ class QuadratureForms:
         space: of the unknowns, (u, w) at each node.
         degree: of the quadrature rule.
         symmetric: A is symmetric and its upper triangle is stored.
+        turn: of a body of revolution, length of a turn, see `Elements.turn`.
 
     Attributes:
         residual_values: s, a quadrature function of `layout.unknowns` components.
@@ -35,7 +36,7 @@ class QuadratureForms:
         residual, tangent: the compiled forms.
     """
 
-    def __init__(self, space: Any, layout: Layout, degree: int, symmetric: bool):
+    def __init__(self, space: Any, layout: Layout, degree: int, symmetric: bool, turn: Any = 1):
         from dolfinx import fem
 
         mesh, n = space.mesh, layout.unknowns
@@ -57,6 +58,6 @@ class QuadratureForms:
 
         # one product with the trial function a column: FFCx then finds the product A z in two cheap steps
         columns = [sum(entry(i, j) * test[i] for i in range(n)) for j in range(n)]
-        self.residual = compat.compile_form(sum(s[i] * test[i] for i in range(n)) * dx)
+        self.residual = compat.compile_form(sum(s[i] * test[i] for i in range(n)) * turn * dx)
         # hundreds of sums in one loop: GCC takes minutes over them with -O2, for code that is no faster
-        self.tangent = compat.compile_form(sum(columns[j] * trial[j] for j in range(n)) * dx, "-O1")
+        self.tangent = compat.compile_form(sum(columns[j] * trial[j] for j in range(n)) * turn * dx, "-O1")

@@ -73,8 +73,8 @@ class PlasticForm(PointForm):
 
     material: Plastic
 
-    def __init__(self, material: Material, dim: int):
-        super().__init__(material, dim)
+    def __init__(self, material: Material, dim: int, axial: bool = False):
+        super().__init__(material, dim, axial)
         self.regions, self.surfaces = check_regions(self.material)
         self._trial_kernel: Kernel | None = None
         self._returns: dict[str, Return] = {}
@@ -106,6 +106,7 @@ class PlasticForm(PointForm):
         wryness: np.ndarray,
         plastic: Sequence[np.ndarray],
         grad_F: np.ndarray | None = None,
+        radii: np.ndarray | None = None,
     ) -> np.ndarray:
         plastic_F, plastic_wryness, chi = plastic
         try:
@@ -116,7 +117,7 @@ class PlasticForm(PointForm):
             turn = rotations.to_tensor(q)
             back = np.swapaxes(turn, 1, 2)
             P, plastic_wryness = turn @ P @ back, turn @ plastic_wryness @ back
-        elastic = super().pack(F, q, wryness, plastic)
+        elastic = super().pack(F, q, wryness, plastic, radii=radii)
         return np.hstack([elastic, pack_plastic_state(self.layout, P, plastic_wryness, chi)])
 
     # trial state ----------------------------------------------------------------------------------

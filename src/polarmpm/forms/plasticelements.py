@@ -28,7 +28,7 @@ class PlasticElementForms(KernelForms):
     @cached_property
     def _quadrature_forms(self) -> QuadratureForms:
         e, _ = self.elements, self.compiled
-        return QuadratureForms(e.space, self.layout, e.quadrature_degree, symmetric=False)
+        return QuadratureForms(e.space, self.layout, e.quadrature_degree, symmetric=False, turn=e.turn)
 
     @property
     def residual(self) -> Any:

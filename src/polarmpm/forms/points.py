@@ -34,12 +34,13 @@ from .strains import predicts, strains, tangent_work, virtual_work
 
 
 class PointForm:
-    """Residual and tangent of a material at points in `dim` dimensions, as UFL forms and compiled."""
+    """Residual and tangent of a material at points in `dim` dimensions, as UFL forms and compiled; `axial`:
+    of a body of revolution."""
 
     scalars: int = 0  # that are projected, see `projected`
 
-    def __init__(self, material: Material, dim: int):
-        self.material, self.layout = material, Layout.of_points(material, dim)
+    def __init__(self, material: Material, dim: int, axial: bool = False):
+        self.material, self.layout = material, Layout.of_points(material, dim, axial)
         self.space = PointSpace(compat.point_domain())
         self.parameters = self.space.coefficient(len(parameter_values(material)))
         self.z = self.space.coefficient(self.unknowns)
@@ -97,12 +98,16 @@ class PointForm:
         wryness: np.ndarray,
         plastic: Sequence[np.ndarray],
         grad_F: np.ndarray | None = None,
+        radii: np.ndarray | None = None,
     ) -> np.ndarray:
         """States (n, state_size) of reference values at points; `plastic`: their `Points.plastic_state`,
-        `grad_F`: with second gradients."""
+        `grad_F`: with second gradients, `radii`: of bodies of revolution, undeformed and present ones (n,
+        2)."""
         if not self.rotated or not self.material.micropolar:
-            return self.layout.state().pack(F, wryness, q, grad_F)
-        return self.packing(MPI.COMM_SELF)(F, q, wryness)
+            layout = self.layout.state()
+            return layout.put_radii(layout.pack(F, wryness, q, grad_F), radii)
+        state = self.packing(MPI.COMM_SELF)(F, q, wryness)
+        return self.layout.state(rotated=True).put_radii(state, radii)
 
     def packing(self, comm: MPI.Comm) -> Kernel:
         """Kernel (F, q, Gamma) -> state in the rotated frame. Collective."""

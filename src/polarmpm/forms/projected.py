@@ -75,14 +75,22 @@ class ProjectedForm(PointForm):
         scalars: how many there are; the volume, or the trace, comes first.
     """
 
-    def __init__(self, material: Material, dim: int, *, rotation: bool = False, stabilisation: float = 0.0):
+    def __init__(
+        self,
+        material: Material,
+        dim: int,
+        axial: bool = False,
+        *,
+        rotation: bool = False,
+        stabilisation: float = 0.0,
+    ):
         turning = rotation and material.micropolar and (dim == 2 or material.measure == "trace")
         self.turns = (1 if dim == 2 else 3) if turning else 0
         self.scalars = 1 + self.turns
         self.stabilisation = stabilisation
         self._kernels: ScalarKernels | None = None
         self._plain_kernel: Kernel | None = None
-        super().__init__(material, dim)
+        super().__init__(material, dim, axial)
         self.extra = self.space.coefficient(2 * self.scalars + 1)  # pi, base and s
 
     # sizes ----------------------------------------------------------------------------------------
@@ -151,7 +159,7 @@ class ProjectedForm(PointForm):
         now, (F, U), m = self._unprojected, self._before, self.scalars
         base = [self.extra[m + k] for k in range(m)]
         if self.material.measure == "trace":
-            found = [sum(now.stretch[i, i] - U[i, i] for i in range(self.layout.dim))]
+            found = [sum(now.stretch[i, i] - U[i, i] for i in range(self.layout.stretched))]
             a, b = proj.axial(now.stretch), proj.axial(U)
             found += [a[i] - b[i] for i in range(3 - self.turns, 3)]
         else:
@@ -163,10 +171,9 @@ class ProjectedForm(PointForm):
     @cached_property
     def plain(self) -> PointForm:
         """The form of the elastic material without any projection, in the same frame."""
-        form = PointForm(self.material.elastic_part, self.layout.dim)
-        return (
-            form if form.rotated == self.rotated else Unrotated(self.material.elastic_part, self.layout.dim)
-        )
+        of = self.material.elastic_part, self.layout.dim, self.layout.axial
+        form = PointForm(*of)
+        return form if form.rotated == self.rotated else Unrotated(*of)
 
     def compile_plain(self, comm: MPI.Comm) -> Kernel:
         """Residual and tangent of `plain`, compiled when they are asked for first. Collective."""
@@ -177,7 +184,7 @@ class ProjectedForm(PointForm):
     @cached_property
     def moved(self) -> Moved:
         """The motion with projected scalars, Fbar in the place of F."""
-        now, dim = self._unprojected, self.layout.dim
+        now, dim = self._unprojected, self.layout.stretched
         gain = [t - e for t, e in zip(self._t, self.scalars_now, strict=True)]
         if self.material.measure == "trace":
             turn = ufl.as_vector([*[0.0] * (3 - self.turns), *gain[1:]]) if self.turns else None

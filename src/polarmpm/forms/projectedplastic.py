@@ -19,7 +19,7 @@ class ProjectedPlasticForm(ProjectedForm, PlasticForm):
 
     @cached_property
     def plain(self) -> PlasticForm:
-        return PlasticForm(self.material, self.layout.dim)
+        return PlasticForm(self.material, self.layout.dim, self.layout.axial)
 
     def strains(self) -> tuple[Any, ...]:
         return PlasticForm.strains(self)

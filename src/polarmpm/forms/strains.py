@@ -21,7 +21,8 @@ def motion(layout: Layout, z: Any, state: Any, *, rotated: bool) -> Moved:
         state: scalars (V~, Gamma~') in the rotated frame, else (F~, q~, Gamma~), or F~ of a classical
             material, (F~, H~) with second gradients; of a plane problem without the entries that are known.
     """
-    before, by = layout.state(rotated=rotated), Increment.of(layout, z)
+    before = layout.state(rotated=rotated)
+    by = Increment.of(layout, z, before.hoop(state))
     if not layout.rotations:
         return move(by, before.frame(state), grad_F=before.second_gradient(state))
     base = None if rotated else kin.quaternion_tensor(before.quaternion(state))

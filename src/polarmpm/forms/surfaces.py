@@ -65,6 +65,13 @@ class SurfaceForm:
     def _rotation(self, y: Any) -> Any:
         return self.slots.vector(y, "rotation")
 
+    def _hoop(self) -> tuple[Any, list[Any]]:
+        """Stretch along the hoop in a body of revolution, and the coefficients after those that give it."""
+        if not self.layout.axial:
+            return 1.0, self.coefficients
+        before, *others = self.coefficients
+        return before[0] + before[1] * self._displacement(self.y)[0], others
+
     def _values(self, y: Any) -> list[Any]:
         return [y[k] for k, slot in enumerate(self.slots.slots) if not slot.axes]
 
@@ -126,7 +133,8 @@ class FollowerTraction(SurfaceForm):
     """A force (N/m^2) and a couple (N/m) per current area that follow the surface, see
     `kinematics.tensors.convected`.
 
-    Data: F~ row by row, N, the force, and with `couples` the couple.
+    Data: F~ row by row, N, the force, and with `couples` the couple; before them, in a body of revolution,
+    F~_33 and 1 / R.
     """
 
     symmetric = False
@@ -134,15 +142,16 @@ class FollowerTraction(SurfaceForm):
     def __init__(self, layout: Layout, couples: bool):
         self.couples = couples
         d = layout.dim
-        super().__init__(layout, d * d, d, d, *([layout.rotations] if couples else []))
+        hoop = [2] if layout.axial else []
+        super().__init__(layout, *hoop, d * d, d, d, *([layout.rotations] if couples else []))
 
     def virtual_work(self) -> Any:
-        d, (before, n, *loads) = self.layout.dim, self.coefficients
+        d, (hoop, (before, n, *loads)) = self.layout.dim, self._hoop()
         f = ufl.dot(ufl.Identity(d) + self.slots.derivative(self.y, "displacement"), matrix(before, d, d))
         normal = ufl.as_vector([n[i] for i in range(d)])
         sizes = (d, self.layout.rotations)
         given = [ufl.as_vector([c[i] for i in range(k)]) for c, k in zip(loads, sizes, strict=False)]
-        now = [kin.convected(load, normal, f) for load in given]
+        now = [hoop * kin.convected(load, normal, f) for load in given]
         work = -ufl.dot(now[0], self._displacement(self.test))
         if self.couples:
             work -= kin.couple_work(now[1], self._rotation(self.y), self._rotation(self.test))
@@ -152,21 +161,22 @@ class FollowerTraction(SurfaceForm):
 class FollowerPressure(SurfaceForm):
     """A pressure p (Pa) on the current surface, p cof(F) N . du with F = (I + G) F~.
 
-    Data: p, F~ row by row, N. In plane strain the stretch across the plane is one.
+    Data: p, F~ row by row, N; before them, in a body of revolution, F~_33 and 1 / R. In plane strain the
+    stretch across the plane is one.
     """
 
     symmetric = False
 
     def __init__(self, layout: Layout):
-        super().__init__(layout, 1, layout.dim**2, layout.dim)
+        super().__init__(layout, *([2] if layout.axial else []), 1, layout.dim**2, layout.dim)
 
     def virtual_work(self) -> Any:
-        p, before, n = self.coefficients
+        hoop, (p, before, n) = self._hoop()
         d = self.layout.dim
         f = ufl.dot(ufl.Identity(d) + self.slots.derivative(self.y, "displacement"), matrix(before, d, d))
         normal = ufl.as_vector([n[i] for i in range(d)])
         area = ufl.dot(kin.cofactor(f), normal)
-        return p[0] * ufl.dot(area, self._displacement(self.test))
+        return p[0] * hoop * ufl.dot(area, self._displacement(self.test))
 
 
 class Penalty(SurfaceForm):

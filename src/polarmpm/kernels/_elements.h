@@ -7,6 +7,7 @@
 
 typedef struct {
     int32_t dim, rot;          /* space dimension, rotation components of a node */
+    int32_t second;            /* AXIAL: a body of revolution; else 0 */
     int32_t nodes, points;     /* of an element: nodes, quadrature points */
     int32_t nstate, nparam;
     int64_t nelements;
@@ -23,7 +24,7 @@ typedef struct {
 /* What the sums over points read of a batch. */
 static Batch as_batch(const Elements *e, const int32_t *count)
 {
-    return (Batch){.dim = e->dim, .rot = e->rot, .orders = 2, .nstate = e->nstate, .nparam = e->nparam,
+    return (Batch){.dim = e->dim, .rot = e->rot, .second = e->second, .orders = 2, .nstate = e->nstate, .nparam = e->nparam,
                    .npoints = e->nelements * e->points, .ngroups = 1, .count = count, .param = e->param,
                    .volume = e->volume};
 }
@@ -52,10 +53,10 @@ INLINE void element_shape(const int dim, int nv, int sv, const vec *table, int k
 }
 
 /* Evaluate LANES quadrature points from `start` on. Returns how many are real. */
-INLINE int evaluate_elements(const int dim, const int rot, const Elements *e, const PointKernels *kernels,
+INLINE int evaluate_elements(const int dim, const int rot, const int second, const Elements *e, const PointKernels *kernels,
                              const double *x, const vec *table, int64_t start, Work *w)
 {
-    const int nb = dim + rot, nz = unknowns_of(dim, rot, 0), ns = e->nstate, np = e->nparam, n = e->nodes, sv = w->sv;
+    const int nb = dim + rot, nz = unknowns_of(dim, rot, second), ns = e->nstate, np = e->nparam, n = e->nodes, sv = w->sv;
     const int64_t npoints = e->nelements * e->points;
     const int lanes = (int)(npoints - start < LANES ? npoints - start : LANES);
     int open = 0;
@@ -69,8 +70,8 @@ INLINE int evaluate_elements(const int dim, const int rot, const Elements *e, co
         }
         vec *s = w->shapes + (int64_t)l * SHAPES * sv;
         element_shape(dim, sv, sv, table, (int)(p - element * e->points), e->axes + p * dim * dim, s);
-        interpolate(dim, rot, 0, sv, sv, s, w->x, w->in + l, LANES);
-        if (kernels->before) interpolate(dim, rot, 0, sv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l, LANES);
+        interpolate(dim, rot, second, sv, sv, s, w->x, w->in + l, LANES);
+        if (kernels->before) interpolate(dim, rot, second, sv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l, LANES);
         for (int k = 0; k < ns; ++k) w->in[(nz + k) * LANES + l] = e->state[p * ns + k];
     }
     for (int l = lanes; l < LANES; ++l)  /* lanes without a point repeat the last one */
@@ -110,25 +111,25 @@ INLINE void flush_element(const Elements *e, const Matrix *M, int64_t element, c
         }
 }
 
-INLINE void assemble_elements(const int dim, const int rot, const Elements *e, const Batch *b,
+INLINE void assemble_elements(const int dim, const int rot, const int second, const Elements *e, const Batch *b,
                               const PointKernels *kernels, const Matrix *M, const double *x, const vec *table,
                               double *force, double *rhs, Work *w)
 {
-    const int nb = dim + rot, nz = unknowns_of(dim, rot, 0), n = e->nodes, sv = w->sv;
+    const int nb = dim + rot, nz = unknowns_of(dim, rot, second), n = e->nodes, sv = w->sv;
     for (int64_t start = 0; start < b->npoints; start += LANES) {
-        const int lanes = evaluate_elements(dim, rot, e, kernels, x, table, start, w);
+        const int lanes = evaluate_elements(dim, rot, second, e, kernels, x, table, start, w);
         for (int l = 0, end; l < lanes; l = end) {
             const int64_t element = (start + l) / e->points, first = element * e->points, last = first + e->points;
             end = (int)(last - start < lanes ? last - start : lanes);
             if (start + l == first) memset(w->f, 0, sizeof(vec) * nb * sv);
             for (int q = l; q < end; ++q) {
                 double r[UNKNOWNS_MAX];
-                point_terms(dim, rot, 0, b, kernels, w, start + q, q, 0, r, M ? w->A + q * nz * nz : NULL);
-                add_residual(dim, rot, 0, sv, sv, w->shapes + q * SHAPES * sv, r, w->f);
+                point_terms(dim, rot, second, b, kernels, w, start + q, q, 0, r, M ? w->A + q * nz * nz : NULL);
+                add_residual(dim, rot, second, sv, sv, w->shapes + q * SHAPES * sv, r, w->f);
             }
             for (int P; M && l < end; l += P) {
                 P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
-                add_tangents(dim, rot, 0, sv, M->half, P, start + l == first, n, w->A + l * nz * nz,
+                add_tangents(dim, rot, second, sv, M->half, P, start + l == first, n, w->A + l * nz * nz,
                              w->shapes + l * SHAPES * sv, sv, w->K);
             }
             if (start + end < last) continue;
@@ -165,15 +166,15 @@ int polarmpm_assemble_elements(const Elements *e, const PointKernels *kernels, c
     return failed;
 }
 
-INLINE void gather_elements(const int dim, const int rot, const Elements *e, const vec *table, const double *x,
+INLINE void gather_elements(const int dim, const int rot, const int second, const Elements *e, const vec *table, const double *x,
                             double *z, double *value, Work *w)
 {
-    const int nb = dim + rot, nz = unknowns_of(dim, rot, 0), n = e->nodes, sv = w->sv;
+    const int nb = dim + rot, nz = unknowns_of(dim, rot, second), n = e->nodes, sv = w->sv;
     for (int64_t element = 0, p = 0; element < e->nelements; ++element) {
         gather_group(nb, n, sv, e->cells + element * n, x, w->x);
         for (int k = 0; k < e->points; ++k, ++p) {
             element_shape(dim, sv, sv, table, k, e->axes + p * dim * dim, w->shapes);
-            interpolate(dim, rot, 0, sv, sv, w->shapes, w->x, z + p * nz, 1);
+            interpolate(dim, rot, second, sv, sv, w->shapes, w->x, z + p * nz, 1);
             for (int i = 0; value && i < nb; ++i) value[p * nb + i] = dot(sv, w->x + i * sv, w->shapes);
         }
     }
@@ -198,17 +199,17 @@ int polarmpm_gather_elements(const Elements *e, const double *x, double *z, doub
     return failed;
 }
 
-INLINE void sum_element_modes(const int dim, const int rot, const Elements *e, const Patches *P, const vec *table,
+INLINE void sum_element_modes(const int dim, const int rot, const int second, const Elements *e, const Patches *P, const vec *table,
                               const double *work, double *out, Work *w)
 {
-    const int nb = dim + rot, nz = unknowns_of(dim, rot, 0), n = e->nodes, sv = w->sv;
+    const int nb = dim + rot, nz = unknowns_of(dim, rot, second), n = e->nodes, sv = w->sv;
     const double *f = (const double *)w->f;
     for (int64_t element = 0, p = 0; element < e->nelements; ++element)
         for (int k = 0; k < e->points; ++k, ++p) {
             element_shape(dim, sv, sv, table, k, e->axes + p * dim * dim, w->shapes);
             for (int c = 0; c < P->scalars; ++c) {
                 memset(w->f, 0, sizeof(vec) * nb * sv);
-                add_residual(dim, rot, 0, sv, sv, w->shapes, work + (p * P->scalars + c) * nz, w->f);
+                add_residual(dim, rot, second, sv, sv, w->shapes, work + (p * P->scalars + c) * nz, w->f);
                 for (int a = 0; a < P->functions; ++a) {
                     const double weight = e->volume[p] * P->values[p * P->functions + a];
                     double *mode = out + (element * P->modes + a * P->scalars + c) * nb * n;

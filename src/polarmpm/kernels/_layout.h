@@ -1,5 +1,5 @@
-/* Where the unknowns z = (du/dx, w, dw/dx) of a point stand, or z = (du/dx, d2u/dx2) with second gradients; a part of
- * _native.c.
+/* Where the unknowns z = (du/dx, w, dw/dx) of a point stand, or z = (du/dx, d2u/dx2) with second gradients, or z = (du/dx,
+ * w, dw/dx, u_r) in a body of revolution; a part of _native.c. `second` says which of them.
  *
  * The table is kinematics/layout.py's, and tests/kernels/test_slots.py holds this file against it. A component counts
  * the unknowns of a node: displacements, then rotations. Called with constants, all of this is constant, too. The sums
@@ -15,7 +15,9 @@ enum {
     PAIRS = 6,                 /* different second derivatives in space */
     UNKNOWNS_MAX = 27,         /* length of z in space with second gradients; 21 with rotations */
     INITIAL_MAX = 39,          /* numbers of an initial stress, in space with second gradients; 18 with rotations */
-    SPIN = 3                   /* components of a rotation, and of a couple, in space */
+    SPIN = 3,                  /* components of a rotation, and of a couple, in space */
+    SECOND = 1, AXIAL = 2,     /* what `second` is, zero else: with second gradients, in a body of revolution */
+    AT_HOOP = 1                /* of its points, in the state behind the frame: the hoop's frame over the radius */
 };
 
 /* Different second derivatives, in the order xx, xy, yy or xx, xy, xz, yy, yz, zz. */
@@ -30,16 +32,23 @@ INLINE int pair_of(const int dim, int i, int j)
 /* Length of z. */
 INLINE int unknowns_of(int dim, int rot, int second)
 {
-    return dim * dim + rot * (1 + dim) + second * dim * pairs_of(dim);
+    return dim * dim + rot * (1 + dim) + (second == SECOND) * dim * pairs_of(dim) + (second == AXIAL);
 }
 
 /* Rows of a point's shapes: the function, its derivatives, and its second ones. */
-INLINE int shapes_of(int second) { return second ? SECOND_SHAPES : SHAPES; }
+INLINE int shapes_of(int second) { return second == SECOND ? SECOND_SHAPES : SHAPES; }
 
 /* Whether z holds the component itself, beside its gradient. */
-INLINE int has_value(int dim, int component) { return component >= dim; }
+INLINE int has_value(int dim, int second, int component)
+{
+    return component >= dim || (second == AXIAL && component == 0);
+}
 
-INLINE int value_slot(int dim, int rot, int component) { return dim * dim + component - dim; }
+/* That of a displacement stands behind all else. */
+INLINE int value_slot(int dim, int rot, int component)
+{
+    return component < dim ? dim * dim + rot * (1 + dim) + component : dim * dim + component - dim;
+}
 
 /* First of a component's `dim` derivatives, one after the other. */
 INLINE int gradient_slot(int dim, int rot, int component)
@@ -66,28 +75,36 @@ INLINE int end_slot(int dim, int rot, int component) { return gradient_slot(dim,
     SIZED(call##_210, declared, call(2, 1, 0, b, __VA_ARGS__))                                                        \
     SIZED(call##_301, declared, call(3, 0, 1, b, __VA_ARGS__))                                                        \
     SIZED(call##_201, declared, call(2, 0, 1, b, __VA_ARGS__))                                                        \
+    SIZED(call##_202, declared, call(2, 0, 2, b, __VA_ARGS__))                                                        \
+    SIZED(call##_212, declared, call(2, 1, 2, b, __VA_ARGS__))                                                        \
     static void call##_sized declared                                                                                 \
     {                                                                                                                 \
-        if ((b)->second && (b)->dim == 3) call##_301(b, __VA_ARGS__);                                                 \
-        else if ((b)->second) call##_201(b, __VA_ARGS__);                                                             \
+        if ((b)->second == SECOND && (b)->dim == 3) call##_301(b, __VA_ARGS__);                                       \
+        else if ((b)->second == SECOND) call##_201(b, __VA_ARGS__);                                                   \
+        else if ((b)->second && (b)->rot == 1) call##_212(b, __VA_ARGS__);                                            \
+        else if ((b)->second) call##_202(b, __VA_ARGS__);                                                             \
         else if ((b)->dim == 3 && (b)->rot == 3) call##_330(b, __VA_ARGS__);                                          \
         else if ((b)->dim == 3) call##_300(b, __VA_ARGS__);                                                           \
         else if ((b)->rot == 1) call##_210(b, __VA_ARGS__);                                                           \
         else call##_200(b, __VA_ARGS__);                                                                              \
     }
 
-/* The same for call(dim, rot, ...) of what has no second gradients. */
+/* The same of what has no second gradients. */
 #define SPECIALISED_PLAIN(call, declared, b, ...)                                                                     \
-    SIZED(call##_30, declared, call(3, 0, b, __VA_ARGS__))                                                            \
-    SIZED(call##_33, declared, call(3, 3, b, __VA_ARGS__))                                                            \
-    SIZED(call##_20, declared, call(2, 0, b, __VA_ARGS__))                                                            \
-    SIZED(call##_21, declared, call(2, 1, b, __VA_ARGS__))                                                            \
+    SIZED(call##_300, declared, call(3, 0, 0, b, __VA_ARGS__))                                                        \
+    SIZED(call##_330, declared, call(3, 3, 0, b, __VA_ARGS__))                                                        \
+    SIZED(call##_200, declared, call(2, 0, 0, b, __VA_ARGS__))                                                        \
+    SIZED(call##_210, declared, call(2, 1, 0, b, __VA_ARGS__))                                                        \
+    SIZED(call##_202, declared, call(2, 0, 2, b, __VA_ARGS__))                                                        \
+    SIZED(call##_212, declared, call(2, 1, 2, b, __VA_ARGS__))                                                        \
     static void call##_sized declared                                                                                 \
     {                                                                                                                 \
-        if ((b)->dim == 3 && (b)->rot == 3) call##_33(b, __VA_ARGS__);                                                \
-        else if ((b)->dim == 3) call##_30(b, __VA_ARGS__);                                                            \
-        else if ((b)->rot == 1) call##_21(b, __VA_ARGS__);                                                            \
-        else call##_20(b, __VA_ARGS__);                                                                               \
+        if ((b)->dim == 3 && (b)->rot == 3) call##_330(b, __VA_ARGS__);                                               \
+        else if ((b)->dim == 3) call##_300(b, __VA_ARGS__);                                                           \
+        else if ((b)->second && (b)->rot == 1) call##_212(b, __VA_ARGS__);                                            \
+        else if ((b)->second) call##_202(b, __VA_ARGS__);                                                             \
+        else if ((b)->rot == 1) call##_210(b, __VA_ARGS__);                                                           \
+        else call##_200(b, __VA_ARGS__);                                                                              \
     }
 
 #define SIZED(name, declared, call)                                                                                   \

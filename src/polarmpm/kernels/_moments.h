@@ -24,7 +24,7 @@ FAST int polarmpm_moments(const Batch *b, const PointKernels *kernels, const dou
                           double *residual, double *tangent)
 {
     if (b->npoints == 0) return 0;
-    const int nz = unknowns_of(b->dim, b->rot, 0), size = symmetric ? nz * (nz + 1) / 2 : nz * nz;
+    const int nz = unknowns_of(b->dim, b->rot, b->second), size = symmetric ? nz * (nz + 1) / 2 : nz * nz;
     Work w;
     const int failed = create_work(b, tangent != NULL, 0, 0, &w);
     int64_t group = 0, group_of[LANES];
@@ -35,7 +35,7 @@ FAST int polarmpm_moments(const Batch *b, const PointKernels *kernels, const dou
         for (int l = 0; l < lanes; ++l) {
             const int64_t p = start + l;
             const double *frame = b->state + p * b->nstate;
-            point_terms(b->dim, b->rot, 0, b, kernels, &w, p, l, coupled, residual + p * nz, tangent ? w.A : NULL);
+            point_terms(b->dim, b->rot, b->second, b, kernels, &w, p, l, coupled, residual + p * nz, tangent ? w.A : NULL);
             pull_back(b, frame, residual + p * nz, 1);
             if (!tangent) continue;
             for (int i = 0; i < nz; ++i) pull_back(b, frame, w.A + i * nz, 1);

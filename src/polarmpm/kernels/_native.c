@@ -15,9 +15,9 @@ int polarmpm_interface(void) { return INTERFACE; }
  * nowhere; for the test of _layout.h. */
 int polarmpm_slot(int32_t dim, int32_t rot, int32_t second, int32_t component, int32_t axis)
 {
-    if (axis >= dim) return second && component < dim ? second_slot(dim, rot, component) + axis - dim : -1;
+    if (axis >= dim) return second == SECOND && component < dim ? second_slot(dim, rot, component) + axis - dim : -1;
     if (axis >= 0) return gradient_slot(dim, rot, component) + axis;
-    return has_value(dim, component) ? value_slot(dim, rot, component) : -1;
+    return has_value(dim, second, component) ? value_slot(dim, rot, component) : -1;
 }
 
 int polarmpm_unknowns(int32_t dim, int32_t rot, int32_t second) { return unknowns_of(dim, rot, second); }
@@ -131,15 +131,15 @@ INLINE void evaluate(const int dim, const int rot, const int second, const Batch
         }
         vec *s = w->shapes + (int64_t)l * shapes_of(second) * sv;
         shape(dim, b, p, b->count + *group * dim, b->state + p * ns, sv * WIDTH, (double *)s);
-        if (second) second_shape(dim, b, p, b->count + *group * dim, b->state + p * ns, n, sv, w->raw, s);
+        if (second == SECOND) second_shape(dim, b, p, b->count + *group * dim, b->state + p * ns, n, sv, w->raw, s);
         interpolate(dim, rot, second, nv, sv, s, w->x, w->in + l, LANES);
         if (kernels->before)
             interpolate(dim, rot, second, nv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l, LANES);
         if (kernels->box_axes) {
             BoxWork *boxes = &w->boxes;
             find_sides(dim, second, b, kernels, p, b->count + *group * dim, n, sv, l, boxes);
-            gather_sides(dim, rot, second, kernels, p, nv, sv, w->x, l, boxes, boxes->zk + l, LANES);
-            if (kernels->before) gather_sides(dim, rot, second, kernels, p, nv, sv, w->before, l, boxes, boxes->before + l, LANES);
+            gather_sides(dim, rot, second, kernels, p, nv, sv, w->x, l, boxes, boxes->zk + l, boxes->bent + l, LANES);
+            if (kernels->before) gather_sides(dim, rot, second, kernels, p, nv, sv, w->before, l, boxes, boxes->before + l, boxes->bent_before + l, LANES);
         }
         for (int k = 0; k < ns; ++k) w->in[(nz + k) * LANES + l] = b->state[p * ns + k];
         if (kernels->couple) {
@@ -156,6 +156,11 @@ INLINE void evaluate(const int dim, const int rot, const int second, const Batch
         for (int k = nz + ns + np; kernels->before && k < 2 * nz + ns + np; ++k)
             w->in[k * LANES + l] = w->in[k * LANES + lanes - 1];
         for (int k = 0; k < 2 * SPIN; ++k) w->cin[k * LANES + l] = w->cin[k * LANES + lanes - 1];
+        for (int k = 0; kernels->box_hoop && k < dim; ++k) w->boxes.hoop[k * LANES + l] = w->boxes.hoop[k * LANES + lanes - 1];
+        for (int k = 0; kernels->box_hoop && k < dim * BENT; ++k) {
+            w->boxes.bent[k * LANES + l] = w->boxes.bent[k * LANES + lanes - 1];
+            w->boxes.bent_before[k * LANES + l] = w->boxes.bent_before[k * LANES + lanes - 1];
+        }
         for (int k = 0; kernels->box_axes && k < dim * nz; ++k) {
             w->boxes.zk[k * LANES + l] = w->boxes.zk[k * LANES + lanes - 1];
             w->boxes.before[k * LANES + l] = w->boxes.before[k * LANES + lanes - 1];
@@ -213,7 +218,7 @@ static int create_work(const Batch *b, int tangent, int scatter, int boxes, Work
                 .iin = vectors((nz + b->dim * b->dim + INITIAL_MAX) * LANES), .iout = vectors((size_t)outputs * LANES),
                 .A = vectors((size_t)LANES * nz * nz),
                 .shapes = vectors(LANES * shapes_of(b->second) * stride),
-                .raw = vectors(b->second ? (3 + PAIRS) * stride : 1), .x = vectors(nb * stride), .before = vectors(nb * stride),
+                .raw = vectors(b->second == SECOND ? (3 + PAIRS) * stride : 1), .x = vectors(nb * stride), .before = vectors(nb * stride),
                 .f = vectors(nb * stride), .K = vectors(tangent && scatter ? most * nb * nb * stride : 1),
                 .at = malloc(sizeof(Place) * (most + 1)), .sv = (int)sv, .gathered = -1};
     if (!(w->in && w->out && w->cin && w->cout && w->iin && w->iout && w->A && w->shapes && w->raw && w->x && w->before && w->f && w->K && w->at))
@@ -240,7 +245,7 @@ INLINE void gather(const int dim, const int rot, const int second, const Batch *
         for (int64_t p = b->offsets[g]; p < b->offsets[g + 1]; ++p) {
             const double *frame = framed ? b->state + p * b->nstate : NULL;
             shape(dim, b, p, b->count + g * dim, frame, sv * WIDTH, (double *)w->shapes);
-            if (second) second_shape(dim, b, p, b->count + g * dim, frame, n, sv, w->raw, w->shapes);
+            if (second == SECOND) second_shape(dim, b, p, b->count + g * dim, frame, n, sv, w->raw, w->shapes);
             interpolate(dim, rot, second, nv, sv, w->shapes, w->x, z + p * nz, 1);
             for (int i = 0; value && i < nb; ++i) value[p * nb + i] = dot(nv, w->x + i * sv, w->shapes);
         }
@@ -327,12 +332,13 @@ int polarmpm_assemble(const Batch *b, const PointKernels *kernels, const Matrix 
 
 /* scale B^T A B of points l .. end of these lanes, all of group g, with the moduli of `out` and shapes [lane]. */
 INLINE void add_box_moduli(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Matrix *M,
-                           const Work *w, const double *out, const vec *shapes, double scale, int first, int64_t start,
+                           const Work *w, const double *out, const vec *shapes, double scale, int k, double sign, int first, int64_t start,
                            int64_t g, int l, int end)
 {
     const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot, second), sv = w->sv;
     for (int q = l; q < end; ++q) {
-        const double weight = scale * b->volume[start + q] * kernels->box_share[start + q];
+        const double on_side = sign != 0.0 ? side_weight(second, &w->boxes, k, sign, q) : 1.0;
+        const double weight = scale * on_side * b->volume[start + q] * kernels->box_share[start + q];
         const double *upper = out + nz * LANES + q;
         double *A = w->A + q * nz * nz;
         for (int i = 0; i < nz; ++i)
@@ -352,17 +358,17 @@ INLINE void add_boxes(const int dim, const int rot, const int second, const Batc
     const BoxWork *boxes = &w->boxes;
     const int sv = w->sv, nz = unknowns_of(dim, rot, second), outputs = nz + nz * (nz + 1) / 2;
     if (whole)
-        add_box_moduli(dim, rot, second, b, kernels, M, w, w->out, w->shapes, -dim / 3.0, 1, start, g, l, end);
+        add_box_moduli(dim, rot, second, b, kernels, M, w, w->out, w->shapes, -dim / 3.0, 0, 0.0, 1, start, g, l, end);
     for (int k = 0; k < dim; ++k) {
         const vec *side = boxes->sides + (int64_t)k * LANES * shapes_of(second) * sv;
         if (!whole) {
-            add_box_moduli(dim, rot, second, b, kernels, M, w, w->out, side, 1.0 / 3.0, k == 0, start, g, l, end);
+            add_box_moduli(dim, rot, second, b, kernels, M, w, w->out, side, 1.0 / 3.0, 0, 0.0, k == 0, start, g, l, end);
             continue;
         }
         for (int down = 0; down < 2; ++down) {
             move_shapes(second, sv, w->shapes, side, down ? -1.0 : 1.0, l, end, boxes->moved);
             add_box_moduli(dim, rot, second, b, kernels, M, w, boxes->moduli + (2 * k + down) * outputs * LANES, boxes->moved,
-                           1.0 / 6.0, 0, start, g, l, end);
+                           1.0 / 6.0, k, down ? -1.0 : 1.0, 0, start, g, l, end);
         }
     }
 }
@@ -404,7 +410,7 @@ int polarmpm_assemble_boxes(const Batch *b, const PointKernels *kernels, const M
 }
 
 INLINE void gather_boxes(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const double *x,
-                         double *z, double *zk, Work *w)
+                         double *z, double *zk, double *bent, Work *w)
 {
     const int nb = dim + rot, nz = unknowns_of(dim, rot, second), sv = w->sv;
     for (int64_t g = 0; g < b->ngroups; ++g) {
@@ -413,24 +419,24 @@ INLINE void gather_boxes(const int dim, const int rot, const int second, const B
         gather_group(nb, n, sv, b->nodes + b->node_offsets[g], x, w->x);
         for (int64_t p = b->offsets[g]; p < b->offsets[g + 1]; ++p) {
             shape(dim, b, p, count, b->state + p * b->nstate, sv * WIDTH, (double *)w->shapes);
-            if (second) second_shape(dim, b, p, count, b->state + p * b->nstate, n, sv, w->raw, w->shapes);
+            if (second == SECOND) second_shape(dim, b, p, count, b->state + p * b->nstate, n, sv, w->raw, w->shapes);
             interpolate(dim, rot, second, nv, sv, w->shapes, w->x, z + p * nz, 1);
             find_sides(dim, second, b, kernels, p, count, n, sv, 0, &w->boxes);
-            gather_sides(dim, rot, second, kernels, p, nv, sv, w->x, 0, &w->boxes, zk + p * dim * nz, 1);
+            gather_sides(dim, rot, second, kernels, p, nv, sv, w->x, 0, &w->boxes, zk + p * dim * nz, bent ? bent + p * dim * BENT : NULL, 1);
         }
     }
 }
 
 SPECIALISED(gather_boxes, (const Batch *b, const PointKernels *kernels, const double *x, double *z, double *zk,
-            Work *w), b, kernels, x, z, zk, w)
+            double *bent, Work *w), b, kernels, x, z, zk, bent, w)
 
-/* z [point][nz] in the frame of the state, and its derivatives along the half axes, zk [point][dim][nz]. Returns nonzero
- * when memory ran out. */
-int polarmpm_gather_boxes(const Batch *b, const PointKernels *kernels, const double *x, double *z, double *zk)
+/* z [point][nz] in the frame of the state, and its derivatives along the half axes, zk [point][dim][nz]; of bodies of
+ * revolution also the quadratic parts of its values, bent [point][dim][BENT]. Returns nonzero when memory ran out. */
+int polarmpm_gather_boxes(const Batch *b, const PointKernels *kernels, const double *x, double *z, double *zk, double *bent)
 {
     Work w;
     const int failed = create_work(b, 0, 0, 1, &w);
-    if (!failed) gather_boxes_sized(b, kernels, x, z, zk, &w);
+    if (!failed) gather_boxes_sized(b, kernels, x, z, zk, bent, &w);
     free_work(&w);
     return failed;
 }
@@ -440,6 +446,7 @@ INLINE void box_work(const int dim, const int rot, const int second, const Batch
 {
     const int nz = unknowns_of(dim, rot, second), block = nz * LANES, sides = (1 + dim) * block;
     double *z = old, *r = z + block, *zk = r + block, *sums = zk + dim * block;
+    double *bent = old + (3 + 2 * SIDES) * block, *both = bent + SIDES * BENT * LANES;
     const BoxWork *boxes = &w->boxes;
     int64_t group = 0, group_of[LANES];
     for (int64_t start = 0; start < b->npoints; start += LANES) {
@@ -448,6 +455,8 @@ INLINE void box_work(const int dim, const int rot, const int second, const Batch
         evaluate_sized(b, kernels, from, start, &first, group_of, w, &coupled);
         memcpy(z, w->in, sizeof(double) * block), memcpy(r, w->out, sizeof(double) * block);
         memcpy(zk, boxes->zk, sizeof(double) * dim * block), memcpy(sums, boxes->sums, sizeof(double) * sides);
+        memcpy(bent, boxes->bent, sizeof(double) * SIDES * BENT * LANES);
+        memcpy(both, boxes->both, sizeof(double) * SIDES * BENT * LANES);
         w->gathered = -1;  /* the same group at other nodal values */
         const int lanes = lanes_from(b, start);
         evaluate_sized(b, kernels, to, start, &group, group_of, w, &coupled);
@@ -461,6 +470,8 @@ INLINE void box_work(const int dim, const int rot, const int second, const Batch
             }
             for (int i = l; i < dim * block; i += LANES)
                 in_box += (boxes->zk[i] - zk[i]) * (boxes->sums[block + i] - sums[block + i]);
+            for (int i = l; second == AXIAL && i < dim * BENT * LANES; i += LANES)
+                in_box += (boxes->bent[i] - bent[i]) * (boxes->both[i] - both[i]);
             inside[start + l] = weight * in_box;
             whole[start + l] = volume * at_point + weight * in_box;
         }
@@ -478,7 +489,7 @@ int polarmpm_box_work(const Batch *b, const PointKernels *kernels, const double 
 {
     if (b->npoints == 0) return 0;
     Work w;
-    double *old = vectors((size_t)(3 + 2 * SIDES) * unknowns_of(b->dim, b->rot, b->second) * LANES);
+    double *old = vectors(((size_t)(3 + 2 * SIDES) * unknowns_of(b->dim, b->rot, b->second) + 2 * SIDES * BENT) * LANES);
     const int failed = create_work(b, 0, 0, 1, &w) || !old;
     if (!failed) box_work_sized(b, kernels, from, to, inside, whole, &w, old);
     free_work(&w);

@@ -6,11 +6,12 @@
 #include "_points.h"
 
 /* Residuals of the points' scalars, per volume: out += V0 phi_a B^T work, for function a and scalar c as mode
- * a scalars + c. `sides`: the same at the derivatives along the half axes of the points' boxes, or NULL. */
-INLINE void sum_patches(const int dim, const int rot, const Batch *b, const PointKernels *kernels, const Patches *P,
-                        const double *work, const double *sides, double *out, Work *w)
+ * a scalars + c. `sides`: the same at the derivatives along the half axes of the points' boxes, or NULL; `bent`: at the
+ * values' quadratic parts, of bodies of revolution. */
+INLINE void sum_patches(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Patches *P,
+                        const double *work, const double *sides, const double *bent, double *out, Work *w)
 {
-    const int nb = dim + rot, nz = unknowns_of(dim, rot, 0), sv = w->sv, stride = sv * WIDTH;
+    const int nb = dim + rot, nz = unknowns_of(dim, rot, second), sv = w->sv, stride = sv * WIDTH;
     for (int64_t g = 0; g < b->ngroups; ++g) {
         const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH;
         const int32_t *count = b->count + g * dim;
@@ -19,13 +20,15 @@ INLINE void sum_patches(const int dim, const int rot, const Batch *b, const Poin
             const int32_t *map = P->maps + P->map_of[p];
             double *own = out + first * nb * P->modes;
             shape(dim, b, p, count, b->state + p * b->nstate, stride, (double *)w->shapes);
-            if (sides) find_sides(dim, 0, b, kernels, p, count, n, sv, 0, &w->boxes);
+            if (sides) find_sides(dim, second, b, kernels, p, count, n, sv, 0, &w->boxes);
             for (int c = 0; c < P->scalars; ++c) {
                 memset(w->f, 0, sizeof(vec) * nb * sv);
-                add_residual(dim, rot, 0, nv, sv, w->shapes, work + (p * P->scalars + c) * nz, w->f);
-                for (int k = 0; sides && k < dim; ++k)
-                    add_residual(dim, rot, 0, nv, sv, w->boxes.sides + (int64_t)k * LANES * SHAPES * sv,
-                                 sides + ((p * dim + k) * P->scalars + c) * nz, w->f);
+                add_residual(dim, rot, second, nv, sv, w->shapes, work + (p * P->scalars + c) * nz, w->f);
+                for (int k = 0; sides && k < dim; ++k) {
+                    const vec *side = w->boxes.sides + (int64_t)k * LANES * SHAPES * sv;
+                    add_residual(dim, rot, second, nv, sv, side, sides + ((p * dim + k) * P->scalars + c) * nz, w->f);
+                    add_bent(dim, rot, second, nv, sv, side, bent + ((p * dim + k) * P->scalars + c) * BENT, 1, 1.0, w->f);
+                }
                 const double *f = (const double *)w->f;
                 for (int a = 0; a < P->functions; ++a) {
                     const double weight = b->volume[p] * P->values[p * P->functions + a];
@@ -39,16 +42,16 @@ INLINE void sum_patches(const int dim, const int rot, const Batch *b, const Poin
 }
 
 SPECIALISED_PLAIN(sum_patches, (const Batch *b, const PointKernels *kernels, const Patches *P, const double *work,
-                  const double *sides, double *out, Work *w), b, kernels, P, work, sides, out, w)
+                  const double *sides, const double *bent, double *out, Work *w), b, kernels, P, work, sides, bent, out, w)
 
 /* Vectors of the patches' modes, see sum_patches; returns nonzero when memory ran out. */
 int polarmpm_patch_vectors(const Batch *b, const PointKernels *kernels, const Patches *P, const double *work,
-                           const double *sides, double *out)
+                           const double *sides, const double *bent, double *out)
 {
     if (b->npoints == 0) return 0;
     Work w;
     const int failed = create_work(b, 0, 1, sides != NULL, &w);
-    if (!failed) sum_patches_sized(b, kernels, P, work, sides, out, &w);
+    if (!failed) sum_patches_sized(b, kernels, P, work, sides, bent, out, &w);
     free_work(&w);
     return failed;
 }

@@ -11,7 +11,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 16,            /* raised with every change of a structure or signature; native.py reads it here */
+    INTERFACE = 18,            /* raised with every change of a structure or signature; native.py reads it here */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */
@@ -28,7 +28,8 @@ typedef void (*kernel_t)(const double *in, double *out);
 
 typedef struct {
     int32_t dim, rot;          /* space dimension, rotation components of a node */
-    int32_t second;            /* 1: z has second gradients, `orders` is 3, the state begins with F~ and H~; else 0 */
+    int32_t second;            /* SECOND: z has second gradients, `orders` is 3, the state begins with F~ and H~; AXIAL: a
+                                * body of revolution; else 0 */
     int32_t slots;             /* stored weights in each direction */
     int32_t orders;            /* of stored derivatives: 2, values and gradients; 3, second derivatives, too */
     int32_t nstate, nparam;
@@ -69,6 +70,7 @@ typedef struct {
     kernel_t box_kernel;       /* residual of the elastic energy, for the points' boxes; NULL without boxes */
     const double *box_axes;    /* [point][dim][dim] half axes, one a row */
     const double *box_turns;   /* [point][dim][rot (1 + dim)] what z_k begins with, of rotations and their gradients */
+    const double *box_hoop;    /* [point][dim] of bodies of revolution: what the half axes have along the radius, over it */
     const double *box_share;   /* [point] share of the boxes' energy */
 } PointKernels;
 
@@ -232,9 +234,9 @@ INLINE void interpolate(const int dim, const int rot, const int second, int nv, 
 {
     for (int i = 0; i < dim + rot; ++i) {
         double *gradient = z + gradient_slot(dim, rot, i) * step;
-        if (has_value(dim, i)) z[value_slot(dim, rot, i) * step] = dot(nv, x + i * sv, s);
+        if (has_value(dim, second, i)) z[value_slot(dim, rot, i) * step] = dot(nv, x + i * sv, s);
         for (int j = 0; j < dim; ++j) gradient[j * step] = dot(nv, x + i * sv, s + (1 + j) * sv);
-        for (int k = 0; second && k < pairs_of(dim); ++k)
+        for (int k = 0; second == SECOND && k < pairs_of(dim); ++k)
             z[(second_slot(dim, rot, i) + k) * step] = dot(nv, x + i * sv, s + (1 + dim + k) * sv);
     }
 }

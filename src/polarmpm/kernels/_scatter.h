@@ -22,8 +22,8 @@ INLINE void add_tangent(const int dim, const int rot, const int second, int nv, 
                 for (int r = 0; r < rows; ++r) {
                     vec sum = column[r * nz] * sq[sv];
                     for (int j = 1; j < dim; ++j) sum += column[r * nz + j] * sq[(1 + j) * sv];
-                    if (has_value(dim, k)) sum += value[r * nz] * sq[0];
-                    for (int j = 0; second && j < pairs_of(dim); ++j) sum += curved[r * nz + j] * sq[(1 + dim + j) * sv];
+                    if (has_value(dim, second, k)) sum += value[r * nz] * sq[0];
+                    for (int j = 0; second == SECOND && j < pairs_of(dim); ++j) sum += curved[r * nz + j] * sq[(1 + dim + j) * sv];
                     T[q][r] = sum;
                 }
             }
@@ -36,8 +36,8 @@ INLINE void add_tangent(const int dim, const int rot, const int second, int nv, 
                     for (int q = 0; q < P; ++q) {
                         const double *g = (const double *)(s + q * shapes * sv) + a;
                         for (int j = 0; j < dim; ++j) sum += g[(1 + j) * sv * WIDTH] * T[q][row + j];
-                        if (has_value(dim, i)) sum += g[0] * T[q][value_slot(dim, rot, i)];
-                        for (int j = 0; second && j < pairs_of(dim); ++j)
+                        if (has_value(dim, second, i)) sum += g[0] * T[q][value_slot(dim, rot, i)];
+                        for (int j = 0; second == SECOND && j < pairs_of(dim); ++j)
                             sum += g[(1 + dim + j) * sv * WIDTH] * T[q][curved + j];
                     }
                     *out = sum;
@@ -64,9 +64,9 @@ INLINE void add_residual(const int dim, const int rot, const int second, int nv,
     for (int v = 0; v < nv; ++v) {
         for (int i = 0; i < dim + rot; ++i) {
             const double *gradient = r + gradient_slot(dim, rot, i);
-            if (has_value(dim, i)) f[i * sv + v] += r[value_slot(dim, rot, i)] * s[v];
+            if (has_value(dim, second, i)) f[i * sv + v] += r[value_slot(dim, rot, i)] * s[v];
             for (int j = 0; j < dim; ++j) f[i * sv + v] += gradient[j] * s[(1 + j) * sv + v];
-            for (int j = 0; second && j < pairs_of(dim); ++j)
+            for (int j = 0; second == SECOND && j < pairs_of(dim); ++j)
                 f[i * sv + v] += r[second_slot(dim, rot, i) + j] * s[(1 + dim + j) * sv + v];
         }
     }

@@ -1,8 +1,9 @@
 """The table of the values at a point: what stands where in its vector of unknowns and in its state.
 
 The unknowns of a material point are z = (du/dx, w, dw/dx), those of one with second gradients z = (du/dx,
-d^2u/dx^2). `POINT` and `SECOND` say so, and all that reads or writes z in Python asks a `Layout`; the sums
-over points in C ask `kernels/_layout.h`, which a test holds against it.
+d^2u/dx^2), those of one in a body of revolution z = (du/dx, w, dw/dx, u_r). `POINT`, `SECOND` and `AXIAL`
+say so, and all that reads or writes z in Python asks a `Layout`; the sums over points in C ask
+`kernels/_layout.h`, which a test holds against it.
 Another field, or another derivative, is another part of a table; it takes the weights that supply it.
 """
 
@@ -31,7 +32,8 @@ class Kind(Protocol):
 
 
 class Part(NamedTuple):
-    """A field ("displacement", "rotation") with order 0, or all of its derivatives of an order."""
+    """A field ("displacement", "rotation", or "radial", the displacement along the radius) with order 0, or
+    all of its derivatives of an order."""
 
     field: str
     order: int
@@ -47,6 +49,7 @@ class Slot(NamedTuple):
 
 POINT = (Part("displacement", 1), Part("rotation", 0), Part("rotation", 1))  # z of a material point
 SECOND = (Part("displacement", 1), Part("displacement", 2))  # z of one with second gradients
+AXIAL = (*POINT, Part("radial", 0))  # z of one in a body of revolution, x along the radius
 SURFACE = (Part("displacement", 0), Part("rotation", 0), Part("displacement", 1))  # y of a point on a surface
 STRESSED_SURFACE = (*SURFACE, Part("rotation", 1))  # where the stresses there are asked for
 
@@ -63,23 +66,40 @@ class Layout:
     parts: tuple[Part, ...] = dataclasses.field(default=POINT, repr=False)
 
     @staticmethod
-    def of(material: Kind, dim: int) -> Layout:
-        """Unknowns of the nodes, and first gradients: what all materials of a body share."""
-        return Layout(dim, (1 if dim == 2 else 3) if material.micropolar else 0)
+    def of(material: Kind, dim: int, axial: bool = False) -> Layout:
+        """Unknowns of the nodes, and first gradients: what all materials of a body share; `axial`: of a body
+        of revolution."""
+        parts = AXIAL if axial else POINT
+        return Layout(dim, (1 if dim == 2 else 3) if material.micropolar else 0, parts)
 
     @staticmethod
-    def of_points(material: Kind, dim: int) -> Layout:
+    def of_points(material: Kind, dim: int, axial: bool = False) -> Layout:
         """Unknowns of the material's points."""
-        return Layout.of(material, dim).with_second(material.second_gradient)
+        return Layout.of(material, dim, axial).with_second(material.second_gradient)
 
     def with_second(self, there: bool = True) -> Layout:
         """The same with, or without, second gradients."""
-        return Layout(self.dim, self.rotations, SECOND if there else POINT)
+        return Layout(self.dim, self.rotations, SECOND if there else AXIAL if self.axial else POINT)
 
     @property
     def second(self) -> bool:
         """Whether there are second gradients."""
         return Part("displacement", 2) in self.parts
+
+    @property
+    def axial(self) -> bool:
+        """Whether the body is one of revolution."""
+        return Part("radial", 0) in self.parts
+
+    @property
+    def kind(self) -> int:
+        """What `kernels/_layout.h` calls `second`."""
+        return 1 if self.second else 2 if self.axial else 0
+
+    @property
+    def stretched(self) -> int:
+        """Along how many axes the body is stretched."""
+        return 3 if self.axial else self.dim
 
     # sizes ----------------------------------------------------------------------------------------
     @property
@@ -89,6 +109,8 @@ class Layout:
 
     def rows(self, field: str) -> range:
         """A field's components among the unknowns of a node."""
+        if field == "radial":
+            return range(1)
         return range(self.dim) if field == "displacement" else range(self.dim, self.block)
 
     def axes(self, order: int) -> list[tuple[int, ...]]:
@@ -175,12 +197,15 @@ class Layout:
         """A field's gradient, as many rows and columns as there are."""
         return matrix(z, len(self.rows(field)), self.dim, self.where(field, 1).start)
 
-    def gradient(self, z: Any, field: str) -> Any:
-        """A field's gradient in space, 3 x 3."""
+    def gradient(self, z: Any, field: str, hoop: Any = None) -> Any:
+        """A field's gradient in space, 3 x 3; `hoop`: in a body of revolution, what the displacement along
+        the radius is multiplied by."""
         g = self.derivative(z, field)
         if self.dim == 3:
             return g
-        return kin.plane_wryness([g[0, 0], g[0, 1]]) if field == "rotation" else kin.plane_gradient(g)
+        if field == "rotation":
+            return kin.plane_wryness([g[0, 0], g[0, 1]])
+        return kin.plane_gradient(g, z[self.where("radial").start] * hoop if self.axial else 0)
 
     def second_gradient(self, c: Any, start: int | None = None) -> Any:
         """A displacement's second gradient in space, 3 x 3 x 3, of its different scalars: those of z, or
@@ -203,7 +228,7 @@ class Layout:
     @property
     def in_space(self) -> Layout:
         """The layout in which nothing is left out for a plane, the one of `Points`."""
-        return Layout(3, 3 if self.rotations else 0, self.parts)
+        return Layout(3, 3 if self.rotations else 0, POINT if self.axial else self.parts)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -211,7 +236,9 @@ class StateLayout:
     """A point's state: its frame, its second gradient, its rotation as a quaternion, its wryness, without
     entries that are known.
 
-    The frame is F~, or V~ = F~ Q~^T with `rotated`, where the rotation needs no slots.
+    The frame is F~, or V~ = F~ Q~^T with `rotated`, where the rotation needs no slots. In a body of
+    revolution the hoop follows the frame: the frame's stretch T_33; T_33 / r~, which times u_r is the
+    gradient along the hoop; and with rotations 1 / R of the undeformed radius, and Gamma_13, Gamma_23.
     """
 
     layout: Layout
@@ -221,6 +248,7 @@ class StateLayout:
     def _sizes(self) -> tuple[int, int, int, int]:
         d, r = self.layout.dim, self.layout.rotations
         second = d * len(self.layout.axes(2)) if self.layout.second else 0
+        second += (2 + 3 * r) * self.layout.axial
         return d * d, second, 0 if self.rotated or r == 0 else (4 if d == 3 else 2), r * d
 
     @property
@@ -238,6 +266,10 @@ class StateLayout:
         return slice(first, first + self._sizes[1])
 
     @property
+    def at_hoop(self) -> slice:
+        return self.at_second if self.layout.axial else slice(self.at_frame.stop, self.at_frame.stop)
+
+    @property
     def at_rotation(self) -> slice:
         first = self.at_second.stop
         return slice(first, first + self._sizes[2])
@@ -249,7 +281,15 @@ class StateLayout:
     def frame(self, state: Any) -> Any:
         """3 x 3 tensor, in UFL."""
         frame = matrix(state, self.layout.dim, self.layout.dim, self.at_frame.start)
-        return frame if self.layout.dim == 3 else kin.plane_tensor(frame)
+        if self.layout.dim == 3:
+            return frame
+        return kin.plane_tensor(frame, state[self.at_hoop.start] if self.layout.axial else 1)
+
+    def hoop(self, state: Any) -> tuple[Any, Any]:
+        """T_33 / r~ and 1 / R, in UFL; None where there is no such thing."""
+        first, layout = self.at_hoop.start, self.layout
+        around = state[first + 2] if layout.axial and layout.rotations else None
+        return state[first + 1] if layout.axial else None, around
 
     def second_gradient(self, state: Any) -> Any:
         """3 x 3 x 3 tensor, in UFL; None without second gradients."""
@@ -264,12 +304,18 @@ class StateLayout:
     def wryness(self, state: Any) -> Any:
         """3 x 3 tensor, in UFL."""
         g = matrix(state, self.layout.rotations, self.layout.dim, self.at_wryness.start)
-        return g if self.layout.dim == 3 else kin.plane_wryness([g[0, 0], g[0, 1]])
+        if self.layout.dim == 3:
+            return g
+        first, axial = self.at_hoop.start + 3, self.layout.axial
+        return kin.plane_wryness([g[0, 0], g[0, 1]], [state[first], state[first + 1]] if axial else (0, 0))
 
     def scalars(self, frame: Any, wryness: Any) -> list[Any]:
-        """A state without a quaternion, of 3 x 3 tensors in UFL."""
+        """A state without a quaternion, of 3 x 3 tensors in UFL; radii are zero, see `put_radii`."""
         d, r = self.layout.dim, self.layout.rotations
         found = [frame[i, j] for i in range(d) for j in range(d)]
+        if self.layout.axial:
+            zero = ufl.as_ufl(0.0)
+            found += [frame[2, 2], zero, *([zero, wryness[0, 2], wryness[1, 2]] if r else [])]
         return found + [wryness[i, j] for i in range(3 - r, 3) for j in range(d)]
 
     def pack(
@@ -281,11 +327,26 @@ class StateLayout:
         if self.layout.second:
             assert grad_F is not None
             parts.append(self.pack_second(grad_F))
+        if self.layout.axial:
+            none = np.zeros(n)
+            hoop = [frame[:, 2, 2], none, *([none, wryness[:, 0, 2], wryness[:, 1, 2]] if r else [])]
+            parts.append(np.column_stack(hoop))
         if self._sizes[2]:
             parts.append(q if d == 3 else q[:, [0, 3]])
         if r:
             parts.append(wryness[:, 3 - r :, :d].reshape(n, r * d))
         return np.concatenate(parts, axis=1)
+
+    def put_radii(self, state: np.ndarray, radii: np.ndarray | None) -> np.ndarray:
+        """Put radii (n, 2) (m) of the undeformed and of the present body into packed states, where they have
+        any."""
+        if self.layout.axial:
+            assert radii is not None
+            first = self.at_hoop.start
+            state[:, first + 1] = state[:, first] / radii[:, 1]
+            if self.layout.rotations:
+                state[:, first + 2] = 1.0 / radii[:, 0]
+        return state
 
     def pack_second(self, grad_F: np.ndarray) -> np.ndarray:
         """Different scalars (n, m) of second gradients (n, 3, 3, 3)."""

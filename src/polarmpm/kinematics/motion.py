@@ -28,10 +28,17 @@ class State(Protocol):
     """F (n, 3, 3), unit quaternions q (n, 4) and wryness (n, 3, 3) of points; with second gradients H (n,
     3, 3, 3)."""
 
+    x: np.ndarray
     F: np.ndarray
     q: np.ndarray
     wryness: np.ndarray
     grad_F: np.ndarray
+
+
+class Body(State, Protocol):
+    """The same of points that know where they come from, X (n, d)."""
+
+    X: np.ndarray
 
 
 class Increments(Protocol):
@@ -50,6 +57,7 @@ class Increment(NamedTuple):
     without second gradients.
 
     plane: the rotation is about the third axis; nothing else of w and Gw is looked at.
+    around: 1 / r in the frame of the gradients, of a micropolar body of revolution; else None.
     """
 
     gradient: Any
@@ -57,17 +65,19 @@ class Increment(NamedTuple):
     rotation_gradient: Any = None
     plane: bool = False
     second: Any = None
+    around: Any = None
 
     @staticmethod
-    def of(layout: Layout, z: Any) -> Increment:
-        """Of a point's unknowns."""
-        gradient = layout.gradient(z, "displacement")
+    def of(layout: Layout, z: Any, hoop: tuple[Any, Any] = (None, None)) -> Increment:
+        """Of a point's unknowns; in a body of revolution `hoop` is 1 / r in the frame of the gradients, for
+        the displacement and for the rotation."""
+        gradient = layout.gradient(z, "displacement", hoop[0])
         if layout.second:
             return Increment(gradient, second=layout.second_gradient(z))
         if not layout.rotations:
             return Increment(gradient)
         turning = layout.gradient(z, "rotation")
-        return Increment(gradient, layout.value(z, "rotation"), turning, layout.dim == 2)
+        return Increment(gradient, layout.value(z, "rotation"), turning, layout.dim == 2, around=hoop[1])
 
     def times(self, frame: Any, curved: Any = None) -> Increment:
         """With gradients times a tensor, such as those by x~ times F~; `curved`: its own gradient, such as
@@ -78,7 +88,8 @@ class Increment(NamedTuple):
             i, j, k, m, n = ufl.indices(5)
             grown = second[i, m, n] * frame[m, j] * frame[n, k] + self.gradient[i, m] * curved[m, j, k]
             second = ufl.as_tensor(grown, (i, j, k))
-        return Increment(ufl.dot(self.gradient, frame), self.rotation, turning, self.plane, second)
+        around = None if self.around is None else self.around * frame[2, 2]
+        return Increment(ufl.dot(self.gradient, frame), self.rotation, turning, self.plane, second, around)
 
 
 class Moved(NamedTuple):
@@ -114,11 +125,24 @@ def move(by: Increment, F: Any, base: Any = None, wryness: Any = None, grad_F: A
     change = by.rotation_gradient
     if by.plane:  # turns about one axis commute with each other, and leave the third row alone
         row = [change[2, j] if wryness is None else wryness[2, j] + change[2, j] for j in range(2)]
-        return Moved(F, kin.plane_exp_map(by.rotation[2]), base, kin.plane_wryness(row))
+        turn = kin.plane_exp_map(by.rotation[2])
+        return Moved(F, turn, base, kin.plane_wryness(row, _around_axis(by.around, turn, base, wryness)))
     change = ufl.dot(kin.right_tangent(by.rotation), change)
     if base is not None:
         change = ufl.dot(ufl.transpose(base), change)
     return Moved(F, kin.exp_map(by.rotation), base, change if wryness is None else wryness + change)
+
+
+def _around_axis(around: Any, turn: Any, base: Any, before: Any) -> Any:
+    """Gamma_13 and Gamma_23 of a body of revolution: what the rotation does to the axis, over the radius,
+    Gamma e_3 = (e_2 - Q^T e_2) / R (docs/theory.md)."""
+    if around is None:
+        return (0, 0)
+    axis = ufl.as_vector([0, 1, 0])
+    change = around * (axis - ufl.dot(ufl.transpose(turn), axis))
+    if base is not None:
+        change = ufl.dot(ufl.transpose(base), change)
+    return [change[i] if before is None else before[i, 2] + change[i] for i in range(2)]
 
 
 class Motion:
@@ -132,7 +156,7 @@ class Motion:
         self.layout, self._by_reference = layout, by_reference
         self._full = layout.in_space.state()
         space = PointSpace(compat.point_domain())
-        size, unknowns = self._full.size, layout.unknowns
+        size, unknowns = self._full.size, layout.unknowns + layout.axial
         self._state, self._z = space.coefficient(size), space.coefficient(unknowns)
         terminals = {self._state: 0, self._z: size}
         self._kernel: Kernel = compile_expressions(
@@ -141,7 +165,9 @@ class Motion:
 
     def _expressions(self) -> list[Any]:
         full, s = self._full, self._state
-        F, H, by = full.frame(s), full.second_gradient(s), Increment.of(self.layout, self._z)
+        F, H, z = full.frame(s), full.second_gradient(s), self._z
+        around = z[self.layout.unknowns] if self.layout.axial else None
+        by = Increment.of(self.layout, z, (around, around))
         if not self._by_reference:
             by = by.times(F, H)
         if by.second is not None:
@@ -158,10 +184,11 @@ class Motion:
 
     def __call__(self, state: tuple[np.ndarray, ...], z: np.ndarray) -> tuple[np.ndarray, ...]:
         """States (F, q, Gamma), of classical materials (F,), moved on by z = (du/dx, w, dw/dx) (n, nz);
-        with second gradients (F, different scalars of H), of which come (F, H)."""
+        with second gradients (F, different scalars of H), of which come (F, H). In a body of revolution 1 / r
+        (1 / R by X) is another column of z."""
         return self._full.unpack(self._kernel(*state, z))
 
-    def move(self, points: State, before: State, inc: Increments) -> None:
+    def move(self, points: Body, before: State, inc: Increments) -> None:
         """Set F, q and wryness, or H, of points to what increments make of an earlier state."""
         gradients = np.concatenate([inc.gradient, inc.rotation_gradient], axis=1)
         if self.layout.second:
@@ -170,6 +197,9 @@ class Motion:
             points.F, points.grad_F = self((before.F, self._full.pack_second(before.grad_F)), z)
             return
         z = self.layout.pack(inc.value, gradients)
+        if self.layout.axial:
+            radius = points.X[:, 0] if self._by_reference else before.x[:, 0]
+            z = np.column_stack([z, 1.0 / radius])
         if self.layout.rotations:
             points.F, points.q, points.wryness = self((before.F, before.q, before.wryness), z)
         else:

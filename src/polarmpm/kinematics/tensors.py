@@ -127,16 +127,17 @@ def plane_exp_map(w: Any) -> Any:
     return ufl.as_tensor(((cos, -sin, 0), (sin, cos, 0), (0, 0, 1)))
 
 
-def plane_gradient(g: Any) -> Any:
-    """A 2 x 2 gradient as a 3 x 3 tensor without out-of-plane entries."""
-    return ufl.as_tensor(((g[0, 0], g[0, 1], 0), (g[1, 0], g[1, 1], 0), (0, 0, 0)))
+def plane_gradient(g: Any, hoop: Any = 0) -> Any:
+    """A 2 x 2 gradient as a 3 x 3 tensor without out-of-plane entries, but the one along the hoop."""
+    return ufl.as_tensor(((g[0, 0], g[0, 1], 0), (g[1, 0], g[1, 1], 0), (0, 0, hoop)))
 
 
-def plane_tensor(f: Any) -> Any:
-    """A 2 x 2 deformation-like tensor in plane strain: unit stretch along the third axis."""
-    return ufl.as_tensor(((f[0, 0], f[0, 1], 0), (f[1, 0], f[1, 1], 0), (0, 0, 1)))
+def plane_tensor(f: Any, hoop: Any = 1) -> Any:
+    """A 2 x 2 deformation-like tensor in plane strain: unit stretch along the third axis, if not `hoop`."""
+    return ufl.as_tensor(((f[0, 0], f[0, 1], 0), (f[1, 0], f[1, 1], 0), (0, 0, hoop)))
 
 
-def plane_wryness(g: Any) -> Any:
-    """The two entries of the plane wryness, d(theta)/dX, as the third row of a tensor."""
-    return ufl.as_tensor(((0, 0, 0), (0, 0, 0), (g[0], g[1], 0)))
+def plane_wryness(g: Any, hoop: Any = (0, 0)) -> Any:
+    """The two entries of the plane wryness, d(theta)/dX, as the third row of a tensor; `hoop`: what a body of
+    revolution has in the third column."""
+    return ufl.as_tensor(((0, 0, hoop[0]), (0, 0, hoop[1]), (g[0], g[1], 0)))

@@ -16,7 +16,7 @@ from ..conditions.amplitudes import Amplitude, check_counts
 from ..conditions.loads import AnyLoad, Applied, Load, make_loads
 from ..conditions.supports import Support, make_support
 from ..errors import InputError
-from ..geometry.planes import Plane, PlaneSpec
+from ..geometry.planes import Plane, PlaneSpec, plane
 from ..geometry.shapes import Shape
 from ..geometry.surfaces import Surface
 from ..kinematics.layout import Layout
@@ -36,6 +36,8 @@ from .state import Progress
 from .turns import Turns
 from .whole import Changing, Whole
 
+AXIS = plane(x=0.0)
+
 
 class Conditions(Keeping, Whole, Turns):
     """Supports, loads and terms of a problem. All methods are collective.
@@ -44,15 +46,17 @@ class Conditions(Keeping, Whole, Turns):
         points: where the body's state lives: material points, or the elements' quadrature points.
         layout: unknowns of a node.
         given: all conditions that a script has given, those that have been released too.
+        axis: of a body of revolution that reaches its axis, what holds it there; else None.
         progress: load factor and number of steps of the last converged state.
     """
 
     holds_on_facets = False  # slopes; else on planes of the grid
+    axis: Support | None = None
     knows_undeformed = False  # where a surface that is added in mid-run was in the undeformed body
 
     def __init__(self, comm: MPI.Comm, points: Points, dim: int):
         self.comm, self.points, self.progress = comm, points, Progress()
-        layouts = {Layout.of(m, dim) for m in points.materials}
+        layouts = {Layout.of(m, dim, points.axisymmetric) for m in points.materials}
         if len(layouts) > 1:
             raise InputError("points: micropolar and classical materials can't be mixed in one body")
         self.layout = layouts.pop()
@@ -192,6 +196,16 @@ class Conditions(Keeping, Whole, Turns):
         self._check_outside("symmetry")
         zero, even = slopes.symmetric(self._normal_axis(where), where, self.layout)
         return self._fix_nodes(where, zero, None, even)
+
+    def _touches_axis(self) -> bool:
+        """Whether a body of revolution reaches its axis. Collective."""
+        return False
+
+    def _hold_axis(self) -> None:
+        """On the axis of a body of revolution nothing moves outward, and nothing turns. Collective."""
+        if self.layout.axial and self._touches_axis():
+            zero, even = slopes.symmetric(0, AXIS, self.layout)
+            self.axis = self._fix_nodes(AXIS, zero, None, even)
 
     def _fix_nodes(
         self,

@@ -38,6 +38,7 @@ from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from . import faceslopes, initial
 from .base import Problem
+from .conditions import AXIS
 from .described import described, of_rank
 from .facetloads import SurfaceLoad, Varying, carried_so_far
 from .given import Present
@@ -108,6 +109,11 @@ class QuasiStaticFEM(Problem):
         self._last_loads: np.ndarray | None = None  # forces of the last converged state's loads
         self.carried_at_rest: np.ndarray | None = None  # forces (nodes, block) that hold an initial stress
         self._body: Any = None  # densities of body loads at the quadrature points
+        self._hold_axis()
+
+    def _touches_axis(self) -> bool:
+        on_axis = self.elements.on_plane(AXIS)(self.elements.nodes.position)
+        return bool(self.comm.allreduce(int(on_axis.sum())))
 
     def _changing(self) -> Iterator[Changing]:
         yield from super()._changing()
@@ -371,6 +377,8 @@ class QuasiStaticFEM(Problem):
     def volume_ratios(self, increments: Increments) -> np.ndarray:
         d = self.layout.dim
         ratios: np.ndarray = rotations.determinant(self.points.F[:, :d, :d] + increments.gradient)
+        if self.layout.axial:  # a ring doesn't pass through the axis
+            ratios = np.minimum(ratios, 1.0 + increments.value[:, 0] / self.points.x[:, 0])
         return ratios
 
     def _check(self, increments: Increments) -> str:

@@ -16,6 +16,7 @@ from ..geometry.grid import Grid
 from ..tools import checks
 
 ASSEMBLIES = ("direct", "projection")
+_AT_AXIS = 1.0 + 1e-6  # of a half width: where the ring nearest to the axis is
 
 
 def check_assembly(assembly: str, basis: Basis) -> str:
@@ -54,6 +55,26 @@ def check_second_gradients(points: Points, basis: Basis) -> None:
             f"basis = {basis.name!r}: the energy of {kind} takes second gradients, and these functions' "
             f"gradients jump from cell to cell; allowed are {names(smooth)}"
         )
+
+
+def check_revolution(grid: Grid, points: Points, assembly: str) -> None:
+    """Raise InputError for a grid or a setting that a body of revolution can't have."""
+    if not points.axisymmetric:
+        return
+    if grid.lower[0] < 0.0:
+        raise InputError(
+            f"grid: it begins at x = {grid.lower[0]:g}; that of a body of revolution begins at the axis, "
+            "x = 0, or beyond it"
+        )
+    if assembly != "direct":
+        raise InputError(f"assembly = {assembly!r}: of a body of revolution 'direct' is allowed")
+
+
+def touches_axis(points: Points) -> bool:
+    """Whether a body of revolution reaches its axis. Collective."""
+    with np.errstate(divide="ignore"):
+        nearest = np.min(points.X[:, 0] / points.half_length0[:, 0], initial=np.inf)
+    return bool(points.comm.allreduce(float(nearest), op=MPI.MIN) < _AT_AXIS)
 
 
 def check_body(grid: Grid, points: Points) -> None:

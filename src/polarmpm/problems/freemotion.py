@@ -79,6 +79,8 @@ def free_parts(system: NodalSystem, parts: Parts, forces: np.ndarray, diagonal: 
     np.add.at(push, label[known], np.einsum("inb,nb->ni", modes[:, own], r)[known])
     np.add.at(size, label[known], np.abs(r * system.as_force).sum(axis=1)[known])
     gram, push, size = comm.allreduce(gram), comm.allreduce(push), comm.allreduce(size)
+    if layout.axial:  # the hoop holds all but the motion along the axis
+        gram += np.diag([1.0, 0.0, 1.0])
     held = _held(system, parts, real)
     found = []
     for part in range(number):

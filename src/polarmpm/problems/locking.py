@@ -63,14 +63,16 @@ def cured(locking: str | None, material: Material, basis: Patched) -> bool:
     return locking == "always" or locks(material)
 
 
-def choose_form(locking: str | None, material: Material, dim: int, basis: Patched) -> PointForm:
-    """The form of a material at points of a basis."""
+def choose_form(
+    locking: str | None, material: Material, dim: int, basis: Patched, axial: bool = False
+) -> PointForm:
+    """The form of a material at points of a basis; `axial`: of a body of revolution."""
     if not cured(locking, material, basis):
-        return make_form(material, dim)
+        return make_form(material, dim, axial)
     mu = material.moduli("mu").get("mu", 0.0)
     stiffness = 0.0 if material.yields or not np.isfinite(mu) else basis.patch_stiffness * mu
     rotation = material.micropolar and (material.yields or _coupled(material) or locking == "always")
-    return make_projected(material, dim, rotation=rotation, stabilisation=stiffness)
+    return make_projected(material, dim, axial, rotation=rotation, stabilisation=stiffness)
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,7 @@ def forms_of_elements(locking: str | None, elements: Elements) -> list[PointForm
 
     def form(material: Material) -> PointForm:
         left = locking == "auto" and material.yields and poisson(material) <= INCOMPRESSIBLE
-        return choose_form(None if left else locking, material, elements.dim, patch)
+        how = None if left else locking
+        return choose_form(how, material, elements.dim, patch, elements.points.axisymmetric)
 
     return [form(material) for material in elements.points.materials]

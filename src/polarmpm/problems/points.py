@@ -39,7 +39,14 @@ from .balancing import BalancedResets
 from .boxes import BoxRecord
 from .conservation import Conservation
 from .described import described, of_rank
-from .fitting import check_assembly, check_body, check_boxes, check_second_gradients
+from .fitting import (
+    check_assembly,
+    check_body,
+    check_boxes,
+    check_revolution,
+    check_second_gradients,
+    touches_axis,
+)
 from .locking import check_locking, choose_form
 from .ongrid import Compiled
 from .stages import Staged
@@ -123,6 +130,7 @@ class QuasiStatic(Staged):
         self.basis, self.policy = basis_of(basis), make_policy(reset)
         self.assembly, self.solver = check_assembly(assembly, self.basis), check_solver(solver)
         check_second_gradients(points, self.basis)
+        check_revolution(grid, points, assembly)
         super().__init__(grid.comm, points, grid.dim, controls)
         self.locking = check_locking(locking)
         self.forms = self._forms_of(self.points.materials)
@@ -148,6 +156,10 @@ class QuasiStatic(Staged):
         self._converged_loads: tuple[np.ndarray, np.ndarray] | None = None
         if self.load_shares.due() or self._in_patches:
             self._migrate()
+        self._hold_axis()
+
+    def _touches_axis(self) -> bool:
+        return self.initial_grid.lower[0] == 0.0 and touches_axis(self.points)
 
     def _warn_of_locking(self) -> None:
         """On one rank; an error where the script makes errors of warnings."""
@@ -171,7 +183,8 @@ class QuasiStatic(Staged):
 
     def _forms_of(self, materials: Sequence[Material]) -> list[PointForm]:
         locking = None if self.assembly == "projection" else self.locking
-        forms = [choose_form(locking, m, self.initial_grid.dim, self.basis) for m in materials]
+        axial, dim = self.points.axisymmetric, self.initial_grid.dim
+        forms = [choose_form(locking, m, dim, self.basis, axial) for m in materials]
         for form in forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
             try_energy(form.material)
@@ -288,6 +301,10 @@ class QuasiStatic(Staged):
     def volume_ratios(self, increments: Increments) -> np.ndarray:
         change = np.eye(self.grid.dim) + increments.gradient
         ratios: np.ndarray = rotations.determinant(change)
+        if self.layout.axial:  # a ring doesn't pass through the axis
+            assert self._system is not None
+            before = self._system.interpolation.reference.x[:, 0]
+            ratios = np.minimum(ratios, 1.0 + increments.value[:, 0] / before)
         return ratios
 
     def _check(self, increments: Increments) -> str:

@@ -99,7 +99,8 @@ class Balance:
         parts: loads, terms and supports, each with its force and moment on the body.
         carried: dead forces on nodes that balanced resets carry along. They are no load, and closed by forces
             on prescribed unknowns: where there are such, they have neither a sum nor a moment.
-        force, moment: sum of the parts (N, N m); zero in balance.
+        force, moment: sum of the parts (N, N m); zero in balance. Of a body of revolution along the axis
+            only: what is across it balances over a turn.
         residue: the sizes of these two, relative to the largest force of a part, and to it times the size of
             the body (or the largest moment, where that is more).
     """
@@ -165,6 +166,7 @@ class Equilibrium:
         points_moved: points have gone to other ranks since.
         inertia: spatial forces and couples of inertia and damping, complete on owned rows; None: there is
             none.
+        axial: the body is one of revolution.
     """
 
     comm: MPI.Comm
@@ -181,6 +183,7 @@ class Equilibrium:
     nodes: Nodes | None = None
     points_moved: bool = False
     inertia: np.ndarray | None = None
+    axial: bool = False
 
     @classmethod
     def of(cls, system: NodalSystem) -> Equilibrium:
@@ -208,6 +211,7 @@ class Equilibrium:
             list(terms.values()),
             tied,
             system.nodes,
+            axial=system.layout.axial,
         )
 
     # files --------------------------------------------------------------------------------------------
@@ -221,6 +225,7 @@ class Equilibrium:
         rows |= {f"term {k}": forces for k, (_, forces) in enumerate(self.terms)}
         rows |= {f"tied {k}": forces for k, forces in self.tied.items()}
         names["tied"] = [self.supports[k].name for k in self.tied]
+        names |= {"symmetry": ["axial"] * self.axial}
         return names | {"terms": [name for name, _ in self.terms]}, rows
 
     @classmethod
@@ -255,6 +260,7 @@ class Equilibrium:
             [(name, rows[f"term {k}"]) for k, name in enumerate(names["terms"])],
             {k: rows[f"tied {k}"] for k in map(names["supports"].index, names.get("tied", []))},
             inertia=rows.get("inertia"),
+            axial="axial" in names.get("symmetry", []),
         )
 
     # sums ---------------------------------------------------------------------------------------------
@@ -343,6 +349,8 @@ class Equilibrium:
         parts, carried = [s for s in shares[:-1] if s.name != "loads" or self._loaded()], shares[-1]
         force = sum((s.force for s in parts), np.zeros(d))
         moment = sum((s.moment for s in parts), np.zeros_like(carried.moment))
+        if self.axial:
+            force, moment = force * np.array([0.0, 1.0]), np.zeros_like(moment)
         length, own = self._length(), self.owned
         of_nodes = comm.allreduce(
             float(np.abs(self.residual[:own, :d]).sum() + np.abs(self.loads[:own]).sum())

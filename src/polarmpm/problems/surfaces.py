@@ -16,7 +16,7 @@ from ..kinematics.layout import Layout
 from ..terms.base import Term
 from ..terms.nitsche import ConsistentSupport
 from ..terms.surfaces import METHODS, Pressure, SurfaceSupport, Traction
-from ..terms.surfaceterms import SurfaceCondition
+from ..terms.surfaceterms import SurfaceCondition, undeformed_area
 from ..tools import checks
 from .behind import Found, default_stiffness, find_behind
 from .state import Progress
@@ -61,7 +61,7 @@ def add_load(
     problem: Loaded, surface: Surface, force: Any, couple: Any, counts: str | None = None
 ) -> Traction:
     """A total, spread evenly over a surface."""
-    share = 1.0 / float(surface.area.sum())
+    share = 1.0 / float(undeformed_area(surface, problem.layout).sum())
     made = Traction(problem.surface_name("load"), surface, force, couple, share=share)
     problem.add(made, counts=counts)
     return made
@@ -110,6 +110,8 @@ def add_support(
     if surface.dim != layout.dim:
         raise InputError(f"{name}: the surface has {surface.dim} dimensions, the body has {layout.dim}")
     found = find_behind(problem, surface)
+    if layout.axial and not found.no_stress:
+        found.no_stress = "tractions on a body of revolution aren't known"
     columns = range(layout.dim) if support is None else support.columns
     now = late and not problem.knows_undeformed
     twice = [c.name for c in problem.surfaces if _holds_too(c, surface, columns, now=now)]

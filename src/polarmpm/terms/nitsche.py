@@ -180,7 +180,7 @@ class ConsistentSupport(SurfaceSupport):
         slots, d = self.form.slots, self.layout.dim
         work = self.evaluate(y, np.arange(len(y)))[:, slots.where("displacement", 1)].reshape(-1, d, d)
         now = np.eye(d) + slots.part(y, "displacement", 1)
-        turning = np.einsum("n,nij,nkj->ik", -self.surface.area, work, now)
+        turning = np.einsum("n,nij,nkj->ik", -self.area, work, now)
         axes = [(1, 0)] if d == 2 else [(2, 1), (0, 2), (1, 0)]
         return np.array([turning[i, k] - turning[k, i] for i, k in axes])
 

@@ -70,7 +70,7 @@ class Traction(SurfaceCondition):
     def values(self, factor: float) -> list[np.ndarray]:
         loads = [a.at(factor, self.surface.x) * self._share for a in self._values]
         before = [self._at["F"].reshape(len(self.surface), -1), self.surface.normal] if self.follows else []
-        return before + loads
+        return (self.hoop() if self.follows else []) + before + loads
 
 
 class Pressure(SurfaceCondition):
@@ -91,7 +91,7 @@ class Pressure(SurfaceCondition):
 
     def values(self, factor: float) -> list[np.ndarray]:
         before = self._at["F"].reshape(len(self.surface), -1)
-        return [self._pressure.at(factor, self.surface.x), before, self.surface.normal]
+        return [*self.hoop(), self._pressure.at(factor, self.surface.x), before, self.surface.normal]
 
 
 class SurfaceSupport(SurfaceCondition):
@@ -214,7 +214,7 @@ class SurfaceSupport(SurfaceCondition):
         d, b = self.layout.dim, self.layout.block
         force = self.evaluate(y, np.arange(len(y)))[:, :b]
         self.gap = self._gap(y)
-        on_body = -self.surface.area[:, None] * force
+        on_body = -self.area[:, None] * force
         if self.layout.rotations == 3:
             on_body[:, d:] = rotations.couples_on_spins(self.form.slots.part(y, "rotation"), on_body[:, d:])
         self.reaction = on_body[:, :d].sum(axis=0), on_body[:, d:].sum(axis=0)

@@ -29,6 +29,11 @@ from ..tools import checks
 from .base import Carried, Piece, Setting, Term
 
 
+def undeformed_area(surface: Surface, layout: Layout) -> np.ndarray:
+    """What the points of a surface stand for (n,): of a body of revolution bands around the axis (m^2)."""
+    return 2.0 * np.pi * surface.x[:, 0] * surface.area if layout.axial else surface.area
+
+
 class SurfacePiece(Piece):
     """Forces of a surface's points on this rank between two resets."""
 
@@ -44,7 +49,7 @@ class SurfacePiece(Piece):
         for k, (field, component, axes) in enumerate(slots.slots):
             self._map[:, k, :, slots.rows(field)[component]] = table[:, 1 + axes[0] if axes else 0]
         self._map = self._map.reshape(m, term.form.size, n * b)
-        self._area = term.surface.area[self.rows]
+        self._area = term.area[self.rows]
 
     def _y(self, x: np.ndarray) -> np.ndarray:
         y: np.ndarray = np.einsum("myk,mk->my", self._map, x.reshape(len(x), self._map.shape[2]))
@@ -109,6 +114,11 @@ class SurfaceCondition(Term):
             raise InputError(
                 f"{self.name}: the surface has {surface.dim} dimensions, the grid has {layout.dim}"
             )
+        if layout.axial and not surface.x[:, 0].min() > 0.0:
+            raise InputError(
+                f"{self.name}: the surface has a point at the radius x = {surface.x[:, 0].min():g}; in a "
+                "body of revolution all of them are at x > 0"
+            )
         self.layout, self.comm = layout, comm
         self.form = self.make_form()
         n, d = len(surface), layout.dim
@@ -131,6 +141,17 @@ class SurfaceCondition(Term):
             super().fade(begin, end)
         for amplitude in self.amplitudes():
             amplitude.fade = Fade(begin, end)
+
+    @property
+    def area(self) -> np.ndarray:
+        """Undeformed areas (n,), see `undeformed_area`."""
+        return undeformed_area(self.surface, self.layout)
+
+    def hoop(self) -> list[np.ndarray]:
+        """Of a body of revolution, the stretch along the hoop when increments began to count, and 1 / R, (n,
+        2); else nothing."""
+        radius = self.surface.x[:, 0]
+        return [np.stack([1.0 + self._at["u"][:, 0] / radius, 1.0 / radius], axis=1)] * self.layout.axial
 
     # what conditions differ in ------------------------------------------------------------------------
     def amplitudes(self) -> list[Amplitude]:
