@@ -86,16 +86,20 @@ def seed(
     _check_number(searched, len(xi), points_per_cell, everything=inside is None)
     body = _Body(inside, corners, cut and layout == "uniform", _parts(per_cell))
     made = _found(searched, body, per_cell, xi, share)
-    if not grid.comm.allreduce(len(made.x)):
-        of = "bounds" if inside is None else "inside"
-        raise InputError(
-            f"{of}: none of the candidate points between {grid.lower} and {grid.upper} is in the body"
-        )
+    _check_found(grid, made, "bounds" if inside is None else "inside")
     if layout != "uniform":
         made.axes = np.zeros_like(made.axes)
     points = made.points(material, grid.comm, checks.flag("axisymmetric", axisymmetric))
     distribute(grid, points)
     return points
+
+
+def _check_found(grid: Grid, made: _Boxes, of: str) -> None:
+    """Raise InputError where there is no point; `of`: the argument that says where the body is. Collective."""
+    if not grid.comm.allreduce(len(made.x)):
+        raise InputError(
+            f"{of}: none of the candidate points between {grid.lower} and {grid.upper} is in the body"
+        )
 
 
 def _searched(grid: Grid, around: tuple[np.ndarray, np.ndarray] | None) -> Grid:
