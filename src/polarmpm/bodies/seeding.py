@@ -95,7 +95,7 @@ def seed(
 
 
 def _check_found(grid: Grid, made: _Boxes, of: str) -> None:
-    """Raise InputError where there is no point; `of`: the argument that says where the body is. Collective."""
+    """Raise InputError where there is no point; `of` says where the body is. Collective."""
     if not grid.comm.allreduce(len(made.x)):
         raise InputError(
             f"{of}: none of the candidate points between {grid.lower} and {grid.upper} is in the body"
