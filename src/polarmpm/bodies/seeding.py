@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 
 from ..errors import InputError, PointsOutsideGrid
@@ -78,33 +80,32 @@ def seed(
         checks.function("inside", inside, "a predicate of positions is", takes=("x",))
     cut = checks.flag("cut", cut)
     corners = _corners(grid, bounds)
-    around = corners if bounds is not None else _corners(grid, getattr(inside, "bounds", None))
-    lower, upper = _cells_within(grid, around)
-    searched = grid.part(lower, np.maximum(upper, lower))
+    searched = _searched(
+        grid, corners if bounds is not None else _corners(grid, getattr(inside, "bounds", None))
+    )
     _check_number(searched, len(xi), points_per_cell, everything=inside is None)
     body = _Body(inside, corners, cut and layout == "uniform", _parts(per_cell))
     made = _found(searched, body, per_cell, xi, share)
+    _check_found(grid, made, "bounds" if inside is None else "inside")
+    if layout != "uniform":
+        made.axes = np.zeros_like(made.axes)
+    points = made.points(material, grid.comm, checks.flag("axisymmetric", axisymmetric))
+    distribute(grid, points)
+    return points
+
+
+def _check_found(grid: Grid, made: _Boxes, of: str) -> None:
+    """Raise InputError where there is no point; `of` says where the body is. Collective."""
     if not grid.comm.allreduce(len(made.x)):
-        of = "bounds" if inside is None else "inside"
         raise InputError(
             f"{of}: none of the candidate points between {grid.lower} and {grid.upper} is in the body"
         )
-    axes0 = made.axes if layout == "uniform" else np.zeros_like(made.axes)
-    if checks.flag("axisymmetric", axisymmetric):
-        with errors_on_all_ranks(grid.comm):
-            check_axisymmetric(made.x, material)
-        made.volume = turned(made.volume, made.x)
-    points = Points(
-        made.x,
-        made.volume,
-        made.half,
-        material,
-        grid.comm,
-        half_axes=axes0,
-        axisymmetric=axisymmetric,
-    )
-    distribute(grid, points)
-    return points
+
+
+def _searched(grid: Grid, around: tuple[np.ndarray, np.ndarray] | None) -> Grid:
+    """The cells of a box, or all."""
+    lower, upper = _cells_within(grid, around)
+    return grid.part(lower, np.maximum(upper, lower))
 
 
 def _parts(per_cell: np.ndarray) -> int:
@@ -125,6 +126,17 @@ class _Boxes:
     @classmethod
     def none(cls, dim: int) -> _Boxes:
         return cls(np.zeros((0, dim)), np.zeros(0), np.zeros((0, dim)), np.zeros((0, dim, dim)))
+
+    def points(self, material: Material, comm: MPI.Comm, axisymmetric: bool) -> Points:
+        """Points with these boxes, or with the rings that they become by a turn. Collective."""
+        volume = self.volume
+        if axisymmetric:
+            with errors_on_all_ranks(comm):
+                check_axisymmetric(self.x, material)
+            volume = turned(volume, self.x)
+        return Points(
+            self.x, volume, self.half, material, comm, half_axes=self.axes, axisymmetric=axisymmetric
+        )
 
     @classmethod
     def along_grid(cls, x: np.ndarray, volume: np.ndarray, half: np.ndarray) -> _Boxes:
