@@ -80,6 +80,7 @@ class Points(Selecting):
         hardening: accumulated plastic strain chi, scalar.
         dissipation: plastic dissipation per reference volume so far (Pa), scalar.
         regions, surfaces: physical groups of the mesh that the points come from; see `region` and `surface`.
+        lattices: graded grids that the points were seeded on, with the points a cell (d,).
         arrangements: how often points have joined or been assigned a material; a problem is made of one.
 
     A copy (`copy.copy`, `copy.deepcopy`) is a body of its own, on the same communicator. Selections of the
@@ -144,6 +145,7 @@ class Points(Selecting):
         self.unresolved = np.zeros(n)
         self.regions: tuple[Regions, ...] = ()
         self.surfaces: dict[str | int, Surface] = {}
+        self.lattices: tuple[tuple[Grid, np.ndarray], ...] = ()
         self._has_plastic_state = False
         self._fingerprints: tuple[int, ...] = ()  # the present one, then those before other points joined
         self.arrangements = 0
@@ -329,6 +331,7 @@ class Points(Selecting):
         theirs["material"] = theirs["material"] + number
         self.replace({name: np.concatenate([a, theirs[name]]) for name, a in self.arrays().items()})
         self.regions += tuple(r.joined(first) for r in other.regions)
+        self.lattices += other.lattices
         for group, surface in other.surfaces.items():
             mine_too = self.surfaces.get(group)
             self.surfaces[group] = surface if mine_too is None else mine_too.joined(surface)

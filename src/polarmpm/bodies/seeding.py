@@ -87,6 +87,8 @@ def seed(
         )
     axes0 = made.axes if layout == "uniform" else np.zeros_like(made.axes)
     points = Points(made.x, made.volume, made.half, material, grid.comm, half_axes=axes0)
+    if not grid.equal:
+        points.lattices = ((grid, per_cell),)
     distribute(grid, points)
     return points
 
