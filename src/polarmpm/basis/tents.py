@@ -56,9 +56,9 @@ def _check_mirrored(grid: Grid, axis: int, index: int) -> None:
     size = grid.sizes(cells)[:, axis]
     if np.any(np.abs(size - size[::-1]) > 1e-6 * size):
         raise InputError(
-            f"symmetry: plane {'xyz'[axis]} = {grid.plane(axis, index):g}: domains of points reach beyond it, "
-            f"so the grid's next {MARGIN} lines on both sides have to be mirrored there; end the grid at this "
-            "plane, or take basis 'mpm' or a spline basis"
+            f"symmetry: plane {'xyz'[axis]} = {grid.plane(axis, index):g}: domains of points reach beyond "
+            f"it, so the grid's next {MARGIN} lines on both sides have to be mirrored there; end the grid at "
+            "this plane, or take basis 'mpm' or a spline basis"
         )
 
 

@@ -15,6 +15,7 @@ from mpi4py import MPI
 import numpy as np
 
 from ..errors import InputError
+from ..geometry.grid import Grid
 from ..geometry.surfaces import Surface
 from ..kinematics import rotations
 from ..kinematics.stretch import domain_half_length, right_stretch

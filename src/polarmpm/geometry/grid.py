@@ -139,7 +139,7 @@ class Grid:
         `pm.lines` and `pm.lines_from` help with the lines.
 
         Args:
-            x, y, z: coordinates (m) of the lines across each axis, the grid's walls included; z in space only.
+            x, y, z: coordinates (m) of the lines across each axis, the grid's walls included; z in space.
 
         Warns:
             UserWarning: neighbours whose sizes differ by more than a factor of three.
@@ -158,8 +158,8 @@ class Grid:
             if ratio > STEEP * (1.0 + 1e-9):
                 warn(
                     f"{name}: the cells on both sides of line {k} at {a[k]:.6g} differ by a factor of "
-                    f"{ratio:.3g}; beyond {STEEP:g} the error of the larger one spoils what the smaller one is "
-                    "for. pm.lines makes lines that grow smoothly"
+                    f"{ratio:.3g}; beyond {STEEP:g} the error of the larger one spoils what the smaller one "
+                    "is for. pm.lines makes lines that grow smoothly"
                 )
         axes, shape = tuple(map(evened, lines.values())), tuple(len(a) - 1 for a in lines.values())
         origin, mean = (
@@ -367,9 +367,7 @@ class GradedGrid(Grid):
 
     def part(self, lower: np.ndarray, upper: np.ndarray) -> Grid:
         made = object.__new__(GradedGrid)  # unchecked, as it may be empty
-        planes = tuple(
-            a[int(i) : int(j) + 1] for a, i, j in zip(self.planes, lower, upper, strict=True)
-        )
+        planes = tuple(a[int(i) : int(j) + 1] for a, i, j in zip(self.planes, lower, upper, strict=True))
         shape = tuple(len(a) - 1 for a in planes)
         cell = tuple((a[-1] - a[0]) / max(len(a) - 1, 1) for a in planes)
         known = {"origin": tuple(a[0] for a in planes), "cell": cell, "shape": shape, "comm": self.comm}
@@ -380,9 +378,7 @@ class GradedGrid(Grid):
         old = np.array(self.planes[axis])
         ratio = (at - old[anchor]) / (old[index] - old[anchor])
         if not ratio > 1e-6:
-            raise InputError(
-                f"plane {'xyz'[axis]} = {at:g} has reached the wall {old[anchor]:g} of the grid"
-            )
+            raise InputError(f"plane {'xyz'[axis]} = {at:g} has reached the wall {old[anchor]:g} of the grid")
         new = old[anchor] + ratio * (old - old[anchor])
         new[index] = at
         planes = tuple(tuple(map(float, new)) if k == axis else a for k, a in enumerate(self.planes))

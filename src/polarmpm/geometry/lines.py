@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -105,7 +106,7 @@ def _short(
     for _ in range(20):
         x, size = size_function(ends[0], ends[-1], [*sources, *found.values()], slope, coarse)
         more = {}
-        for k, (a, b) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
+        for k, (a, b) in enumerate(itertools.pairwise(ends)):
             cells = number_between(x, size, a, b)
             fit = (b - a) / max(1, math.ceil(cells - _SAME))
             middle = np.interp(0.5 * (a + b), x, size)
@@ -163,7 +164,7 @@ def spread(
     Raises:
         InputError: more than a million cells.
     """
-    wanted = [number_between(x, size, a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    wanted = [number_between(x, size, a, b) for a, b in itertools.pairwise(ends)]
     _check_number(sum(wanted))
     numbers = [
         max(1, math.ceil(w - 1e-6) if f is None else round((b - a) / f))
@@ -216,16 +217,15 @@ def _cells(
 
     t = (np.arange(n) + 0.5) / n
     lowest, highest = k == 0, k == len(numbers) - 1
-    given = np.zeros(n)
-    given += 0.0 if lowest else (1 - t) * shared(k - 1)
-    given += 0.0 if highest else t * shared(k + 1)
+    below, above = 0.0 if lowest else shared(k - 1), 0.0 if highest else shared(k + 1)
+    free: np.ndarray
     if lowest and highest:
         free = np.ones(n)
     elif lowest or highest:  # the factor at the wall is free
         free = 1 - t if lowest else t
     else:
         free = 4 * t * (1 - t)
-    return _fitted(plain * np.exp(given), free, length)
+    return _fitted(plain * np.exp((1 - t) * below + t * above), free, length)
 
 
 def _fitted(plain: np.ndarray, free: np.ndarray, length: float) -> np.ndarray:
@@ -294,7 +294,7 @@ def _pieces(
             ends.append(place)
     ends.sort()
     pieces: list[tuple[float, float, float | None]] = []
-    for a, b in zip(ends[:-1], ends[1:], strict=True):
+    for a, b in itertools.pairwise(ends):
         middle = 0.5 * (a + b)
         inside = any(p < middle < q for p, q in zones)
         pieces.append((a, b, (b - a) / max(1, math.ceil((b - a) / fine * (1 - _SAME))) if inside else None))
@@ -305,6 +305,4 @@ def _even(pieces: list[tuple[float, float, float | None]], growth: float) -> boo
     """Whether neighbours in fine zones go together."""
     _check_number(sum((b - a) / size for a, b, size in pieces if size is not None))
     sizes = [size for *_, size in pieces]
-    return all(
-        p is None or q is None or max(p / q, q / p) <= growth for p, q in zip(sizes[:-1], sizes[1:], strict=True)
-    )
+    return all(p is None or q is None or max(p / q, q / p) <= growth for p, q in itertools.pairwise(sizes))

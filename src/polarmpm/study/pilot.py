@@ -55,7 +55,8 @@ def indicator(pilot: QuasiStatic) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         np.maximum.at(value, index[pair, axis] + 1, change)
         value[0], value[-1] = value[1], value[-2]
         found[name] = (lines, value)
-    return comm.bcast(found)
+    told: dict[str, tuple[np.ndarray, np.ndarray]] = comm.bcast(found)
+    return told
 
 
 def _cell_means(pilot: QuasiStatic) -> tuple[np.ndarray, np.ndarray]:
@@ -148,7 +149,10 @@ def _lines_along(
     around = np.maximum(value[1:], value[:-1])  # of the pilot's cells
     root = np.sqrt(np.maximum(around, _FLAT * max(around.max(), np.finfo(float).tiny)))
     x = np.concatenate(
-        [[coordinates[0]], (coordinates[:-1, None] + size[:, None] * np.arange(1, _PARTS + 1) / _PARTS).ravel()]
+        [
+            [coordinates[0]],
+            (coordinates[:-1, None] + size[:, None] * np.arange(1, _PARTS + 1) / _PARTS).ravel(),
+        ]
     )
     x[-1] = coordinates[-1]
     for shrink in range(200):
