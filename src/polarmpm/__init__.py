@@ -30,6 +30,7 @@ from .errors import (
 )
 from .forms.stresses import MaterialField
 from .geometry.grid import Grid
+from .geometry.lines import lines
 from .geometry.planes import plane
 from .geometry.shapes import Box, Cylinder, HalfSpace, Polygon, Shape, Sphere
 from .geometry.surfaces import Surface
@@ -69,20 +70,22 @@ if TYPE_CHECKING:
     from .materials.plastic import Continuation, Plastic, UserPlasticity
     from .materials.pyramids import MohrCoulomb, Tresca
     from .materials.regions import ConeApex, Edge, Region, SmoothPart, YieldSurface
+    from .study.pilot import lines_from
 
-_PLASTIC = {
-    **dict.fromkeys(("DruckerPrager", "VonMises"), "cones"),
-    **dict.fromkeys(("MohrCoulomb", "Tresca"), "pyramids"),
-    **dict.fromkeys(("CamClay", "Houlsby"), "clay"),
-    **dict.fromkeys(("Continuation", "Plastic", "UserPlasticity"), "plastic"),
-    **dict.fromkeys(("ConeApex", "Edge", "Region", "SmoothPart", "YieldSurface"), "regions"),
+_LATER = {
+    **dict.fromkeys(("DruckerPrager", "VonMises"), "materials.cones"),
+    **dict.fromkeys(("MohrCoulomb", "Tresca"), "materials.pyramids"),
+    **dict.fromkeys(("CamClay", "Houlsby"), "materials.clay"),
+    **dict.fromkeys(("Continuation", "Plastic", "UserPlasticity"), "materials.plastic"),
+    **dict.fromkeys(("ConeApex", "Edge", "Region", "SmoothPart", "YieldSurface"), "materials.regions"),
+    "lines_from": "study.pilot",
 }
 
 
 def __getattr__(name: str) -> Any:
-    """Plastic materials and their yield surfaces, imported when a scene asks for one."""
-    if name in _PLASTIC:
-        return getattr(importlib.import_module(f"{__name__}.materials.{_PLASTIC[name]}"), name)
+    """Plastic materials, their yield surfaces and others, imported when a scene asks for one."""
+    if name in _LATER:
+        return getattr(importlib.import_module(f"{__name__}.{_LATER[name]}"), name)
     raise AttributeError(f"module 'polarmpm' has no attribute {name!r}")
 
 
@@ -160,6 +163,8 @@ __all__ = [
     "Weights",
     "WhenDistorted",
     "YieldSurface",
+    "lines",
+    "lines_from",
     "load_restart",
     "plane",
     "register_basis",

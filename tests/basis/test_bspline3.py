@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,42 +19,14 @@ from tests.helpers.ranks import on_ranks
 CUBIC = basis_of("bspline3")
 
 
-@dataclass(frozen=True)
-class Graded(pm.Grid):
-    """A lattice with any planes along both axes, by the interface that bases use."""
-
-    lines: tuple[float, ...] = ()
-
-    @classmethod
-    def of(cls, lines: np.ndarray) -> Graded:
-        n = len(lines) - 1
-        return cls((lines[0],) * 2, (np.nan,) * 2, (n, n), COMM, tuple(map(float, lines)))
-
-    @property
-    def upper(self) -> tuple[float, ...]:
-        return (self.lines[-1],) * self.dim
-
-    def sizes(self, index: np.ndarray) -> np.ndarray:
-        size = np.diff(self.lines)
-        return size[np.clip(index, 0, len(size) - 1)]
-
-    def position(self, xi: np.ndarray) -> np.ndarray:
-        return np.interp(xi, np.arange(len(self.lines)), self.lines)
-
-    def local(self, x: np.ndarray) -> np.ndarray:
-        return np.interp(x, self.lines, np.arange(len(self.lines)))
-
-    def within(self, x: np.ndarray, index: np.ndarray) -> np.ndarray:
-        return (x - self.corners(index)) / self.sizes(index)
-
-
 def equal(cells: int) -> pm.Grid:
     return pm.Grid.box((0.0, 0.0), (1.0, 1.0), 1.0 / cells)
 
 
 def graded(cells: int) -> pm.Grid:
     rng = np.random.default_rng(cells)
-    return Graded.of(np.concatenate([[0.0], np.cumsum(rng.uniform(0.2, 1.0, cells))]))
+    lines = np.concatenate([[0.0], np.cumsum(rng.uniform(0.4, 1.0, cells))])
+    return pm.Grid.graded(x=lines, y=lines)
 
 
 def diagonal(n: int) -> np.ndarray:

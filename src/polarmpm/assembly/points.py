@@ -60,7 +60,10 @@ class LoadedPoints(ProjectedPoints):
     ):
         grid, layout = interpolation.grid, interpolation.layout
         length, pieces = np.array(grid.smallest), interpolation.pieces
-        super().__init__(interpolation.nodes, layout, prescribed, length, grid.comm, timer, pieces)
+        nodes, sizes = interpolation.nodes, None
+        if not grid.equal:
+            sizes = grid.sizes_around(nodes.position)
+        super().__init__(nodes, layout, prescribed, length, grid.comm, timer, pieces, sizes)
         self.kernels, self.couple_kernel = kernels, couple_kernel
         self.interpolation, self._boxes = interpolation, interpolation.boxes
         self.mappings = [self._mapping(b) for b in interpolation.batches]
@@ -106,8 +109,20 @@ class LoadedPoints(ProjectedPoints):
         return elastic and self.couple_kernel is None and self.terms.symmetric
 
     def weak_nodes(self) -> np.ndarray:
-        weak: np.ndarray = self.node_volumes()[: self.nodes.owned] < _WEAK * np.prod(self.length)
+        size = np.prod(self.sizes, axis=-1)
+        own = self.nodes.owned
+        weak: np.ndarray = self.node_volumes()[:own] < _WEAK * (size[:own] if size.ndim else size)
         return weak
+
+    def is_large(self) -> bool:
+        grid, own = self.nodes.grid, self.nodes.owned
+        if grid.equal:
+            return super().is_large()
+        index = grid.node_index(self.nodes.lattice[:own])  # lines count, however far they are apart
+        far = np.iinfo(np.int64).max
+        ends = np.stack([index.max(axis=0, initial=-far), -index.min(axis=0, initial=far)])
+        self.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
+        return self._is_large(float(ends.sum(axis=0).max()))
 
     def node_volumes(self) -> np.ndarray:
         return self.interpolation.spread(self.interpolation.points.volume0[:, None])[:, 0]

@@ -82,7 +82,9 @@ class NodalSystem(ABC):
             at the last reset.
         step: where the iterations of the present step stand.
         terms: what acts on the nodes besides the body's stresses and loads.
-        length: size of a cell (m) in each direction, which tells what a displacement means as a strain.
+        length: size of the smallest cell (m) in each direction (d,).
+        sizes: of the cells around the nodes (nodes, d), or of all (d,), which tells what a displacement means
+            as a strain.
         as_force: factors (block,) by which forces and couples count as forces.
         inertia: of the points; None where loads are slow.
     """
@@ -98,9 +100,11 @@ class NodalSystem(ABC):
         comm: MPI.Comm,
         timer: Timer,
         pieces: Sequence[Piece] = (),
+        sizes: np.ndarray | None = None,
     ):
         self.nodes, self.layout, self.prescribed = nodes, layout, prescribed
         self.length, self.comm, self.timer = length, comm, timer
+        self.sizes = length if sizes is None else sizes
         self.terms = NodalTerms(nodes, pieces, comm)
         shape = (len(nodes), layout.block)
         self.x: np.ndarray = np.zeros(shape)
@@ -111,8 +115,14 @@ class NodalSystem(ABC):
         self.carried: np.ndarray = np.zeros(shape)
         self.step = StepState(np.zeros(shape))
         # a couple counts as a force at the distance of a cell, so that measures don't depend on units
-        self._cell = float(np.prod(length)) ** (1.0 / len(length))
+        self._cell = float(np.prod(length)) ** (1.0 / len(length)) if sizes is None else self._mean_size()
         self.as_force = np.array([1.0] * layout.dim + [1.0 / self._cell] * layout.rotations)
+
+    def _mean_size(self) -> float:
+        """Geometric mean (m) of the sizes of cells around all nodes. Collective."""
+        sums = np.array([np.log(self.sizes[: self.nodes.owned]).sum(), self.nodes.owned * self.layout.dim])
+        logarithms, number = self.comm.allreduce(sums)
+        return math.exp(logarithms / max(number, 1.0))
 
     @property
     def dim(self) -> int:
@@ -224,8 +234,11 @@ class NodalSystem(ABC):
         position = self.nodes.position[: self.nodes.owned]
         ends = np.stack([position.max(axis=0, initial=-np.inf), -position.min(axis=0, initial=np.inf)])
         self.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
-        layers = 1.0 + float((ends.sum(axis=0) / self.length).max())
-        return is_large(self.layout.dim, self.nodes.total / layers, self.comm.size)
+        return self._is_large(float((ends.sum(axis=0) / self.length).max()))
+
+    def _is_large(self, cells: float) -> bool:
+        """The same of a body so many cells long."""
+        return is_large(self.layout.dim, self.nodes.total / (1.0 + cells), self.comm.size)
 
     def weak_nodes(self) -> np.ndarray:
         """Owned nodes at which there is hardly any of the body, bool. Collective."""
@@ -381,7 +394,7 @@ class NodalSystem(ABC):
         is large: a change of the wryness is rounded relative to itself, and is as small as the rotations.
         """
         diagonal, d = np.abs(self.diagonal()), self.layout.dim
-        forces = diagonal[:, :d] * self.length
+        forces = diagonal[:, :d] * (self.sizes if self.sizes.ndim == 1 else self.sizes[: len(diagonal)])
         couples = diagonal[:, d:] / self._cell
         strains = np.minimum(couples, forces.mean(axis=1, keepdims=True))
         squares = np.array([np.sum(forces**2) + np.sum(strains**2), np.sum(couples**2)])

@@ -49,10 +49,12 @@ class AveragedSplines(QuadraticSplines):
         cells: np.ndarray | None = None,
         orders: int = 2,
     ) -> Weights:
-        """Boxes longer than a cell are taken to be as long as one."""
+        """Boxes longer than a cell are taken to be as long as one, and not to reach through the next one."""
         assert half_length is not None
         cells = grid.cells_of(x) if cells is None else cells
         half = np.minimum(half_length, 0.5 * grid.sizes(cells))
+        if not grid.equal:
+            half = _within_next(grid, x, half, cells)
         step = _steps(grid, x, half, cells)
         low, high, lower = x - half, x + half, grid.corners(cells)
         plane = np.where(step < 0, lower, lower + grid.sizes(cells))
@@ -79,6 +81,13 @@ class AveragedSplines(QuadraticSplines):
         means += self.derivatives(grid, centre + away, cells, orders)
         means *= 0.5
         return means
+
+
+def _within_next(grid: Grid, x: np.ndarray, half: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Half lengths (n, d) (m) that end in the cells beside those that the points are in."""
+    below, above = x - grid.corners(cells - 1), grid.corners(cells + 2) - x
+    limited: np.ndarray = np.minimum(half, np.maximum(np.minimum(below, above), 0.0))
+    return limited
 
 
 def _steps(grid: Grid, x: np.ndarray, half: np.ndarray, cells: np.ndarray) -> np.ndarray:

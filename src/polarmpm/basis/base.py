@@ -207,6 +207,9 @@ class Basis(ABC):
         """
         cells = self.supporting_cells(grid, x) if cells is None else cells
         index = cells // self.patch
+        if not grid.equal:  # linear functions are linear in space
+            lower = grid.corners(self.patch * index)
+            return index, (x - lower) / (grid.corners(self.patch * (index + 1)) - lower)
         return index, (cells - self.patch * index + grid.within(x, cells)) / self.patch
 
     def cells_of_groups(self, count: np.ndarray) -> np.ndarray:

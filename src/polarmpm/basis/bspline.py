@@ -7,7 +7,7 @@ import numpy as np
 from ..geometry.grid import Grid, snap
 from .base import Weights
 from .parts import joined, on_planes, supported
-from .splines import Splines
+from .splines import Splines, neighbours
 
 
 class QuadraticSplines(Splines):
@@ -68,5 +68,9 @@ class QuadraticSplines(Splines):
 
 def _shares(grid: Grid, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Size of the cells (n, d) over that of them and the cell below, which the lower outer function shares
-    with the middle one; the same above. A half, as cells are equal; at walls, where knots coincide, one."""
+    with the middle one; the same above. A half where cells are equal; at walls, where knots coincide, one."""
+    if not grid.equal:
+        size = grid.sizes(cells)
+        lower, upper = (size / (size + neighbours(grid, cells, step)) for step in (-1, 1))
+        return lower, upper
     return np.where(cells == 0, 1.0, 0.5), np.where(cells == np.array(grid.shape) - 1, 1.0, 0.5)

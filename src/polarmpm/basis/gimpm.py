@@ -40,7 +40,7 @@ class Gimpm(Tents):
         orders: int = 2,
     ) -> Weights:
         assert half_length is not None
-        low, high = _intervals(grid, x, half_length)
+        low, high = _intervals(grid, x, half_length)  # in lattice coordinates
         inner = np.array(grid.shape)
         # a domain that ends on a plane doesn't touch the next cell; one of no length takes the cell above,
         # except on the upper boundary of the grid
@@ -56,14 +56,15 @@ def _means(
     grid: Grid, low: np.ndarray, high: np.ndarray, lowest: np.ndarray, count: np.ndarray
 ) -> np.ndarray:
     """Means over intervals (n, d) of lattice coordinates of the tents of `count` nodes from `lowest` on, and
-    of their gradients (1/m): (n, d, 2, slots)."""
+    of their gradients (1/m): (n, d, 2, slots). Parts in different cells count by their lengths in metres."""
     slots = int(count.max(initial=2))
     table = np.zeros((*low.shape, 2, slots))
-    length = high - low
+    length = high - low if grid.equal else _lengths(grid, low, high, lowest, count)
     for k in range(slots - 1):  # the part of the domain in cell lowest + k
         left = np.maximum(low, lowest + k)
         right = np.minimum(high, lowest + k + 1)
-        part = np.where(length > 0, (right - left) / np.where(length > 0, length, 1.0), float(k == 0))
+        own = right - left if grid.equal else (right - left) * grid.sizes(lowest + k)
+        part = np.where(length > 0, own / np.where(length > 0, length, 1.0), float(k == 0))
         part = np.where(k < count - 1, np.maximum(part, 0.0), 0.0)
         centre = 0.5 * (left + right) - (lowest + k)
         slope = part / grid.sizes(lowest + k)
@@ -75,10 +76,11 @@ def _means(
 
 
 def _intervals(grid: Grid, x: np.ndarray, half_length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of the domains (n, d) in lattice coordinates.
-
-    Here, and in the parts' shares of a domain's length, cells are taken to be equal.
-    """
+    """Ends of the domains (n, d) in lattice coordinates; in metres they are x -+ half_length, whatever the
+    cells, so that a domain's mean position is the point's."""
+    if not grid.equal:
+        half = _without_slivers_in_metres(grid, x, half_length)
+        return snap(grid.local(x - half)), snap(grid.local(x + half))
     xi = grid.local(x)
     half = _without_slivers(xi, half_length / np.array(grid.smallest))
     return snap(xi - half), snap(xi + half)
@@ -91,5 +93,32 @@ def _without_slivers(xi: np.ndarray, half: np.ndarray) -> np.ndarray:
     shorter = half.copy()
     for reach in (to_below, to_above):
         sliver = (half - reach < _SLIVER) & (reach > _SLIVER)
+        shorter = np.where(sliver, np.minimum(shorter, reach), shorter)
+    return shorter
+
+
+def _lengths(
+    grid: Grid, low: np.ndarray, high: np.ndarray, lowest: np.ndarray, count: np.ndarray
+) -> np.ndarray:
+    """Lengths (m), (n, d), of intervals of lattice coordinates over the cells of `count` nodes from `lowest`
+    on."""
+    total = np.zeros(low.shape)
+    for k in range(int(count.max(initial=2)) - 1):
+        part = np.minimum(high, lowest + k + 1) - np.maximum(low, lowest + k)
+        total += np.where(k < count - 1, np.maximum(part, 0.0) * grid.sizes(lowest + k), 0.0)
+    return total
+
+
+def _without_slivers_in_metres(grid: Grid, x: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Half lengths (m) of intervals around x that don't reach just across a plane, in sizes of the cell that
+    they hardly enter."""
+    low, high = snap(grid.local(x - half)), snap(grid.local(x + half))
+    plane_below, plane_above = np.ceil(low).astype(np.int64), np.floor(high).astype(np.int64)
+    shorter = half.copy()
+    for reach, over, there in (
+        (x - grid.corners(plane_below), plane_below - low, plane_below - 1),
+        (grid.corners(plane_above) - x, high - plane_above, plane_above),
+    ):
+        sliver = (over > 0.0) & (over < _SLIVER) & (reach > _SLIVER * grid.sizes(there))
         shorter = np.where(sliver, np.minimum(shorter, reach), shorter)
     return shorter

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.grid import MARGIN, Grid, snap
 from .base import Basis, Layer, Weights
 
@@ -34,12 +35,31 @@ class Tents(Basis):
         xi = snap(grid.local(x))
         if cells is None:
             cells = np.minimum(np.floor(xi).astype(np.int64), np.array(grid.shape) - 1)
-        return Weights(cells, np.full(x.shape, 2, dtype=np.int32), tents(xi - cells, grid.sizes(cells)))
+        right = xi - cells if grid.equal else snap(grid.within(x, cells))
+        return Weights(cells, np.full(x.shape, 2, dtype=np.int32), tents(right, grid.sizes(cells)))
 
     def mirror(self, grid: Grid, axis: int, index: int, side: int, even: bool) -> list[Layer]:
-        """Nodes beyond the plane, which domains of points may reach, mirror those before it."""
+        """Nodes beyond the plane, which domains of points may reach, mirror those before it.
+
+        Raises:
+            InputError: domains may reach beyond the plane, and the grid's lines there aren't mirrored.
+        """
         sign = 1.0 if even else -1.0
+        if self.uses_domains and not grid.equal:
+            _check_mirrored(grid, axis, index)
         return [Layer(index + k * side, index - k * side, sign) for k in range(1, MARGIN + 1)]
+
+
+def _check_mirrored(grid: Grid, axis: int, index: int) -> None:
+    cells = np.zeros((2 * MARGIN, grid.dim), dtype=np.int64)
+    cells[:, axis] = np.arange(index - MARGIN, index + MARGIN)
+    size = grid.sizes(cells)[:, axis]
+    if np.any(np.abs(size - size[::-1]) > 1e-6 * size):
+        raise InputError(
+            f"symmetry: plane {'xyz'[axis]} = {grid.plane(axis, index):g}: domains of points reach beyond "
+            f"it, so the grid's next {MARGIN} lines on both sides have to be mirrored there; end the grid at "
+            "this plane, or take basis 'mpm' or a spline basis"
+        )
 
 
 def tents(r: np.ndarray, sizes: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from mpi4py import MPI
 import numpy as np
 
 from ..errors import InputError
+from ..geometry.grid import Grid
 from ..geometry.surfaces import Surface
 from ..kinematics import rotations
 from ..kinematics.stretch import domain_half_length, right_stretch
@@ -103,6 +104,7 @@ class Points(Selecting):
         axisymmetric: the body is one of revolution, x the radius and y along the axis: volumes are those of
             whole turns, and F and the wryness have their hoop components in the third row and column.
         regions, surfaces: physical groups of the mesh that the points come from; see `region` and `surface`.
+        lattices: graded grids that the points were seeded on, with the points a cell (d,).
         arrangements: how often points have joined or been assigned a material; a problem is made of one.
 
     A copy (`copy.copy`, `copy.deepcopy`) is a body of its own, on the same communicator. Selections of the
@@ -177,6 +179,7 @@ class Points(Selecting):
         self.unresolved = np.zeros(n)
         self.regions: tuple[Regions, ...] = ()
         self.surfaces: dict[str | int, Surface] = {}
+        self.lattices: tuple[tuple[Grid, np.ndarray], ...] = ()
         self._has_plastic_state = False
         self._fingerprints: tuple[int, ...] = ()  # the present one, then those before other points joined
         self._last_id = -1  # of points that have been there
@@ -392,6 +395,7 @@ class Points(Selecting):
         theirs["material"] = theirs["material"] + number
         self.replace({name: np.concatenate([a, theirs[name]]) for name, a in self.arrays().items()})
         self.regions += tuple(r.joined(first) for r in other.regions)
+        self.lattices += other.lattices
         for group, surface in other.surfaces.items():
             mine_too = self.surfaces.get(group)
             self.surfaces[group] = surface if mine_too is None else mine_too.joined(surface)

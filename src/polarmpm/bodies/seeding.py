@@ -90,6 +90,8 @@ def seed(
     if layout != "uniform":
         made.axes = np.zeros_like(made.axes)
     points = made.points(material, grid.comm, checks.flag("axisymmetric", axisymmetric))
+    if not grid.equal:
+        points.lattices = ((grid, per_cell),)
     distribute(grid, points)
     return points
 

@@ -11,6 +11,7 @@ from mpi4py import MPI
 import numpy as np
 
 from ..errors import InputError
+from ..geometry.grid import Grid
 from ..geometry.surfaces import Surface
 from ..tools import checks
 from ..tools.checks import refuse, whole
@@ -27,9 +28,11 @@ class Selecting(ABC):
     dim: int
     id: np.ndarray
     x: np.ndarray
+    X: np.ndarray
     half_length0: np.ndarray
     regions: tuple[Regions, ...]
     surfaces: dict[str | int, Surface]
+    lattices: tuple[tuple[Grid, np.ndarray], ...]
 
     @abstractmethod
     def __len__(self) -> int: ...
@@ -103,9 +106,10 @@ class Selecting(ABC):
     def farthest(self, direction: Sequence[float], tolerance: float | None = None) -> Selection:
         """The layer of points farthest in a direction, within `tolerance` (m). Collective.
 
-        Default tolerance: what a whole box, with the largest half lengths that the points were seeded with,
-        reaches from its centre in this direction. That takes all points whose boxes an end face across the
-        direction touches or cuts, and no second layer of a body along the grid.
+        Default tolerance: what a whole box, with the largest half lengths that the points were seeded with
+        (on a graded grid, those of the layer), reaches from its centre in this direction. That takes all
+        points whose boxes an end face across the direction touches or cuts, and no second layer of a body
+        along the grid.
 
         Raises:
             InputError: a direction or a tolerance that isn't so.
@@ -121,11 +125,31 @@ class Selecting(ABC):
         along = self.x @ n
         most = self.comm.allreduce(along.max(initial=-np.inf), op=MPI.MAX)
         if tolerance is None:
-            half: np.ndarray = np.max(self.half_length0, axis=0, initial=0.0)
-            self.comm.Allreduce(MPI.IN_PLACE, half, op=MPI.MAX)
-            # a layer next to one that is hardly there is a little more than that away
-            tolerance = (1.0 - 1e-6) * float(half @ np.abs(n))
+            tolerance = self._reach_of_layer(along, most, np.abs(n))
         return self._select(along >= most - tolerance)
+
+    def _reach_of_layer(self, along: np.ndarray, most: float, n: np.ndarray) -> float:
+        """What whole boxes of the layer of points farthest along a direction reach along it (m). Collective.
+
+        Args:
+            along, most: coordinates of the points (np,) along the direction, and the largest of all.
+            n: sizes of the direction's components (d,).
+        """
+        half: np.ndarray = np.max(self.half_length0, axis=0, initial=0.0)
+        self.comm.Allreduce(MPI.IN_PLACE, half, op=MPI.MAX)
+        # a layer next to one that is hardly there is a little more than that away
+        tolerance = (1.0 - 1e-6) * float(half @ n)
+        if not self.lattices:
+            return tolerance
+        reach = self.half_length0 @ n
+        for grid, per_cell in self.lattices:
+            reach = np.maximum(reach, (0.5 * grid.sizes(grid.cells_of(self.X)) / per_cell) @ n)
+        while True:  # larger boxes farther inside don't count
+            near = reach[along >= most - tolerance].max(initial=0.0)
+            now = (1.0 - 1e-6) * float(self.comm.allreduce(near, op=MPI.MAX))
+            if not now < tolerance * (1.0 - 1e-9):
+                return tolerance
+            tolerance = now
 
     @collective("nearest", compare=True)
     def nearest(self, position: Sequence[float], count: int = 1) -> Selection:

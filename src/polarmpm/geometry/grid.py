@@ -4,7 +4,7 @@ The lattice is only arithmetic: cells and nodes exist as integer triples (pairs 
 space costs nothing. `geometry.cells` presents the cells that matter as a dolfinx mesh.
 
 Where the grid's planes are is asked through `sizes`, `corners`, `position`, `local`, `within` and `plane`: no
-other module knows that they are equidistant.
+other module knows whether they are equidistant (`Grid.box`) or not (`Grid.graded`).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -20,7 +21,9 @@ import numpy as np
 
 from ..errors import InputError
 from ..tools import checks
+from ..tools.caller import warn
 from ..tools.parallel import communicator_named, name_of
+from .axes import STEEP, Axes, checked_lines, equal_size, evened, steepest
 
 # Lattice nodes outside the box that points' domains may reach: they belong to walls ("at and beyond").
 MARGIN = 4
@@ -29,11 +32,12 @@ _FAR = 1e12  # cells from the origin of coordinates, where rounding is a ten-tho
 
 @dataclass(frozen=True)
 class Grid:
-    """Box-shaped lattice; build it with `Grid.box`.
+    """Box-shaped lattice; build it with `Grid.box` or `Grid.graded`.
 
     Attributes:
         origin: lower corner (m), shape (d,).
-        cell: cell sizes (m), shape (d,); other modules ask for `sizes`, `smallest` or `largest`.
+        cell: cell sizes (m), shape (d,), means where lines are graded; other modules ask for `sizes`,
+            `smallest` or `largest`.
         shape: number of cells in each direction.
         comm: MPI communicator of all that lives on the grid.
 
@@ -121,6 +125,51 @@ class Grid:
             comm,
         )
 
+    @classmethod
+    def graded(
+        cls,
+        x: Sequence[float],
+        y: Sequence[float],
+        z: Sequence[float] | None = None,
+        comm: MPI.Comm = MPI.COMM_WORLD,
+    ) -> Grid:
+        """Lattice with any increasing lines along each axis: fine where it matters, coarse elsewhere.
+
+        Lines that are equidistant along all axes make the lattice that `Grid.box` makes, to the same digits.
+        `pm.lines` and `pm.lines_from` help with the lines.
+
+        Args:
+            x, y, z: coordinates (m) of the lines across each axis, the grid's walls included; z in space.
+
+        Warns:
+            UserWarning: neighbours whose sizes differ by more than a factor of three.
+
+        Raises:
+            InputError: lines that don't increase (the message names the line), cells too small for their
+                distance from the origin, or no communicator.
+        """
+        given = {"x": x, "y": y} | ({} if z is None else {"z": z})
+        lines = {name: checked_lines(name, value) for name, value in given.items()}
+        comm = checks.communicator("comm", comm)
+        if math.fsum(math.log2(len(a) + 2.0 * MARGIN) for a in lines.values()) > 62:
+            raise checks.refuse("x, y, z", [len(a) for a in lines.values()], "more than 2^62 nodes")
+        for name, a in lines.items():
+            ratio, k = steepest(a)
+            if ratio > STEEP * (1.0 + 1e-9):
+                warn(
+                    f"{name}: the cells on both sides of line {k} at {a[k]:.6g} differ by a factor of "
+                    f"{ratio:.3g}; beyond {STEEP:g} the error of the larger one spoils what the smaller one "
+                    "is for. pm.lines makes lines that grow smoothly"
+                )
+        axes, shape = tuple(map(evened, lines.values())), tuple(len(a) - 1 for a in lines.values())
+        origin, mean = (
+            tuple(float(v) for v in values)
+            for values in ([a[0] for a in axes], [(a[-1] - a[0]) / (len(a) - 1) for a in axes])
+        )
+        if all(equal_size(a) is not None for a in axes):
+            return Grid(origin, mean, shape, comm)
+        return GradedGrid(origin, mean, shape, comm, tuple(tuple(map(float, a)) for a in axes))
+
     def __repr__(self) -> str:
         cells, sizes, lower, upper = (
             separator.join(f"{v:.6g}" for v in values)
@@ -190,6 +239,18 @@ class Grid:
 
     # lines --------------------------------------------------------------------------------------
     @property
+    def equal(self) -> bool:
+        """Whether all cells have the same size."""
+        return True
+
+    @property
+    def lines(self) -> tuple[np.ndarray, ...]:
+        """Coordinates (m) of the lines across each axis, walls included: for each axis (cells + 1,)."""
+        return tuple(
+            np.array([self.plane(axis, i) for i in range(n + 1)]) for axis, n in enumerate(self.shape)
+        )
+
+    @property
     def smallest(self) -> tuple[float, ...]:
         """Size (m) of the smallest cells in each direction, (d,)."""
         return self.cell
@@ -202,6 +263,14 @@ class Grid:
     def sizes(self, index: np.ndarray) -> np.ndarray:
         """Sizes (m) of the cells of lattice index (n, d), (n, d); not to be written to."""
         return np.broadcast_to(np.array(self.cell), np.shape(index))
+
+    def sizes_around(self, x: np.ndarray) -> np.ndarray:
+        """Sizes (m), (n, d), of the cells at positions x (n, d) (m); on planes the mean of both sides."""
+        xi = snap(self.local(x))
+        above = np.floor(xi).astype(np.int64)
+        below = np.where(above == xi, above - 1, above)
+        mean: np.ndarray = 0.5 * (self.sizes(above) + self.sizes(below))
+        return mean
 
     def corners(self, index: np.ndarray) -> np.ndarray:
         """Lower corners (m) of the cells of lattice index (n, d), (n, d)."""
@@ -275,6 +344,89 @@ class Grid:
         snapped = snap(self.local(x))
         cells: np.ndarray = np.clip(np.floor(snapped).astype(np.int64), 0, np.array(self.shape) - 1)
         return cells
+
+
+@dataclass(frozen=True, repr=False)
+class GradedGrid(Grid):
+    """A lattice whose cells have several sizes; `Grid.graded` makes it.
+
+    Attributes:
+        planes: coordinates (m) of the lines across each axis.
+    """
+
+    planes: tuple[tuple[float, ...], ...] = ()
+
+    def __repr__(self) -> str:
+        cells = " x ".join(map(str, self.shape))
+        sizes = " x ".join(f"{s:.6g} ... {g:.6g}" for s, g in zip(self.smallest, self.largest, strict=True))
+        lower, upper = (", ".join(f"{v:.6g}" for v in corner) for corner in (self.lower, self.upper))
+        return f"<Grid: {cells} cells of {sizes} m, from ({lower}) to ({upper}) m>"
+
+    def description(self) -> dict[str, tuple[float, ...]]:
+        return {"shape": self.shape} | {f"lines {'xyz'[i]}": a for i, a in enumerate(self.planes)}
+
+    def part(self, lower: np.ndarray, upper: np.ndarray) -> Grid:
+        made = object.__new__(GradedGrid)  # unchecked, as it may be empty
+        planes = tuple(a[int(i) : int(j) + 1] for a, i, j in zip(self.planes, lower, upper, strict=True))
+        shape = tuple(len(a) - 1 for a in planes)
+        cell = tuple((a[-1] - a[0]) / max(len(a) - 1, 1) for a in planes)
+        known = {"origin": tuple(a[0] for a in planes), "cell": cell, "shape": shape, "comm": self.comm}
+        made.__dict__.update({**known, "planes": planes})
+        return made
+
+    def stretched(self, axis: int, index: int, anchor: int, at: float) -> Grid:
+        old = np.array(self.planes[axis])
+        ratio = (at - old[anchor]) / (old[index] - old[anchor])
+        if not ratio > 1e-6:
+            raise InputError(f"plane {'xyz'[axis]} = {at:g} has reached the wall {old[anchor]:g} of the grid")
+        new = old[anchor] + ratio * (old - old[anchor])
+        new[index] = at
+        planes = tuple(tuple(map(float, new)) if k == axis else a for k, a in enumerate(self.planes))
+        mean = tuple((a[-1] - a[0]) / (len(a) - 1) for a in planes)
+        return replace(self, origin=tuple(a[0] for a in planes), cell=mean, planes=planes)
+
+    @cached_property
+    def _axes(self) -> Axes:
+        return Axes(self.planes, MARGIN)
+
+    @property
+    def equal(self) -> bool:
+        return False
+
+    @property
+    def lines(self) -> tuple[np.ndarray, ...]:
+        return tuple(np.array(a) for a in self.planes)
+
+    @property
+    def smallest(self) -> tuple[float, ...]:
+        return tuple(float(size.min()) for size in self._axes.sizes_of)
+
+    @property
+    def largest(self) -> tuple[float, ...]:
+        return tuple(float(size.max()) for size in self._axes.sizes_of)
+
+    def sizes(self, index: np.ndarray) -> np.ndarray:
+        return self._axes.sizes(index)
+
+    def corners(self, index: np.ndarray) -> np.ndarray:
+        return self._axes.corners(index)
+
+    def plane(self, axis: int, index: int) -> float:
+        return float(self._axes.planes[axis][index + MARGIN])
+
+    def planes_of(self, axis: int) -> str:
+        a = [f"{v:g}" for v in self.planes[axis]]
+        return ", ".join(a if len(a) <= 12 else [*a[:9], "...", *a[-2:]])
+
+    def position(self, xi: np.ndarray) -> np.ndarray:
+        return self._axes.position(xi)
+
+    def local(self, x: np.ndarray) -> np.ndarray:
+        return self._axes.local(x)
+
+    def within(self, x: np.ndarray, index: np.ndarray) -> np.ndarray:
+        r: np.ndarray = (x - self.corners(index)) / self.sizes(index)
+        return r
 
 
 def box_indices(count: Sequence[int]) -> np.ndarray:

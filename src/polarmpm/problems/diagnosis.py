@@ -315,7 +315,7 @@ def _few_points(case: _Case) -> Finding | None:
     )
     alone = number == 1
     sums = comm.allreduce(np.array([len(cells), len(x), int(alone.sum())]))
-    volume = np.array([p.volume.sum(), float(len(x)) * np.prod(grid.smallest)])
+    volume = np.array([p.volume.sum(), float(np.prod(grid.sizes(grid.cells_of(x)), axis=1).sum())])
     volume = comm.allreduce(volume)  # cells that the body cuts have fewer points anyhow
     dense = volume[0] * _FEW**grid.dim <= volume[1]
     if not sums[0] or (dense and sums[2] < _ALONE * sums[0]):

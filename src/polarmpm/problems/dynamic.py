@@ -146,7 +146,7 @@ class Dynamic(Moving, QuasiStatic):
         return self.points.plastic or any(form.scalars for form in self.forms)
 
     def _prepare(self) -> LoadedPoints:
-        system = super()._prepare()
+        system: LoadedPoints = super()._prepare()
         self._add_inertia(system)
         return system
 
@@ -226,7 +226,7 @@ class DynamicFEM(Moving, QuasiStaticFEM):
         return self.points.plastic or bool(self._system and self._system.projected_F())
 
     def _prepare(self) -> ElementSystem:
-        system = super()._prepare()
+        system: LoadedPoints = super()._prepare()
         self._add_inertia(system)
         return system
 

@@ -155,7 +155,11 @@ class OnGrid(Problem):
 
     def _check_held(self, interpolation: Interpolation, prescribed: Prescribed) -> None:
         volume = interpolation.spread(self.points.volume[:, None])[: interpolation.nodes.owned, 0]
-        check_held(prescribed, volume / np.prod(self.grid.smallest), self.progress.step)
+        size = np.prod(self.grid.smallest)
+        if not self.grid.equal:
+            own = interpolation.nodes.owned
+            size = np.prod(self.grid.sizes_around(interpolation.nodes.position[:own]), axis=1)
+        check_held(prescribed, volume / size, self.progress.step)
 
     def _held_before(self) -> list[Support] | None:
         """Supports with which the last step has converged: what has come or gone since is to be felt, not

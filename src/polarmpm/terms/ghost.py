@@ -193,15 +193,28 @@ def stencil(cell: tuple[float, ...], axis: int, power: int = 3, above: float | N
     return np.asarray(dense[np.ix_(order, order)])
 
 
-def _kinds(grid: Grid, axis: int, cells: np.ndarray) -> list[tuple[tuple[float, ...], np.ndarray]]:
-    """The different sizes (m) of the cells (m,) below faces across an axis, with that of the cell above along
-    the axis, (d + 1,), and the cells that have them. Collective; the same sizes on all ranks."""
+_ABOVE = (1.0, 2.0, 0.5)  # sizes above unit cells whose stencils give those of any sizes
+
+
+def stencils(grid: Grid, axis: int, cells: np.ndarray, power: int, unit: Sequence[np.ndarray]) -> np.ndarray:
+    """Matrices (m, n, n) of the faces across an axis above cells (m,) of any sizes.
+
+    The jump is linear in one over the sizes a below and b above, so that the matrix of a face of unit area
+    and size is A / a^2 + B / (a b) + C / b^2.
+
+    Args:
+        unit: `stencil` of unit cells with the sizes `_ABOVE` above them.
+    """
     index = grid.node_index(cells)
+    size = grid.sizes(index)
     above = grid.sizes(index + (np.arange(grid.dim) == axis))[:, axis]
-    sizes, kind = np.unique(np.column_stack([grid.sizes(index), above]), axis=0, return_inverse=True)
-    mine = [tuple(map(float, size)) for size in sizes]
-    every = sorted({size for there in grid.comm.allgather(mine) for size in there})
-    return [(size, kind.ravel() == (mine.index(size) if size in mine else -1)) for size in every]
+    across = 1.0 / np.stack([size[:, axis] ** 2, size[:, axis] * above, above**2], axis=1)
+    ones = np.array([[1.0, 1.0 / b, 1.0 / b**2] for b in _ABOVE])
+    parts = across @ np.linalg.inv(ones)
+    along = np.delete(size, axis, axis=1)
+    parts *= (np.prod(along, axis=1) * along.max(axis=1, initial=0.0) ** power)[:, None]
+    made: np.ndarray = np.einsum("mk,kab->mab", parts, np.array(unit))
+    return made
 
 
 # terms ------------------------------------------------------------------------------------------
@@ -213,7 +226,7 @@ class GhostFaces(Piece):
     """
 
     boxes: Boxes
-    matrix: np.ndarray  # (1, n, n, b)
+    matrix: np.ndarray  # (1 or faces, n, n, b)
     name = "ghost"
     symmetric = True
     linear = True
@@ -247,17 +260,22 @@ class Ghost(Term):
         out: list[Piece] = []
         for axis, cells in enumerate(boundary_faces(grid, reached)):
             count = tuple(3 if k == axis else 2 for k in range(grid.dim))
-            for size, chosen in _kinds(grid, axis, cells):
-                one = self._stencil(grid, axis, size)
-                out.append(GhostFaces(Boxes(count, cells[chosen]), one[None, :, :, None] * self.scale))
+            if grid.equal:
+                matrices = self._stencil(grid, axis, grid.smallest)[None]
+            else:
+                unit = [self._stencil(grid, axis, (1.0,) * grid.dim, above) for above in _ABOVE]
+                matrices = stencils(grid, axis, cells, self.penalty.power, unit)
+            out.append(GhostFaces(Boxes(count, cells), matrices[..., None] * self.scale))
         return out
 
-    def _stencil(self, grid: Grid, axis: int, size: tuple[float, ...]) -> np.ndarray:
-        """Made on one rank, so that only one compiles; `size` as of `_kinds`. Collective."""
+    def _stencil(
+        self, grid: Grid, axis: int, size: tuple[float, ...], above: float | None = None
+    ) -> np.ndarray:
+        """Made on one rank, so that only one compiles; sizes as of `stencil`. Collective."""
         made, error = None, None
         if grid.comm.rank == 0:
             try:
-                made = stencil(size[:-1], axis, self.penalty.power, size[-1])
+                made = stencil(size, axis, self.penalty.power, above)
             except Exception as e:
                 error = e
         made, error = grid.comm.bcast((made, error))
