@@ -178,7 +178,10 @@ class Changeable(Releasable):
 
     def _use_materials(self, materials: Sequence[Material]) -> None:
         """Put in materials of the same forms. Local."""
-        if any(a is not b for a, b in zip(self.points.materials, materials, strict=True)):
+        now = self.points.materials
+        if len(now) != len(materials):
+            return  # `_prepare` says that others have joined
+        if self._changes and any(a is not b for a, b in zip(now, materials, strict=True)):
             self.points.materials = tuple(materials)
             self._put_numbers()
 

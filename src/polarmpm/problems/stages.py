@@ -222,28 +222,38 @@ class Staged(OnGrid):
             return super().add(term, counts=counts)
         if counts is not None:
             raise InputError("add: counts belongs to terms; points have over and until")
+        return self._fill(term, over, until, stress, overconsolidation)
+
+    def _fill(
+        self,
+        points: Points,
+        over: float | None,
+        until: float | None,
+        stress: Stress | None,
+        overconsolidation: float | None,
+    ) -> Stage:
         self._check_outside("add")
         self.check_open()
         self._check_left()
-        fade, joining = fading(self.progress.factor, over, until, "add"), copy.copy(term)
+        fade, joining = fading(self.progress.factor, over, until, "add"), copy.copy(points)
         self._check_joining(joining)
-        name, found = f"fill {self.given.next('fill')}", []
+        name = f"fill {self.given.next('fill')}"
 
         if stress is not None:
             with errors_on_all_ranks(self.comm):
                 stresses = stresses_of(joining, stress)
 
-        def join() -> None:
+        def join() -> Stage:
             before = self.energies()["residue"] if stress is not None else 0.0
             if stress is not None:
                 self._stress_points(joining, stresses, overconsolidation)
-            found.append(self._join(name, joining, fade))
+            stage = self._join(name, joining, fade)
             if stress is not None:  # what they have stored was done before
                 self.progress.external_work += before - self.energies()["residue"]
-            self.given.add(Given(name, found[0], self.progress.factor), "fill")
+            self.given.add(Given(name, stage, self.progress.factor), "fill")
+            return stage
 
-        self.whole(join)
-        return found[0]
+        return self.whole(join)
 
     def _check_joining(self, points: Points) -> None:
         body = self.points
