@@ -39,6 +39,7 @@ def indicator(pilot: QuasiStatic) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     Raises:
         InputError: no problem of material points, or one that has made no step yet.
     """
+    _comm(pilot)
     if not pilot.progress.step:
         raise InputError("pilot: has made no step yet; march it to the end first")
     grid, comm = pilot.initial_grid, pilot.comm
