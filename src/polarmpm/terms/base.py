@@ -247,6 +247,9 @@ class Term(ABC):
         """Put the values of a load factor in. `carrying`: those with which the last step has converged, for
         forces that are to be carried along."""
 
+    def begin_step(self, duration: float) -> None:  # noqa: B027
+        """A step in time begins (s), to the state in which its forces are in balance; in dynamic problems."""
+
     def state(self) -> dict[str, np.ndarray]:
         """All else that a restart needs, the same on every rank, by name."""
         return {}
