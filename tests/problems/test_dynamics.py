@@ -265,4 +265,6 @@ def test_microrotations_in_space_are_of_second_order(kind: type):
     fine = turning(kind, 100)
     errors = [np.linalg.norm(turning(kind, n) - fine, axis=1).max() for n in (20, 40)]
     # the reference has 0.16 of the error of the finer one
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(np.log2((1 / 20**2 - 1 / 100**2) / (1 / 40**2 - 1 / 100**2)), abs=0.1)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(
+        np.log2((1 / 20**2 - 1 / 100**2) / (1 / 40**2 - 1 / 100**2)), abs=0.1
+    )
