@@ -84,7 +84,8 @@ class Dynamic(Moving, QuasiStatic):
             boxes=boxes,
             locking=locking,
         )
-        self._rotation_limit = 0.0  # in each step rotations count from its beginning
+        if self.layout.rotations == 3:
+            self._rotation_limit = 0.0  # in space rotations count from the beginning of each step
         self._set_motion(density, microinertia, rho_inf, drag)
 
     @classmethod
@@ -135,10 +136,14 @@ class Dynamic(Moving, QuasiStatic):
         return made
 
     def restore(self, *arguments: Any) -> None:
-        """As of `QuasiStatic`; rotations count from now on, as at the beginning of each step."""
+        """As of `QuasiStatic`; rotations in space count from now on, as at the beginning of each step."""
         super().restore(*arguments)
         s, d = self._system, self.layout.dim
-        if s is not None and self.comm.allreduce(bool(np.any(s.x[:, d:])), op=MPI.LOR):
+        if (
+            s is not None
+            and self.layout.rotations == 3
+            and self.comm.allreduce(bool(np.any(s.x[:, d:])), op=MPI.LOR)
+        ):
             self._with_boxes(s.rebase_rotations)
 
     @property
