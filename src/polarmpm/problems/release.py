@@ -23,7 +23,7 @@ from ..terms.base import Term
 from ..tools import checks
 from ..tools.checks import shown
 from ..tools.meetings import collective
-from .conditions import Conditions
+from .contact import Contact
 from .given import Given
 from .observer import Observer
 from .reactions import Equilibrium
@@ -85,7 +85,7 @@ def described(condition: Any) -> str:
     return str(getattr(condition, "name", shown(condition)))
 
 
-class Releasable(Conditions):
+class Releasable(Contact):
     """Conditions that can be released, and go on after a restart. All methods are collective."""
 
     restored: Restored | None = None  # of a run that goes on from a restart file

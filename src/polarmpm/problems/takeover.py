@@ -1,4 +1,4 @@
-"""Dynamic problems that begin where quasi-static ones have ended: they take over state, supports and loads."""
+"""Dynamic problems that begin where quasi-static ones end: they take over state, supports and loads."""
 
 from __future__ import annotations
 

@@ -161,8 +161,8 @@ def _iterate(system: System, controls: Controls, outcome: Outcome, search: bool 
 
 
 def _shorten(system: System, tangent: bool, before: float) -> float:
-    """Halve the last correction until the out-of-balance forces are smaller than before; their size then. Where
-    that doesn't help, the shortest one is taken."""
+    """Halve the last correction until the out-of-balance forces are smaller than before; their size then.
+    Where that doesn't help, the shortest one is taken."""
     size = system.out_of_balance()
     if size <= before or not math.isfinite(before):
         return size

@@ -25,25 +25,39 @@ from .surfaceterms import SurfaceCondition
 
 _REACH = 2.0  # cells: sites that are nearer to the obstacle when increments begin to count may touch it
 _LEAST = 0.1  # share of a corner's area, at least, that an obstacle beside it sees
-_KEPT = ("u", "F", "seen_area", "multiplier", "slip", "seen", "turn", "w", "gap", "pressure", "traction", "couple", "sums")
+_KEPT = (
+    "u",
+    "F",
+    "seen_area",
+    "multiplier",
+    "slip",
+    "seen",
+    "turn",
+    "w",
+    "gap",
+    "pressure",
+    "traction",
+    "couple",
+    "sums",
+)
 
 
 class Obstacle(SurfaceCondition):
     """A rigid obstacle that the body touches; made by `problem.obstacle`.
 
-    Arrays are those of the last converged step, the same on all ranks, with one row for each of the sites: places
-    on the body's boundary that it carries.
+    Arrays are those of the last converged step, the same on all ranks, with one row for each of the sites:
+    places on the body's boundary that it carries.
 
     Attributes:
         force: of the obstacle on the body (N), (d,).
-        couple: sum of the couple tractions (N m), (r,).
         moment: of both about the origin (N m), (1,) in the plane or (3,).
         gap: distances of the sites (m), (n,); negative in the obstacle.
         pressure: (Pa) per undeformed area, (n,).
         traction: force on the body per undeformed area (Pa), (n, d), friction included.
-        couples: the same of couple tractions (N/m), (n, r).
+        couple: couple traction on it per undeformed area (N/m), (n, r).
         x: where the sites are (m), (n, d).
-        area: of the undeformed body that they stand for (m^2; m in the plane), (n,); of corners what faces the
+        area: of the undeformed body that they stand for (m^2; m in the plane), (n,); of corners what faces
+            the
             obstacle.
         touching: sites with a pressure, (n,) bool.
     """
@@ -52,6 +66,18 @@ class Obstacle(SurfaceCondition):
     external = True
     proportional = False
     renew = False
+
+    w: np.ndarray
+    turn: np.ndarray
+    multiplier: np.ndarray
+    pressure: np.ndarray
+    slip: np.ndarray
+    seen: np.ndarray
+    traction: np.ndarray
+    couple: np.ndarray
+    gap: np.ndarray
+    sums: np.ndarray
+    seen_area: np.ndarray
 
     def __init__(
         self,
@@ -126,16 +152,13 @@ class Obstacle(SurfaceCondition):
 
     @property
     def area(self) -> np.ndarray:
-        return self.seen_area
+        area: np.ndarray = self.seen_area
+        return area
 
     @property
     def touching(self) -> np.ndarray:
         touching: np.ndarray = self.pressure > 0.0
         return touching
-
-    @property
-    def couples(self) -> np.ndarray:
-        return self.couple
 
     @property
     def reaction(self) -> tuple[np.ndarray, np.ndarray] | None:
@@ -158,7 +181,11 @@ class Obstacle(SurfaceCondition):
 
     def as_dict(self) -> dict[str, Any]:
         """Columns of a table: force, moment, couple, number of sites that touch, deepest penetration."""
-        out: dict[str, Any] = {"force": self.force, "moment": self.moment, "touching": int(self.touching.sum())}
+        out: dict[str, Any] = {
+            "force": self.force,
+            "moment": self.moment,
+            "touching": int(self.touching.sum()),
+        }
         if self.layout.rotations:
             out["couple"] = self.sums[self.layout.dim : self.layout.dim + self.layout.rotations].copy()
         return {**out, "penetration": self.penetration}
@@ -193,8 +220,10 @@ class Obstacle(SurfaceCondition):
             return np.zeros(max(1, self.layout.rotations))
         nowhere = np.zeros((1, self.layout.dim))
         now, before = (rotations.in_space(self._rotation.at(f, nowhere)) for f in (factor, self._factor))
-        way = rotations.multiply(rotations.from_vector(now), rotations.conjugate(rotations.from_vector(before)))
-        vector = rotations.to_vector(np.where(way[:, :1] < 0, -way, way))[0]
+        way = rotations.multiply(
+            rotations.from_vector(now), rotations.conjugate(rotations.from_vector(before))
+        )
+        vector: np.ndarray = rotations.to_vector(np.where(way[:, :1] < 0, -way, way))[0]
         return vector[-1:] if self.layout.dim == 2 else vector
 
     def values(self, factor: float) -> list[np.ndarray]:
@@ -207,7 +236,14 @@ class Obstacle(SurfaceCondition):
         seen = (self.surface.x + self.u - last_centre) @ last_turn + self._about
         history = np.hstack([self._trial[:, None], self.slip, np.where(unseen, seen, self.seen)])
         turns = np.hstack([self.turn, self.w]) if r else np.zeros((n, 2))
-        return [place, np.tile(pose, (n, 1)), np.tile(self._constants, (n, 1)), history, turns, np.zeros((n, 0))]
+        return [
+            place,
+            np.tile(pose, (n, 1)),
+            np.tile(self._constants, (n, 1)),
+            history,
+            turns,
+            np.zeros((n, 0)),
+        ]
 
     def set_factor(self, factor: float, carrying: bool = False) -> None:
         self._trial = self.multiplier
@@ -279,8 +315,8 @@ class Obstacle(SurfaceCondition):
             share = float(np.mean(gap < 0.0))
             hint = "; is the sign of phi right? It is positive outside of the obstacle" if share > 0.5 else ""
             raise InputError(
-                f"{self.name}: the body begins inside of it: its site at {place} lies {-gap[deepest]:.4g} m deep, "
-                f"more than a cell ({self._size:.4g} m){hint}"
+                f"{self.name}: the body begins inside of it: its site at {place} lies {-gap[deepest]:.4g} m "
+                f"deep, more than a cell ({self._size:.4g} m){hint}"
             )
         if self.law.barrier and gap[deepest] <= 0.0:
             raise InputError(
@@ -347,14 +383,15 @@ class Obstacle(SurfaceCondition):
 
     def finish(self) -> None:
         """All pieces have told of their sites: the step has converged. Collective."""
-        every = self._moved.copy()
-        self.comm.Allreduce(MPI.IN_PLACE, every)
+        moved = self._moved.copy()
+        self.comm.Allreduce(MPI.IN_PLACE, moved)
         trial = np.where(self._trial != self.multiplier, self._trial, -np.inf)
         self.comm.Allreduce(MPI.IN_PLACE, trial, op=MPI.MAX)
-        multiplier = np.where(np.isfinite(trial), trial, self.multiplier)
-        self._moved = np.zeros_like(every)
-        n, d, r = len(every), self.layout.dim, self.layout.rotations
-        every, gradient = every[:, : d + r], every[:, d + r :].reshape(n, d, d)
+        self._trial = multiplier = np.where(np.isfinite(trial), trial, self.multiplier)
+        self.put_multipliers()
+        self._moved = np.zeros_like(moved)
+        n, d, r = len(moved), self.layout.dim, self.layout.rotations
+        every, gradient = moved[:, : d + r], moved[:, d + r :].reshape(n, d, d)
         told = self.tell(every, np.arange(n))
         self.u = self._u_at + every[:, :d]
         self.F = (np.eye(d) + gradient) @ self._F_at
@@ -378,7 +415,7 @@ class Obstacle(SurfaceCondition):
         self.renew = bool(np.any(self.gap[~self._near] < 0.5 * _REACH * self._size))
 
     def _in_balance(self, told: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """What is told of the state in which forces are in balance; by default that of the step's end. Collective."""
+        """What is told where forces are in balance; by default at the end of the step. Collective."""
         every = self.comm.allgather(self._balanced is not None)
         if not any(every):
             return told
@@ -401,7 +438,9 @@ class Obstacle(SurfaceCondition):
         for name, old in self.state().items():
             found = np.shape(arrays[name]) if name in arrays else None
             if found != old.shape:
-                raise InputError(f"{self.name}: the saved {name} has the shape {found}; {old.shape} is needed")
+                raise InputError(
+                    f"{self.name}: the saved {name} has the shape {found}; {old.shape} is needed"
+                )
         for name in _KEPT:
             setattr(self, name, np.array(arrays[name], dtype=float))
         if self.parents is not None:
