@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import polarmpm as pm
+from polarmpm.kinematics import rotations
 from tests.conftest import MICROPOLAR, NEO_HOOKEAN
 
 COMM = MPI.COMM_WORLD
@@ -181,3 +182,89 @@ def test_what_cannot_be_is_refused():
         problem.attempt(0.0)
     with pytest.raises(pm.InputError, match="march"):
         problem.march_arc_length(0.1, steps=1)
+
+
+@pytest.mark.parametrize("make", [bar, bar_of_elements])
+@pytest.mark.parametrize("rho_inf", [1.0, 0.9])
+def test_a_pulse_leaves_through_an_absorbing_boundary(make: Any, rho_inf: float):
+    """To the right runs what has v = -c du/dx; here half of a pulse of v alone goes either way, and what is
+    thrown back at the fixed end follows."""
+    problem = make(rho_inf=rho_inf)
+    points, grid = problem.points, 5.0
+    pulse = 1e-3
+
+    def v(x: np.ndarray) -> np.ndarray:
+        return np.column_stack([pulse * np.exp(-(((x[:, 0] - 8.0) / grid) ** 2)), 0.0 * x[:, 0]])
+
+    problem.velocity(v=v)
+    begin = problem.energies()["kinetic"]
+    if isinstance(problem, pm.Dynamic):
+        end = problem.absorb(pm.Surface.line((LENGTH, 0.0), (LENGTH, 2.5), 4))
+    else:
+        end = problem.absorb(pm.plane(x=LENGTH))
+    for _ in problem.march(6.0, dt=0.05):
+        pass
+    e = problem.energies()
+    assert e["kinetic"] + e["stored"] < 5e-3 * begin
+    assert e["terms"] == pytest.approx(begin, rel=0.06 if rho_inf < 1 else 6e-3)
+    problem.release(end)
+    assert len(points.velocity) == len(points)
+
+
+@pytest.mark.parametrize(("rho_inf", "reset"), [(1.0, None), (0.9, 1)])
+def test_the_error_of_a_step_is_known(rho_inf: float, reset: int | None):
+    """Of a mode that swings with w it is dt^3/12 w^2 v, whatever resets do."""
+    problem, dt, errors = bar(rho_inf=rho_inf, reset=reset), PERIOD / 80, []
+    for _ in problem.march(4 * dt, steps=4):
+        errors.append(problem.error)
+    w = 2 * np.pi / PERIOD
+    size = np.sqrt(0.5) * 1e-3 * w**2 * dt**3 / 12
+    assert errors[0] is None
+    assert errors[1] == pytest.approx(size, rel=0.05)
+    assert errors[3] == pytest.approx(size * np.cos(3 * w * dt), rel=0.05)
+
+
+def test_steps_follow_the_tolerance():
+    steps = []
+    for tolerance in (1e-6, 1.25e-7):
+        problem = bar()
+        marching = problem.march(PERIOD, dt=0.5, adaptive=True, tolerance=tolerance, largest=2.0)
+        steps.append(sum(1 for _ in marching))
+        assert problem.error is not None
+        assert problem.error < 8 * tolerance
+    assert steps[1] / steps[0] == pytest.approx(2.0, rel=0.15)
+    with pytest.raises(pm.InputError, match="adaptive"):
+        problem.march(duration=1.0, dt=0.1, tolerance=1e-6)
+
+
+def turning(kind: type, steps: int) -> np.ndarray:
+    """Quaternions of points that turn in space on the springs of the couple modulus, from 1 rad on."""
+    start = rotations.from_vector(np.array([[0.6, -0.5, 0.62]]) / np.linalg.norm([0.6, -0.5, 0.62]))
+    options = {"density": 100.0, "microinertia": 1.0, "rho_inf": 1.0}
+    if kind is pm.Dynamic:
+        grid = pm.Grid.box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1.0)
+        points = pm.seed(grid, material=MICROPOLAR)
+        points.q = np.tile(start, (len(points), 1))
+        problem: Any = pm.Dynamic(grid, points, **options)
+    else:
+        from dolfinx import mesh
+
+        body = mesh.create_unit_cube(COMM, 1, 1, 1, mesh.CellType.hexahedron)
+        elements = pm.Elements(body, material=MICROPOLAR)
+        elements.points.q = np.tile(start, (len(elements.points), 1))
+        problem = pm.DynamicFEM(elements, **options)
+    problem.fix(lambda x: np.ones(len(x), dtype=bool), u=0.0)
+    problem.velocity(spin=(0.3, -2.0, 3.0))
+    for _ in problem.march(1.0, steps=steps):
+        pass
+    return by_id(problem.points, problem.points.q)
+
+
+@pytest.mark.parametrize("kind", [pm.Dynamic, pm.DynamicFEM])
+def test_microrotations_in_space_are_of_second_order(kind: type):
+    fine = turning(kind, 100)
+    errors = [np.linalg.norm(turning(kind, n) - fine, axis=1).max() for n in (20, 40)]
+    # the reference has 0.16 of the error of the finer one
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(
+        np.log2((1 / 20**2 - 1 / 100**2) / (1 / 40**2 - 1 / 100**2)), abs=0.1
+    )

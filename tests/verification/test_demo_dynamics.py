@@ -1,4 +1,4 @@
-"""The demos of dynamics: waves in a micropolar solid."""
+"""The demos of dynamics: waves in a micropolar solid, and the collapse of a granular column."""
 
 from __future__ import annotations
 
@@ -22,3 +22,14 @@ def test_waves(folder):
     assert found["error"] < 1e-5
     assert found["energy_error"] < 1e-8
     assert {row["method"] for row in found["waves"]} == {"points", "elements"}
+
+
+def test_granular_column(folder):
+    """The first moments on a coarse grid: the front begins to run, without any cut step."""
+    found = demo_result(folder, "granular_column", "--cells", "0.02", "--time", "0.08", "--steps", "40")
+    (run,) = found["runs"]
+    assert run["cell"] == 0.02
+    assert 0.205 < run["front"] < 0.225
+    assert run["cuts"] == 0
+    assert abs(run["ledger"]) < 0.02
+    assert 0.0 < run["surface_error"] < run["surface_worst"] < 0.05

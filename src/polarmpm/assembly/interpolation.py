@@ -67,6 +67,7 @@ class Interpolation:
         reference: state at the last reset; default: the points' current state, which makes it a reset.
         terms: contributions to the nodal system besides the points' stresses.
         boxes: the points integrate over their own boxes.
+        most_growth: by what domains may have grown; points that fly apart don't spread without end.
 
     Attributes:
         pieces: what the terms have made of this reset.
@@ -83,12 +84,14 @@ class Interpolation:
         reference: Reference | None = None,
         terms: Sequence[Term] = (),
         boxes: bool = False,
+        most_growth: float = np.inf,
     ):
         self.grid, self.points, self.basis, self.forms = grid, points, basis, forms
         self.layout: Layout = forms[0].layout.with_second(False)
         self.reference = r = reference or Reference.of(points, self.layout.block)
         cells = basis.supporting_cells(grid, r.x) if basis.sliver else None
         half = basis.domains(r.F, points.half_length0) if basis.uses_domains else None
+        half = half if half is None else np.minimum(half, most_growth * points.half_length0)
         second = any(form.layout.second for form in forms)
         filled = boxes and has_boxes(points)
         with errors_on_all_ranks(grid.comm):

@@ -26,6 +26,11 @@ def solve(system: NodalSystem, start: np.ndarray, increments: np.ndarray, contro
         outcome = newton.solve(system, controls, search)
         outcome.history[:0] = tried
         system.start_elastic(False)
+    if not outcome.converged and outcome.local:
+        tried, system.x = outcome.history, start
+        system.set_prescribed(increments)
+        outcome = newton.solve(system, controls, search=True)
+        outcome.history[:0] = tried
     if not outcome.converged and system.leave_out_boxes(True):
         outcome = _start_without_boxes(system, start, increments, controls, outcome)
     return _refined(system, controls, outcome)

@@ -138,8 +138,10 @@ class Problem(Results):
             NotConverged: with what was tried and found; the last converged state is intact.
             PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
         """
-        schedule = Schedule(steps, to, adaptive, smallest, largest, easy, progress)
-        return March(self, march, schedule, "adaptive" if adaptive else "equal")
+        return self._march(Schedule(steps, to, adaptive, smallest, largest, easy, progress))
+
+    def _march(self, schedule: Schedule) -> Iterator[Step]:
+        return March(self, march, schedule, "adaptive" if schedule.adaptive else "equal")
 
     @collective("system_at")
     def system_at(self, factor: float) -> NodalSystem:
@@ -173,6 +175,10 @@ class Problem(Results):
 
     def _prescribed_at(self, system: NodalSystem, factor: float) -> np.ndarray:
         return system.prescribed.increments(factor)
+
+    def suited(self, size: float) -> float:
+        """The size of the next step where errors are controlled; here they aren't."""
+        return size
 
     def attempt(self, factor: float) -> Outcome:
         """Try to find equilibrium at a load factor; on failure everything stays as it was.

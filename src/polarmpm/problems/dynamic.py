@@ -50,6 +50,8 @@ class Dynamic(Moving, QuasiStatic):
         PointsOutsideGrid: points lie outside the grid; the message names them.
     """
 
+    _most_growth = 1.5  # of the domains of points that fly apart
+
     @collective("Dynamic", comm=lambda self, grid, *args, **options: grid.comm, compare=True)
     def __init__(
         self,

@@ -8,7 +8,7 @@ is known of the past is a dead force m h, and a dead couple, at each point.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 from mpi4py import MPI
@@ -18,188 +18,34 @@ import numpy as np
 from ..assembly.inertia import Inertia
 from ..assembly.system import NodalSystem
 from ..bodies.reference import Increments
-from ..bodies.selection import Selection
 from ..errors import InputError, LocalFailure
-from ..kinematics.moments import moments
-from ..kinematics.timesteps import TimeStep, check_rho
+from ..kinematics.timesteps import TimeStep
 from ..solvers.newton import Outcome
-from ..solvers.stepping import Step
+from ..solvers.stepping import Schedule, Step
 from ..tools import checks
-from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
-from .base import Problem
+from .kinetics import WithInertia
 from .reactions import Equilibrium
 from .work import StepStart
 
-Given = float | Sequence[float] | Callable[[np.ndarray], Any]
+_FAR = 8.0  # times the tolerance: the error of half the step is then the tolerance
 
 
-class Moving(Problem):
+class Moving(WithInertia):
     """A body in motion. All methods are collective. In all conditions the time (s) stands for the load
     factor: functions get it, and a number grows by its value in a second.
 
     Attributes:
-        rho_inf: by what a step multiplies motions whose period is much shorter than it.
+        error: estimate of the last step's error of the displacements (m), see `march`; None: there is none.
     """
 
+    error: float | None = None
     _step: TimeStep | None = None  # the step that is being solved
     _pushed: tuple[np.ndarray, np.ndarray] | None = None  # dead forces and couples of the history
     _found: tuple[tuple[float, float, float], Equilibrium] | None = None  # of the collocated state
-
-    def _set_motion(self, density: Any, microinertia: Any, rho_inf: float, drag: float) -> None:
-        """Check, and keep, what a user gives."""
-        self.rho_inf = rho_inf
-        self.drag = checks.number("drag", drag, least=0.0)
-        if self.layout.rotations and microinertia is None:
-            raise InputError(
-                "microinertia = None: of a body with microrotations it is needed, j (m^2) of the moment of "
-                "inertia rho j"
-            )
-        if not self.layout.rotations and microinertia is not None:
-            raise checks.refuse("microinertia", microinertia, "the material has no microrotation")
-        self._density, self._microinertia = density, microinertia
-        with errors_on_all_ranks(self.comm):
-            self._of_points("density", density, positive=True)
-            if microinertia is not None:
-                self._of_points("microinertia", microinertia, positive=False)
-        self.points.set_moving()
-
-    @property
-    def rho_inf(self) -> float:
-        return self._rho_inf
-
-    @rho_inf.setter
-    def rho_inf(self, value: float) -> None:
-        self._rho_inf = check_rho(value)
-
-    def _of_points(self, name: str, given: Any, *, positive: bool) -> np.ndarray:
-        """A number for each local point (np,)."""
-        p, materials = self.points, self.points.materials
-        if callable(given):
-            raw = checks.function(name, given, takes=("positions",))(p.X.copy())
-            values = checks.numeric(name, raw, "one number for each position")
-            if values.shape not in ((), (len(p),)):
-                raise checks.refuse(name, raw, f"one number for each of {len(p)} positions is needed")
-            values = np.broadcast_to(values, (len(p),))
-        elif isinstance(given, Mapping) or checks.several(given):
-            of_material = given.values() if isinstance(given, Mapping) else given
-            if isinstance(given, Mapping) and list(given) != list(materials):
-                found = [given[m] for m in materials if m in given]
-                if len(found) != len(materials) or len(given) != len(materials):
-                    raise checks.refuse(name, given, "one number for each of the body's materials")
-                of_material = found
-            numbers = checks.sequence(name, of_material, len(materials), "numbers, one a material,")
-            values = np.array([checks.number(name, v) for v in numbers])[p.material]
-        else:
-            values = np.full(len(p), checks.number(name, given))
-        least = values.min(initial=np.inf)
-        if not np.isfinite(values).all() or least < 0.0 or (positive and least == 0.0):
-            bad = values[~np.isfinite(values)]
-            allowed = "positive numbers" if positive else "numbers that aren't negative"
-            raise InputError(f"{name} = {bad[0] if len(bad) else least:g} of a point: {allowed} are allowed")
-        return values
-
-    def _masses(self) -> np.ndarray:
-        """Masses and moments of inertia of the local points (np, block)."""
-        d, r, volume = self.layout.dim, self.layout.rotations, self.points.volume0
-        with errors_on_all_ranks(self.comm):
-            mass = self._of_points("density", self._density, positive=True) * volume
-            turned = mass * self._of_points("microinertia", self._microinertia, positive=False) if r else mass
-        return np.column_stack([*[mass] * d, *[turned] * r])
-
-    def inertia(self) -> dict[str, float]:
-        """The body's mass (kg) and, with microrotations, the sum of their moments of inertia (kg m^2).
-        Collective."""
-        mass, d = self._masses(), self.layout.dim
-        sums = self.comm.allreduce(np.array([mass[:, 0].sum(), mass[:, d:].sum()]))
-        found = {"mass": float(sums[0])}
-        return found | (
-            {"moment of inertia": float(sums[1]) / self.layout.rotations} if mass.shape[1] > d else {}
-        )
-
-    # motion ---------------------------------------------------------------------------------------
-    @property
-    def time(self) -> float:
-        """Time of the last converged state (s)."""
-        return self.progress.factor
-
-    @collective("velocity", compare=True)
-    def velocity(
-        self, where: Selection | None = None, *, v: Given | None = None, spin: Given | None = None
-    ) -> None:
-        """Give points a velocity, and a spin of their microrotation: before the first step, or later as by a
-        blow. The energy that it brings counts as external work.
-
-        Args:
-            where: a selection of points; None: all.
-            v: (m/s), (d,); or a function of their positions (n, d) now, which gives (n, d).
-            spin: (rad/s), one number in plane strain, (3,) in space; or a function of the positions.
-
-        Raises:
-            InputError: neither is given, or values of the wrong size; a spin of a body without
-                microrotations.
-        """
-        self._check_outside("velocity")
-        self.check_open()
-        if v is None and spin is None:
-            raise InputError("velocity: neither v nor spin is given")
-        if spin is not None and not self.layout.rotations:
-            raise checks.refuse("velocity: spin", spin, "the material has no microrotation")
-        if where is not None:
-            self.points.check(where)
-        p, d, r, before = self.points, self.layout.dim, self.layout.rotations, self._kinetic()
-        with errors_on_all_ranks(self.comm):
-            rows = p.rows(where)
-            given = [(v, "v", d, "velocity", slice(0, d)), (spin, "spin", r, "spin", slice(3 - r, 3))]
-            made = []
-            for value, name, size, field, columns in given:
-                if value is not None:
-                    new = getattr(p, field).copy()
-                    new[rows, columns] = _values(f"velocity: {name}", value, p.x[rows], size)
-                    made.append((field, new))
-        for field, new in made:
-            setattr(p, field, new)
-        self.progress.external_work += self._kinetic() - before
-
-    def _kinetic(self) -> float:
-        p, d, r, mass = self.points, self.layout.dim, self.layout.rotations, self._masses()
-        twice = np.sum(mass[:, :d] * p.velocity**2)
-        if r:
-            twice += np.sum(mass[:, d:] * p.spin[:, 3 - r :] ** 2)
-        return 0.5 * float(self.comm.allreduce(float(twice)))
-
-    @collective("momentum")
-    def momentum(self) -> np.ndarray:
-        """Linear momentum (N s), (d,)."""
-        sums: np.ndarray = np.sum(self._masses()[:, : self.layout.dim] * self.points.velocity, axis=0)
-        return np.asarray(self.comm.allreduce(sums))
-
-    @collective("angular_momentum", compare=True)
-    def angular_momentum(self, about: Any = None) -> np.ndarray:
-        """Angular momentum (N m s) about a point (default: the origin), with that of the microrotations: (1,)
-        in the plane, (3,) in space."""
-        d, r, p, mass = self.layout.dim, self.layout.rotations, self.points, self._masses()
-        point = np.zeros(d) if about is None else checks.vector("about", about, d)
-        turning = mass[:, d:] * p.spin[:, 3 - r :] if r else np.zeros((len(p), 0))
-        sums: np.ndarray = moments(p.x - point, mass[:, :d] * p.velocity, turning).sum(axis=0)
-        return np.asarray(self.comm.allreduce(sums))
-
-    @collective("energies")
-    def energies(self) -> dict[str, float]:
-        """As of `QuasiStatic`, with
-
-        - external: also the kinetic energy that `velocity` has given;
-        - kinetic: of the points, with that of their microrotations;
-        - damped: work against drag and viscosity;
-        - residue: also what the method in time damps (`rho_inf` below 1), and its error.
-        """
-        found, kinetic, damped = super().energies(), self._kinetic(), self.progress.damped_work
-        return {
-            **found,
-            "kinetic": kinetic,
-            "damped": damped,
-            "residue": found["residue"] - kinetic - damped,
-        }
+    _tolerance: float | None = None  # of a step's error (m)
+    _mean: np.ndarray | None = None  # accelerations (np, d) of the step, and of the one before
+    _mean_before: np.ndarray | None = None
 
     # solving --------------------------------------------------------------------------------------
     def march(  # type: ignore[override]
@@ -212,6 +58,7 @@ class Moving(Problem):
         adaptive: bool = False,
         smallest: float = 1e-3,
         largest: float | None = None,
+        tolerance: float | None = None,
         easy: int = 6,
         progress: bool | None = None,
     ) -> Iterator[Step]:
@@ -226,6 +73,10 @@ class Moving(Problem):
                 to the first step's size or, with `largest`, beyond.
             smallest: smallest adaptive step, relative to the first one.
             largest: length (s) to which adaptive steps may grow.
+            tolerance: with `adaptive`: as large as the error of the displacements in a step (m), the root of
+                its mean square by mass, may be; steps are as long as that allows, and one whose error is 8
+                times as large is tried again with half the step. It is estimated from the change of the mean
+                acceleration from step to step, as far as the grid resolves it (docs/dynamics.md).
             easy, progress: as of `QuasiStatic.march`.
 
         Raises:
@@ -238,15 +89,22 @@ class Moving(Problem):
         if dt is not None:
             dt = checks.number("dt", dt, above=0.0)
             number = max(1, math.ceil((end - self.time) / dt * (1.0 - 1e-9)))
-        return super().march(
-            number,
-            to=end,
-            adaptive=adaptive,
-            smallest=smallest,
-            largest=largest,
-            easy=easy,
-            progress=progress,
-        )
+        if tolerance is not None:
+            allowed = "a positive length (m), with adaptive=True"
+            if not adaptive:
+                raise checks.refuse("tolerance", tolerance, allowed)
+            tolerance = checks.number("tolerance", tolerance, above=0.0, allowed=allowed)
+        controlled = tolerance is not None
+        schedule = Schedule(number, end, adaptive, smallest, largest, easy, progress, controlled)
+        self._tolerance = tolerance
+        return self._march(schedule)
+
+    def suited(self, size: float) -> float:
+        """The length (s) of the next step, after one of `size`, by its error."""
+        if self._tolerance is None or self.error is None:
+            return size
+        wanted = (self._tolerance / max(self.error, 1e-30 * self._tolerance)) ** (1.0 / 3.0)
+        return float(size * min(1.5, max(0.5, 0.9 * wanted)))
 
     def _until(self, time: float | None, duration: float | None) -> float:
         if (time is None) == (duration is None):
@@ -281,6 +139,10 @@ class Moving(Problem):
         # in the first step accelerations aren't known; the midpoint rule does without
         self._step = step = TimeStep(time - now, self.rho_inf if self.progress.step else 1.0)
         assert inertia is not None
+        if self.terms:
+            with errors_on_all_ranks(self.comm):
+                for term in self.terms:
+                    term.begin_step(step.theta * step.dt)
         v, a = self._rates()
         inertia.begin(system, step.acceleration + self.drag * step.rate)
         pushed = inertia.mass * (step.history(v, a) - self.drag * step.rate_history(v, a))
@@ -312,12 +174,44 @@ class Moving(Problem):
             self._found = self._collocated(system, start.x), self._on_body(system)
             system.terms.balanced(system.x)
             system.jump(start.x + (system.x - start.x) / self._step.theta)
-            try:
-                if self._evaluated_at_end:
-                    system.evaluate(False)
-            except LocalFailure as e:
-                outcome.converged, outcome.reason = False, str(e)
+            outcome.reason = self._end_of_step(system)
+            outcome.converged = not outcome.reason
         super()._finish(system, start, outcome, factor)
+
+    def _end_of_step(self, system: NodalSystem) -> str:
+        """Evaluate the state at the end of a step where that is needed, and estimate the step's error; why it
+        isn't acceptable, empty when it is. Collective."""
+        try:
+            if self._evaluated_at_end:
+                system.evaluate(False)
+        except LocalFailure as e:
+            return str(e)
+        self.error = self._estimate(system)
+        if self._tolerance is not None and self.error is not None and self.error > _FAR * self._tolerance:
+            return f"the error of the step is {self.error:.2g} m, the tolerance {self._tolerance:.2g} m"
+        return ""
+
+    def _estimate(self, system: NodalSystem) -> float | None:
+        """Error (m) of the displacements in a step, root of the mean square by mass; None where there is no
+        step before. Of mean accelerations A over steps it is dt^3/12 of their rate of change, as far as the
+        nodes' lumped masses pass it on: points jitter by what the grid doesn't see. Collective."""
+        step, inertia, d = self._step, system.inertia, self.layout.dim
+        assert step is not None
+        assert inertia is not None
+        moved, (v, a) = system.at_points(system.x) - inertia.start, self._rates()
+        self._mean = ((step.end(moved, v, a)[0] - v) / step.dt)[:, :d]
+        if self._mean_before is None:
+            return None
+        change = np.zeros_like(inertia.mass)
+        change[:, :d] = self._mean - self._mean_before
+        mass = system.from_points(inertia.mass)[:, :1]
+        nodal = system.from_points(inertia.mass * change) / np.where(mass > 0.0, mass, 1.0)
+        system.nodes.update_ghosts(nodal)
+        smooth = system.at_points(nodal)[:, :d]
+        sums = np.array([np.sum(inertia.mass[:, :d] * smooth**2), inertia.mass[:, 0].sum()])
+        self.comm.Allreduce(MPI.IN_PLACE, sums)
+        rate = math.sqrt(sums[0] / sums[1]) / (0.5 * (step.dt + self.progress.factor_change))
+        return step.dt**3 / 12.0 * rate
 
     @property
     def _evaluated_at_end(self) -> bool:
@@ -386,19 +280,12 @@ class Moving(Problem):
         p.velocity, p.acceleration = v[:, :d].copy(), a[:, :d].copy()
         p.spin, p.spin_rate = (np.pad(w[:, d:], ((0, 0), (3 - r, 0))) for w in (v, a))
         self._step = self._pushed = self._found = None
+        self._mean_before = self._mean
 
+    def kept(self) -> dict[str, np.ndarray]:
+        mean = {} if self._mean_before is None else {"mean_acceleration": self._mean_before}
+        return super().kept() | mean
 
-def _values(name: str, value: Any, x: np.ndarray, size: int) -> np.ndarray:
-    """What a user gives for positions (n, d), as (n, size)."""
-    if callable(value):
-        value = checks.function(name, value, takes=("positions",))(x.copy())
-    found = checks.numeric(name, value, f"{size} number{'s' * (size > 1)}")
-    n = len(x)
-    if found.shape == (n,) and size == 1:
-        found = found[:, None]
-    if found.shape not in ((size,), (n, size)) and not (size == 1 and found.shape == ()):
-        allowed = f"{size} number{'s' * (size > 1)}, or a function of positions that gives ({n}, {size}),"
-        raise checks.refuse(name, value, f"{allowed} needed")
-    if not np.isfinite(found).all():
-        raise checks.refuse(name, value, "finite numbers are needed")
-    return np.broadcast_to(found, (n, size))
+    def keep(self, rows: dict[str, np.ndarray]) -> None:
+        super().keep(rows)
+        self._mean_before = rows.get("mean_acceleration")

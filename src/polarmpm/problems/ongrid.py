@@ -67,6 +67,7 @@ class OnGrid(Problem):
     _arrangement: int  # of the points, see `Points.arrangements`
     _attempted: tuple[np.ndarray, np.ndarray] | None
     _converged_loads: tuple[np.ndarray, np.ndarray] | None
+    _most_growth = np.inf  # of the points' domains
 
     def _beside(self, where: PlaneSpec) -> PlaneSpec:
         self.basis.check_plane(where, self.initial_grid)
@@ -218,7 +219,16 @@ class OnGrid(Problem):
         terms = self._working_terms
         for term in terms if reference is None else []:
             term.begin()
-        made = Interpolation(self.grid, self.points, self.basis, self.forms, reference, terms, self.boxes)
+        made = Interpolation(
+            self.grid,
+            self.points,
+            self.basis,
+            self.forms,
+            reference,
+            terms,
+            self.boxes,
+            self._most_growth,
+        )
         self._conservation.reset(made)
         self.load_shares.built(self.points, made.nodes)
         return made

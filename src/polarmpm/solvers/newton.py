@@ -31,9 +31,6 @@ class System(Protocol):
     def backtrack(self) -> bool:
         """Take back half of the last correction; False if there is none in this step."""
 
-    def out_of_balance(self) -> float:
-        """Size (N) of the out-of-balance forces of the last evaluation."""
-
     def update(self, fresh: bool, accuracy: float) -> None:
         """Solve with the last tangent and add the correction to the unknowns.
 
@@ -88,12 +85,14 @@ class Outcome:
         history: (force, energy) before the first and after every iteration.
         reason: why it failed, in words.
         unresolved: see `Step`.
+        local: it failed as points had no stresses.
     """
 
     converged: bool = False
     history: list[tuple[float, float]] = field(default_factory=list)
     reason: str = ""
     unresolved: float | None = None
+    local: bool = False
 
     @property
     def iterations(self) -> int:
@@ -110,28 +109,31 @@ def solve(system: System, controls: Controls, search: bool = False) -> Outcome:
     """Iterate until one of the convergence measures is below its tolerance. Collective.
 
     Args:
-        search: the tangent jumps (contact): shorten corrections that make the residual grow.
+        search: halve corrections that don't make the residual smaller from the beginning; else from when on
+            iterations go round in circles.
     """
     outcome = Outcome()
     try:
         _iterate(system, controls, outcome, search)
     except (LocalFailure, SingularTangent) as e:
         outcome.converged, outcome.reason = False, str(e)
+        outcome.local = isinstance(e, LocalFailure)
     return outcome
 
 
-def _iterate(system: System, controls: Controls, outcome: Outcome, search: bool = False) -> None:
+def _iterate(system: System, controls: Controls, outcome: Outcome, search: bool) -> None:
     """Put convergence measures and the result into the outcome.
 
     Near the solution the residual falls quadratically and the tangent hardly changes any more. Where the
     last ratio of residuals promises that the tangent at hand is good enough for the tolerance, the last
     correction is made with it (a chord step); if that isn't enough, a full iteration follows.
     """
-    tangent, chord, before = True, False, math.inf
+    tangent, chord, lifted = True, False, True
     while True:
-        evaluate(system, tangent, system.backtrack)
-        if search:
-            before = _shorten(system, tangent, before)
+        if search and not lifted:
+            _evaluate_less(system, tangent, outcome.history[-1][0])
+        else:
+            evaluate(system, tangent, system.backtrack)
         force, energy = system.convergence_measures()
         outcome.history.append((force, energy))
         if not math.isfinite(force) or force > controls.divergence:
@@ -148,9 +150,8 @@ def _iterate(system: System, controls: Controls, outcome: Outcome, search: bool 
                 f"no convergence in {controls.max_iterations} iterations (force measure {force:.3g})"
             )
             return
-        ratio = _ratio(outcome)
-        if search and system.pending():
-            before = math.inf  # prescribed values that are put in make residuals of their own
+        ratio, lifted = _ratio(outcome), system.pending()
+        search = search or _in_circles(outcome)
         chord = not chord and not system.pending() and _SAFETY * ratio * force < controls.force_tolerance
         if not tangent and not chord:
             system.evaluate(True)
@@ -158,22 +159,6 @@ def _iterate(system: System, controls: Controls, outcome: Outcome, search: bool 
         # the next residual and ratio if both fall quadratically: is a tangent needed for what then comes?
         following = ratio**2 * force
         tangent = not chord and _SAFETY * ratio**2 * following > controls.force_tolerance
-
-
-def _shorten(system: System, tangent: bool, before: float) -> float:
-    """Halve the last correction until the out-of-balance forces are smaller than before; their size then.
-    Where that doesn't help, the shortest one is taken."""
-    size = system.out_of_balance()
-    if size <= before or not math.isfinite(before):
-        return size
-    for _ in range(_HALVINGS):
-        if size <= before or not system.backtrack():
-            break
-        system.evaluate(False)
-        size = system.out_of_balance()
-    if tangent:
-        system.evaluate(True)
-    return size
 
 
 def evaluate(system: System, tangent: bool, backtrack: Callable[[], bool]) -> None:
@@ -192,6 +177,32 @@ def evaluate(system: System, tangent: bool, backtrack: Callable[[], bool]) -> No
     system.evaluate(True)
 
 
+def _evaluate_less(system: System, tangent: bool, before: float) -> None:
+    """Evaluate, and while the force measure isn't smaller than before, go back half of the last correction;
+    where points have no stresses it counts as infinite.
+
+    Raises:
+        LocalFailure: they still have none.
+    """
+    for _ in range(_SEARCHES):
+        try:
+            system.evaluate(tangent)
+            if system.convergence_measures()[0] < before:
+                return
+        except LocalFailure:
+            pass
+        if not system.backtrack():
+            break
+        tangent = True
+    system.evaluate(True)
+
+
+def _in_circles(outcome: Outcome) -> bool:
+    """Whether the last iterations have hardly made the residual smaller."""
+    forces = [force for force, _ in outcome.history]
+    return len(forces) > _PATIENCE and min(forces[-_CIRCLE:]) > 0.5 * min(forces[:-_CIRCLE])
+
+
 def expected_to_end(outcome: Outcome, controls: Controls) -> bool:
     """Whether the next residual is small enough if residuals go on to fall quadratically."""
     return _SAFETY * _ratio(outcome) ** 2 * outcome.history[-1][0] < controls.force_tolerance
@@ -208,7 +219,8 @@ def _accuracy(ratio: float, force: float, controls: Controls) -> float:
 _SHARE = 0.1  # of the residual to come that a linear solution may leave
 _COARSEST, _FINEST = 1e-3, 1e-10  # relative residuals of linear systems
 _BACKTRACKS = 4  # corrections halved before points without stresses end the attempt
-_HALVINGS = 5  # of a correction that makes the residual grow
+_SEARCHES = 8  # the same where the residual is to become smaller
+_PATIENCE, _CIRCLE = 8, 4  # iterations before they may be said to go round in circles, and that have to
 _SAFETY = 10.0  # the change of the tangent is about twice the ratio
 
 

@@ -33,6 +33,9 @@ class Marching(Stepped, Protocol):
 
     def attempt(self, factor: float) -> Outcome: ...
 
+    def suited(self, size: float) -> float:
+        """How long a step should be, after one of `size`, where errors are controlled."""
+
     def whole(self, work: Callable[[], T]) -> T:
         """Do work as a whole or, if anything ends it early, not at all."""
 
@@ -107,6 +110,7 @@ class Schedule:
         largest: load factor increment to which adaptive steps may grow; None: the first one.
         easy: a step of at most so many iterations lets the next one grow.
         progress: progress bar; None shows it on a terminal only.
+        controlled: adaptive steps are as long as their error allows, see `Marching.suited`.
     """
 
     steps: int | None = None
@@ -116,6 +120,7 @@ class Schedule:
     largest: float | None = None
     easy: int = 6
     progress: bool | None = None
+    controlled: bool = False
 
     def __post_init__(self) -> None:
         checked: dict[str, Any] = {
@@ -293,7 +298,9 @@ def _adaptive(problem: Marching, schedule: Schedule, explain: Explain | None) ->
             size = 0.5 * min(size, left, key=abs)
             if abs(size) < schedule.smallest * abs(first):
                 raise failed(factor, step.history, tried, explain)
-        if step.iterations <= schedule.easy:
+        if schedule.controlled:
+            size = min(problem.suited(size), largest, key=abs)
+        elif step.iterations <= schedule.easy:
             size = min(1.5 * size, largest, key=abs)
         last = step
         note_sizes(problem, schedule, [first, size])

@@ -279,6 +279,9 @@ class Term(ABC):
     def end_at(self, factor: float) -> None:  # noqa: B027
         """The step ends at a load factor, or time; forces were in balance at that of `set_factor`."""
 
+    def begin_step(self, duration: float) -> None:  # noqa: B027
+        """A step in time begins (s), to the state in which its forces are in balance; in dynamic problems."""
+
     def state(self) -> dict[str, np.ndarray]:
         """All else that a restart needs, the same on every rank, by name."""
         return {}

@@ -385,9 +385,10 @@ class Obstacle(SurfaceCondition):
         """All pieces have told of their sites: the step has converged. Collective."""
         moved = self._moved.copy()
         self.comm.Allreduce(MPI.IN_PLACE, moved)
-        trial = np.where(self._trial != self.multiplier, self._trial, -np.inf)
+        trial: np.ndarray = np.where(self._trial != self.multiplier, self._trial, -np.inf)
         self.comm.Allreduce(MPI.IN_PLACE, trial, op=MPI.MAX)
-        self._trial = multiplier = np.where(np.isfinite(trial), trial, self.multiplier)
+        multiplier: np.ndarray = np.where(np.isfinite(trial), trial, self.multiplier)
+        self._trial = multiplier
         self.put_multipliers()
         self._moved = np.zeros_like(moved)
         n, d, r = len(moved), self.layout.dim, self.layout.rotations
