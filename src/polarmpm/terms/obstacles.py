@@ -21,28 +21,13 @@ from ..tools import checks
 from .base import Piece, Setting
 from .obstaclepieces import SitePiece
 from .settings import GridSetting
-from .surfaceterms import SurfaceCondition
+from .sites import Sites
 
 _REACH = 2.0  # cells: sites that are nearer to the obstacle when increments begin to count may touch it
 _LEAST = 0.1  # share of a corner's area, at least, that an obstacle beside it sees
-_KEPT = (
-    "u",
-    "F",
-    "seen_area",
-    "multiplier",
-    "slip",
-    "seen",
-    "turn",
-    "w",
-    "gap",
-    "pressure",
-    "traction",
-    "couple",
-    "sums",
-)
 
 
-class Obstacle(SurfaceCondition):
+class Obstacle(Sites):
     """A rigid obstacle that the body touches; made by `problem.obstacle`.
 
     Arrays are those of the last converged step, the same on all ranks, with one row for each of the sites:
@@ -66,18 +51,6 @@ class Obstacle(SurfaceCondition):
     external = True
     proportional = False
     renew = False
-
-    w: np.ndarray
-    turn: np.ndarray
-    multiplier: np.ndarray
-    pressure: np.ndarray
-    slip: np.ndarray
-    seen: np.ndarray
-    traction: np.ndarray
-    couple: np.ndarray
-    gap: np.ndarray
-    sums: np.ndarray
-    seen_area: np.ndarray
 
     def __init__(
         self,
@@ -109,21 +82,14 @@ class Obstacle(SurfaceCondition):
             raise InputError(
                 f"{self.name}: {self.shape!r} has {self.shape.dim} dimensions, the body has {layout.dim}"
             )
-        n, d, r = len(self.surface), layout.dim, layout.rotations
-        turns = 1 if d == 2 else 3
+        d, turns = layout.dim, 1 if layout.dim == 2 else 3
         motion, rotation, about = self._given
         zero = 0.0 if d == 2 else (0.0, 0.0, 0.0)
         self._motion = Amplitude(f"{self.name}, motion", 0.0 if motion is None else motion, d)
         self._rotation = Amplitude(f"{self.name}, rotation", zero if rotation is None else rotation, turns)
         self._about = np.zeros(d) if about is None else checks.vector(f"{self.name}: about", about, d)
         super().attach(layout, comm)
-        self.w, self.turn = np.zeros((n, r)), np.zeros((n, r))
-        self.multiplier, self.pressure = np.zeros(n), np.zeros(n)
-        self.slip, self.seen, self.traction = np.zeros((n, d)), np.full((n, d), np.nan), np.zeros((n, d))
-        self.couple, self.gap = np.zeros((n, r)), np.full(n, np.nan)
-        self.sums = np.full(d + r + turns, np.nan)
-        self.seen_area = self.surface.area.copy()
-        self._u_at, self._F_at, self._trial = self.u, self.F, self.multiplier
+        self._put_arrays()
         self._factor = self._now = 0.0  # of the last converged step, and of the present one
         self._balanced: tuple[np.ndarray, np.ndarray, list[np.ndarray]] | None = None
         self._checked = False
@@ -144,68 +110,7 @@ class Obstacle(SurfaceCondition):
     def start_from(self, u: np.ndarray, F: np.ndarray) -> None:
         self.u, self.F, self._u_at, self._F_at = u, F, u, F
 
-    # results ------------------------------------------------------------------------------------------
-    @property
-    def x(self) -> np.ndarray:
-        place: np.ndarray = self.surface.x + self.u
-        return place
-
-    @property
-    def area(self) -> np.ndarray:
-        area: np.ndarray = self.seen_area
-        return area
-
-    @property
-    def touching(self) -> np.ndarray:
-        touching: np.ndarray = self.pressure > 0.0
-        return touching
-
-    @property
-    def reaction(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Force and couple; None before the first step."""
-        d, r = self.layout.dim, self.layout.rotations
-        return None if np.isnan(self.sums[0]) else (self.sums[:d], self.sums[d : d + r])
-
-    @property
-    def force(self) -> np.ndarray:
-        return self.sums[: self.layout.dim].copy()
-
-    @property
-    def moment(self) -> np.ndarray:
-        return self.sums[self.layout.dim + self.layout.rotations :].copy()
-
-    @property
-    def penetration(self) -> float:
-        """How deep sites are in the obstacle at most (m)."""
-        return float(np.max(-np.nan_to_num(self.gap), initial=0.0))
-
-    def as_dict(self) -> dict[str, Any]:
-        """Columns of a table: force, moment, couple, number of sites that touch, deepest penetration."""
-        out: dict[str, Any] = {
-            "force": self.force,
-            "moment": self.moment,
-            "touching": int(self.touching.sum()),
-        }
-        if self.layout.rotations:
-            out["couple"] = self.sums[self.layout.dim : self.layout.dim + self.layout.rotations].copy()
-        return {**out, "penetration": self.penetration}
-
     # between two resets -------------------------------------------------------------------------------
-    @property
-    def displacement(self) -> np.ndarray:
-        return self._u_at
-
-    @property
-    def deformation(self) -> np.ndarray:
-        return self._F_at
-
-    def begin(self) -> None:
-        self._u_at, self._F_at = self.u, self.F
-        self.w = np.zeros_like(self.w)
-
-    def rebase_rotations(self) -> None:
-        self.w = np.zeros_like(self.w)
-
     def _pose(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
         """Where the point `about` is (d,), and the rotation tensor (d, d)."""
         nowhere = np.zeros((1, self.layout.dim))
@@ -428,24 +333,3 @@ class Obstacle(SurfaceCondition):
             out[name][rows] = here[name]
             self.comm.Allreduce(MPI.IN_PLACE, out[name])
         return out
-
-    # restart ------------------------------------------------------------------------------------------
-    def state(self) -> dict[str, np.ndarray]:
-        parents = {} if self.parents is None else {"parents": self.parents}
-        kept = {name: getattr(self, name) for name in _KEPT}
-        return {**kept, **parents, "u_at": self._u_at, "F_at": self._F_at, "factor": np.array([self._factor])}
-
-    def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        for name, old in self.state().items():
-            found = np.shape(arrays[name]) if name in arrays else None
-            if found != old.shape:
-                raise InputError(
-                    f"{self.name}: the saved {name} has the shape {found}; {old.shape} is needed"
-                )
-        for name in _KEPT:
-            setattr(self, name, np.array(arrays[name], dtype=float))
-        if self.parents is not None:
-            self.parents = np.array(arrays["parents"], dtype=np.int64)
-        self._u_at, self._F_at = (np.array(arrays[name], dtype=float) for name in ("u_at", "F_at"))
-        self._factor = float(arrays["factor"][0])
-        self._trial, self._checked = self.multiplier, True
