@@ -245,6 +245,9 @@ class Releasable(Contact):
         """Go on with conditions as `condition_state` has told; before `restore_terms` and `restore`. New ones
         count from the load factor of the saved state; see `check_conditions`."""
         known, _ = self.given.match(state["given"])
+        # what the script has released again: only since the last step it may still be felt
+        late = [g.condition for g, row in known if row and row["released"] == factor and row["until"] is None]
+        self._leaving = [one for one in self._leaving if any(one is condition for condition in late)]
         empty = np.zeros((0, 0))
         self._loads += [
             HandedOver(name, couple, Fade(*ends), empty)

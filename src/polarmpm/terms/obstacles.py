@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any
 
 from mpi4py import MPI
@@ -11,7 +12,7 @@ import numpy as np
 from ..conditions.amplitudes import Amplitude
 from ..errors import InputError, LocalFailure
 from ..forms.contact import CONSTANTS, ContactForm, Law, pose_row
-from ..geometry.shapes import Shape
+from ..geometry.shapes import Level, Shape
 from ..geometry.surfaces import Surface
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
@@ -109,6 +110,23 @@ class Obstacle(Sites):
 
     def start_from(self, u: np.ndarray, F: np.ndarray) -> None:
         self.u, self.F, self._u_at, self._F_at = u, F, u, F
+
+    @property
+    def timed(self) -> bool:
+        """Its level set depends on the load factor."""
+        return isinstance(self.shape, Level) and self.shape.timed
+
+    def still(self, factor: float) -> Obstacle:
+        """The same obstacle at rest where it is at a load factor, for a problem that goes on from time 0."""
+        made = copy(self)
+        where = np.zeros((1, self.layout.dim))
+        made._motion, made._rotation = copy(self._motion), copy(self._rotation)
+        for now, before in ((made._motion, self._motion), (made._rotation, self._rotation)):
+            value = before.at(factor, where)[0]
+            now.function, now.field = (lambda time, value=value: value), False
+            now.begin(0.0, "total")
+        made._factor = made._now = 0.0
+        return made
 
     # between two resets -------------------------------------------------------------------------------
     def _pose(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
