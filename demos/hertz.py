@@ -1,10 +1,11 @@
 """A cylinder pressed on a rigid plane: half width and pressure of the contact (Hertz). Metres, Pa.
 
-The lower half of a disc of radius R in plane strain, its right half by symmetry, which is held at its middle plane
-and pressed down, on a grid that doesn't know of its outline. The sites of contact are on the arc. With the load P
-per length that the plane bears, Hertz has the half width a = sqrt(4 P R / (pi E*)) and the pressure
-p0 = sqrt(P E* / (pi R)). The half width is measured by the second moment of the contact forces, a^2 = 4 <x^2>, the
-pressure by the forces near the middle over the present lengths of their parts.
+The lower half of a disc of radius R in plane strain, its right half by symmetry, which is held at its middle
+plane and pressed down, on a grid that doesn't know of its outline. The sites of contact are on the arc. With
+the
+load P per length that the plane bears, Hertz has the half width a = sqrt(4 P R / (pi E*)) and the pressure
+p0 = sqrt(P E* / (pi R)). The half width is measured by the second moment of the contact forces, a^2 = 4
+<x^2>, the pressure by the forces near the middle over the present lengths of their parts.
 """
 
 import math
@@ -76,7 +77,10 @@ def main(argv=None):
         for step in problem.march(args.steps, progress=False):
             record(step)
     load, width, p0, x, pressure = measured(plane)
-    hertz_a, hertz_p = math.sqrt(4 * load * RADIUS / (math.pi * STIFF)), math.sqrt(load * STIFF / (math.pi * RADIUS))
+    hertz_a, hertz_p = (
+        math.sqrt(4 * load * RADIUS / (math.pi * STIFF)),
+        math.sqrt(load * STIFF / (math.pi * RADIUS)),
+    )
     balance = problem.balance()
     touching = plane.touching
     result = {

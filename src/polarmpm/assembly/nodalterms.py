@@ -104,14 +104,14 @@ class NodalTerms:
             raise LocalFailure(f"{names[0]}: a place of the body has gone through it")
 
     def balanced(self, x: np.ndarray) -> None:
-        """Tell all pieces the increments (nodes, b) at which forces are in balance, before those of the step's end.
-        Local."""
+        """Tell all pieces the increments (nodes, b) at which forces are in balance, before those of the
+        step's end. Local."""
         for piece, rows in self._parts():
             piece.balanced(x[rows])
 
     def refine(self, x: np.ndarray) -> bool:
-        """After iterations have converged at increments (nodes, b): whether pieces have improved their forces, so
-        that iterations have to go on. Collective.
+        """After iterations have converged at increments (nodes, b): whether pieces have improved their
+        forces, so that iterations have to go on. Collective.
 
         Raises:
             LocalFailure: the solution can't be taken.

@@ -379,12 +379,6 @@ class NodalSystem(ABC):
         energy = sums[2] / abs(sums[3]) if sums[3] != 0 else np.inf
         return float(force), float(energy)
 
-    def out_of_balance(self) -> float:
-        own = slice(0, self.nodes.owned)
-        with np.errstate(over="ignore", invalid="ignore"):
-            square = float(np.sum((self.on_free(self.residual)[own] * self.as_force) ** 2))
-        return math.sqrt(self.comm.allreduce(square))
-
     def _rounding_squares(self) -> np.ndarray:
         """Squares of the out-of-balance forces (N) that a relative rounding of strains makes, and of those
         that one of rotations of a radian makes beside. Collective.

@@ -1,4 +1,4 @@
-"""The outside of a body of material points, as far as they tell: the corners of their domains that no others share."""
+"""The outside of a body of material points: the corners of their domains at which faces are free."""
 
 from __future__ import annotations
 
@@ -12,11 +12,15 @@ _SHIFT = 0.318309886  # of that: so that lattices of round numbers don't lie on 
 
 
 def outer_corners(points: Points) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Corners of the points' domains as they are now at which faces are free: positions (n, d) (m), undeformed areas
-    (n,) (m^2; m in the plane), outward normals (n, d) and ids of the points (n,); the same on all ranks, in the
-    order of the ids. Area and normal are those of the sum of a point's shares of its free faces: at the end of two
-    faces it is aslant. A corner of several points is there once for each. A point without a domain stands for
-    itself. Collective."""
+    """Corners of the points' domains, as they are now, at which faces are free. Collective.
+
+    Area and normal are those of the sum of a point's shares of its free faces: where two of them meet it is
+    aslant. A corner of several points is there once for each. A point without a domain stands for itself.
+
+    Returns:
+        Positions (n, d) (m), undeformed areas (n,) (m^2; m in the plane), outward normals (n, d) and ids of
+        the points (n,); the same on all ranks, in the order of the ids.
+    """
     d, comm = points.dim, points.comm
     rows = [points.id, points.X, points.x, points.F[:, :d, :d], points.half_length0, points.volume0]
     every = [np.concatenate(parts) for parts in zip(*comm.allgather(rows), strict=True)]
@@ -38,8 +42,8 @@ def outer_corners(points: Points) -> tuple[np.ndarray, np.ndarray, np.ndarray, n
 
 
 def _outward(X: np.ndarray, arms: np.ndarray, alone: np.ndarray, signs: np.ndarray) -> np.ndarray:
-    """Along which axes the points' faces are free at their corners, with the sign (n, 2^d, d); zero where none
-    is."""
+    """Along which axes the points' faces are free at their corners, with the sign (n, 2^d, d); zero where
+    none is."""
     n, corners, d = arms.shape
     low = float(arms[~alone].__abs__().min(initial=np.inf))
     if not np.isfinite(low):
@@ -49,7 +53,7 @@ def _outward(X: np.ndarray, arms: np.ndarray, alone: np.ndarray, signs: np.ndarr
     place, seen = place.ravel(), np.tile(np.arange(corners), n)
     around = np.zeros((int(place.max()) + 1, corners), dtype=bool)
     around[place, seen] = True  # on which sides of a place there are points
-    directions = np.zeros(arms.shape).reshape(-1, d)
+    directions: np.ndarray = np.zeros((n * corners, d))
     for axis in range(d):
         # the point's face across the axis is free at this corner if no point lies beyond it there
         beyond = np.argmax(np.all(signs[:, None] * _flip(axis, d) == signs[None], axis=2), axis=1)

@@ -1,7 +1,8 @@
 """The weak form at a site in contact with a rigid obstacle: UFL in, compiled residual and tangent out.
 
-The unknown of a site is y = (u, w): the increments of its displacement and of its rotation vector. All forces are
-per undeformed area. Places are seen in the obstacle's frame, xi = R^T (x - c) + a, in which it is at rest.
+The unknown of a site is y = (u, w): the increments of its displacement and of its rotation vector. All forces
+are per undeformed area. Places are seen in the obstacle's frame, xi = R^T (x - c) + a, in which it is at
+rest.
 """
 
 from __future__ import annotations
@@ -49,8 +50,9 @@ class Law:
 class ContactForm(SurfaceForm):
     """Normal force from a potential of the gap; friction and resistance to rolling by return mapping.
 
-    Data: place (m) at y = 0; pose of the obstacle: c, a, R row by row, t, its turn in this step (rad); `CONSTANTS`;
-    multiplier (Pa), elastic slip and place xi at the end of the last step (m); elastic turn and w then (rad);
+    Data: place (m) at y = 0; pose of the obstacle: c, a, R row by row, t, its turn in this step (rad);
+    `CONSTANTS`; multiplier (Pa), elastic slip and place xi at the end of the last step (m); elastic turn and
+    w then (rad);
     numbers of the shape.
 
     `distance` is that at which a pressure sets in: of a barrier, or the skin of the surface.
@@ -154,16 +156,16 @@ class ContactForm(SurfaceForm):
         return {**sizes, **({"couple": r, "turn": r} if r else {})}
 
     def teller(self, comm: MPI.Comm) -> Kernel:
-        """Kernel (y, data...) -> gap (m), pressure (Pa), normal, place in the obstacle's frame, traction on the
-        body (Pa), elastic slip (m), couple traction on it (N/m), elastic turn (rad). Collective."""
+        """Kernel (y, data...) -> gap (m), pressure (Pa), normal, place in the obstacle's frame, traction
+        on the body (Pa), elastic slip (m), couple traction on it (N/m), elastic turn (rad). Collective."""
         constants, d, r = self.coefficients[2], self.layout.dim, self.layout.rotations
         gap, normal, xi, turn = self._gap()
         _, pressure = self._normal(gap)
-        outward = ufl.dot(turn, normal)
+        outward, slope = ufl.dot(turn, normal), ufl.dot(turn, ufl.diff(gap, xi))
         friction = ufl.as_vector([0.0 * pressure] * d)
         if self.law.friction:
             friction = self._friction(pressure, normal, xi)
-        traction = pressure * outward - ufl.dot(turn, friction)
+        traction = pressure * slope - ufl.dot(turn, friction)
         slip = friction / constants[CONSTANTS.index("tangential")]
         values = [gap, pressure, outward, xi, traction, slip]
         if r:
@@ -187,7 +189,9 @@ def _level(shape: Level, xi: Any, t: Any) -> Any:
     Raises:
         InputError: it fails, isn't a scalar, or doesn't depend on the place.
     """
-    with checks.evaluating("obstacle: phi", lambda error: "; write it in UFL (ufl.sqrt, ufl.sin), not in NumPy"):
+    with checks.evaluating(
+        "obstacle: phi", lambda error: "; write it in UFL (ufl.sqrt, ufl.sin), not in NumPy"
+    ):
         raw = shape.function(xi, t) if shape.timed else shape.function(xi)
     try:
         value = ufl.as_ufl(raw)

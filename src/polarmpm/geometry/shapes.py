@@ -1,7 +1,7 @@
 """Shapes of rigid obstacles: distances from their surfaces (m), positive outside, in UFL.
 
-A shape says what its distance is at a place `x`, a UFL vector. Its numbers are coefficients of the compiled code:
-another radius compiles nothing.
+A shape says what its distance is at a place `x`, a UFL vector. Its numbers are coefficients of the compiled
+code: another radius compiles nothing.
 """
 
 from __future__ import annotations
@@ -141,8 +141,8 @@ class Sphere(Shape):
 
 
 class Cylinder(Shape):
-    """A cylinder in space about an axis through a point (m), of a radius (m); endless, or of a length (m) with the
-    point in its middle. Hollow: the body is inside, as in a pipe or a tin.
+    """A cylinder in space about an axis through a point (m), of a radius (m); endless, or of a length (m)
+    with the point in its middle. Hollow: the body is inside, as in a pipe or a tin.
 
     Raises:
         InputError: not a point and a direction in space; a radius or a length that isn't positive.
@@ -181,7 +181,8 @@ class Cylinder(Shape):
 
 
 class Box(Shape):
-    """A box (rectangle) along the axes between two corners (m); turn it with `rotation` of `problem.obstacle`.
+    """A box (rectangle) along the axes between two corners (m); turn it with `rotation` of
+    `problem.obstacle`.
     Hollow: the body is inside.
 
     Raises:
@@ -205,8 +206,8 @@ class Box(Shape):
 
 
 class Polygon(Shape):
-    """A polygon in the plane by its corners (m), (n, 2), in either sense; it needn't be convex, but its sides must
-    not cross. Hollow: the body is inside.
+    """A polygon in the plane by its corners (m), (n, 2), in either sense; it needn't be convex, but its sides
+    must not cross. Hollow: the body is inside.
 
     Raises:
         InputError: fewer than three corners or more than 200, sides without a length, sides that cross.
@@ -218,12 +219,15 @@ class Polygon(Shape):
         found = checks.numeric("Polygon: corners", corners, "corners")
         if found.ndim != 2 or found.shape[1] != 2 or not 3 <= len(found) <= _MOST_CORNERS:
             raise InputError(
-                f"Polygon: corners has the shape {found.shape}; (n, 2) with n from 3 to {_MOST_CORNERS} is needed"
+                f"Polygon: corners has the shape {found.shape}; (n, 2) with n from 3 to "
+                f"{_MOST_CORNERS} is needed"
             )
         x = checks.array("Polygon: corners", found, (len(found), 2), "corners")
         sides = np.roll(x, -1, axis=0) - x
         if not np.all(np.hypot(*sides.T) > 1e-12 * np.ptp(x, axis=0).max()):
-            raise InputError(f"Polygon: corners = {checks.shown(corners)}: two that follow each other are the same")
+            raise InputError(
+                f"Polygon: corners = {checks.shown(corners)}: two that follow each other are the same"
+            )
         _check_sides(x, sides)
         area = np.sum(_cross(x, np.roll(x, -1, axis=0)))
         self.corners = x if area > 0 else x[::-1].copy()
@@ -285,8 +289,9 @@ def _check_sides(x: np.ndarray, sides: np.ndarray) -> None:
 
 
 class Level(Shape):
-    """A level set of a script's: a function (place) or (place, t) -> UFL scalar, positive outside of the obstacle;
-    t is the load factor or time. What it gives needn't be a distance: it is divided by the size of its gradient."""
+    """A level set of a script's: a function (place) or (place, t) -> UFL scalar, positive outside of the
+    obstacle; t is the load factor or time. What it gives needn't be a distance: it is divided by the size
+    of its gradient."""
 
     def __init__(self, function: Any, timed: bool):
         self.function, self.timed = function, timed
@@ -310,7 +315,8 @@ def shape_of(name: str, value: Any) -> Shape:
     if isinstance(value, Shape):
         return value
     allowed = (
-        "a shape (HalfSpace, Sphere, Cylinder, Box, Polygon, Solid) or a function (x) or (x, t) -> UFL scalar is"
+        "a shape (HalfSpace, Sphere, Cylinder, Box, Polygon, Solid), or a function (x) or (x, t) of the "
+        "place (m) that gives a UFL scalar, is"
     )
     if isinstance(value, type) or not callable(value):
         raise checks.refuse(name, value, f"{allowed} needed")

@@ -98,7 +98,9 @@ class Surface:
         r = checks.number("Surface.arc: radius", radius, above=0.0)
         first, last = (checks.number(f"Surface.arc: {k}", v) for k, v in (("start", start), ("end", end)))
         if not first < last <= first + 2 * math.pi * (1 + 1e-12):
-            raise checks.refuse("Surface.arc: end", end, f"it lies above start = {first:g}, by a turn at most")
+            raise checks.refuse(
+                "Surface.arc: end", end, f"it lies above start = {first:g}, by a turn at most"
+            )
         n = checks.whole("Surface.arc: points", points, least=1)
         check_memory("Surface.arc: points", points, n * _BYTES)
         angle = first + (np.arange(n) + 0.5) / n * (last - first)

@@ -17,11 +17,9 @@ from ..conditions.loads import AnyLoad, Applied, Load, make_loads
 from ..conditions.supports import Support, make_support
 from ..errors import InputError
 from ..geometry.planes import Plane, PlaneSpec, plane
-from ..geometry.shapes import Shape
 from ..geometry.surfaces import Surface
 from ..kinematics.layout import Layout
 from ..terms.base import Term
-from ..terms.obstacles import Obstacle
 from ..terms.surfaces import SurfaceSupport
 from ..terms.surfaceterms import SurfaceCondition
 from ..tools import checks
@@ -31,7 +29,6 @@ from ..tools.parallel import errors_on_all_ranks
 from . import slopes, surfaces
 from .given import Given, Present, Register
 from .keeping import Keeping
-from .obstacles import add_obstacle
 from .state import Progress
 from .turns import Turns
 from .whole import Changing, Whole
@@ -336,61 +333,6 @@ class Conditions(Keeping, Whole, Turns):
             InputError: as `traction`.
         """
         return surfaces.add_pressure(self, self._named(where), p, counts=counts)
-
-    @collective("obstacle", compare=True)
-    def obstacle(
-        self,
-        phi: Shape | Callable[..., Any],
-        *,
-        on: Any = None,
-        friction: float = 0.0,
-        rolling: float = 0.0,
-        drilling: float = 0.0,
-        stiffness: float | None = None,
-        gap: float | None = None,
-        barrier: float | None = None,
-        motion: Any = None,
-        rotation: Any = None,
-        about: Any = None,
-        name: str | None = None,
-    ) -> Obstacle:
-        """A rigid obstacle that the body touches, presses against and slides on (docs/contact.md).
-
-        Args:
-            phi: a shape: `HalfSpace`, `Sphere` (a disc in the plane), `Cylinder`, `Box`, `Polygon`, `Solid` (an STL
-                file); or a function (x) or (x, t) of the place (m) and the load factor that gives a UFL scalar,
-                positive outside of the obstacle, zero on its surface.
-            on: places of the body that may touch it: a `Surface`, or the name of a group of facets of the points'
-                mesh; of finite elements also what `elements.facets` takes. Default: the body's whole boundary, of
-                material points the corners of their domains that no others share.
-            friction: Coulomb's coefficient.
-            rolling, drilling: of micropolar bodies: resistance to turning about axes in the surface (in the plane:
-                to turning) and about its normal: lengths (m), times the pressure the largest couple traction.
-            stiffness: pressure per depth (Pa/m); default: ten times the stiffest material's lam + 2 mu over a cell.
-            gap: largest gap and depth (m) of places under pressure in a converged step (augmented Lagrange
-                method). Default: springs alone, whose depth is pressure / stiffness.
-            barrier: instead of springs: the pressure sets in at this distance (m) and grows beyond all bounds
-                before the surface is touched.
-            motion: displacement (m) of the obstacle, as values of `fix`: a number is ramped with the load factor,
-                a function of the factor gives it.
-            rotation: its turn about the point `about` (default: the origin), an angle (rad) or in space a rotation
-                vector. A level set that depends on t moves along its normals only: it drags nothing along.
-            name: for messages and results.
-
-        Returns:
-            The obstacle, for `reaction` and `release`; its `force`, `moment`, `gap`, `pressure` and `traction` are
-            those of the last step.
-
-        Raises:
-            InputError: something that isn't so; a shape of another dimension, a body that begins inside of it.
-        """
-        self._check_outside("obstacle")
-        options = {
-            **{"friction": friction, "rolling": rolling, "drilling": drilling, "stiffness": stiffness},
-            **{"gap": gap, "barrier": barrier, "motion": motion, "rotation": rotation, "about": about},
-            "name": name,
-        }
-        return add_obstacle(self, phi, on, options)
 
     @collective("body_load", compare=True)
     def body_load(

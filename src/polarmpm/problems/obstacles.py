@@ -59,12 +59,16 @@ def _law(problem: Loaded, name: str, given: dict[str, Any]) -> tuple[Law, dict[s
                 f"{name}: {key} = {numbers[key]:g}: a classical material has no rotations for it to resist"
             )
     if numbers["drilling"] and problem.layout.dim == 2:
-        raise InputError(f"{name}: drilling = {numbers['drilling']:g}: in the plane nothing turns about a normal")
+        raise InputError(
+            f"{name}: drilling = {numbers['drilling']:g}: in the plane nothing turns about a normal"
+        )
     barrier, gap, stiffness = given["barrier"], given["gap"], given["stiffness"]
     if barrier is not None:
         barrier = checks.number(f"{name}: barrier", barrier, above=0.0)
         if gap is not None:
-            raise InputError(f"{name}: gap = {gap!r} belongs to springs; a barrier = {barrier:g} lets nothing through")
+            raise InputError(
+                f"{name}: gap = {gap!r} belongs to springs; a barrier = {barrier:g} lets nothing through"
+            )
     if gap is not None:
         gap = checks.number(f"{name}: gap", gap, above=0.0)
     if stiffness is None:
@@ -96,7 +100,9 @@ def _modulus(problem: Any, name: str) -> float:
             most = max(most, float(stiffness_across(material, dim, np.eye(dim), problem.comm)[0].max()))
     if not most > 0.0:
         kinds = ", ".join(dict.fromkeys(type(m).__name__ for m in problem.points.materials))
-        raise InputError(f"{name}: stiffness: {kinds} has no stiffness in the undeformed state; give stiffness")
+        raise InputError(
+            f"{name}: stiffness: {kinds} has no stiffness in the undeformed state; give stiffness"
+        )
     return most
 
 
@@ -115,7 +121,9 @@ def _sites(problem: Any, name: str, on: Any) -> tuple[Surface, np.ndarray | None
             f"{name}: on", on, "a Surface, or the name of a group of facets of the points' mesh, is needed"
         )
     if surface.dim != problem.layout.dim:
-        raise InputError(f"{name}: the surface has {surface.dim} dimensions, the body has {problem.layout.dim}")
+        raise InputError(
+            f"{name}: the surface has {surface.dim} dimensions, the body has {problem.layout.dim}"
+        )
     return surface, _parents(problem, name, surface)
 
 
@@ -136,7 +144,7 @@ def _parents(problem: Any, name: str, surface: Surface) -> np.ndarray:
         at = int(np.argmax(distance * far))
         where = tuple(float(round(c, 9)) for c in surface.x[at])
         raise InputError(
-            f"{name}: on: surface point {at} at {where} lies {distance[at]:.4g} m from the nearest material point "
-            f"({int(far.sum())} such in all): it isn't on this body"
+            f"{name}: on: surface point {at} at {where} lies {distance[at]:.4g} m from the nearest material "
+            f"point ({int(far.sum())} such in all): it isn't on this body"
         )
     return found[:, 0].astype(np.int64)

@@ -23,7 +23,7 @@ from ..terms.base import Term
 from ..tools import checks
 from ..tools.checks import shown
 from ..tools.meetings import collective
-from .conditions import Conditions
+from .contact import Contact
 from .given import Given
 from .observer import Observer
 from .reactions import Equilibrium
@@ -94,7 +94,7 @@ def described(condition: Any) -> str:
     return str(getattr(condition, "name", shown(condition)))
 
 
-class Releasable(Conditions):
+class Releasable(Contact):
     """Conditions that can be released, and go on after a restart. All methods are collective."""
 
     restored: Restored | None = None  # of a run that goes on from a restart file
@@ -263,6 +263,9 @@ class Releasable(Conditions):
         """Go on with conditions as `condition_state` has told; before `restore_terms` and `restore`. New ones
         count from the load factor of the saved state; see `check_conditions`."""
         known, _ = self.given.match(state["given"])
+        # what the script has released again: only since the last step it may still be felt
+        late = [g.condition for g, row in known if row and row["released"] == factor and row["until"] is None]
+        self._leaving = [one for one in self._leaving if any(one is condition for condition in late)]
         empty = np.zeros((0, 0))
         self._loads = [load for load in self._loads if not isinstance(load, HandedOver)]
         self._loads += [

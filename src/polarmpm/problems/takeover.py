@@ -14,6 +14,7 @@ from ..conditions.supports import Support
 from ..errors import InputError
 from ..terms.base import Term
 from ..terms.ghost import Ghost
+from ..terms.obstacles import Obstacle
 from ..tools import checks
 from .given import Given
 
@@ -30,12 +31,15 @@ def check(problem: Any, kind: type) -> None:
         raise InputError("of: no load step has been solved yet; give conditions to a dynamic problem itself")
     if any(isinstance(load, HandedOver) or load.amplitude.fade is not None for load in before.loads):
         raise InputError("of: some conditions are still fading; let them fade out first")
-    terms = [term.name for term in before.terms if not isinstance(term, Ghost)]
+    terms = [term.name for term in before.terms if not isinstance(term, Ghost | Obstacle)]
     if terms:
         raise InputError(
             f"of: {terms[0]}: conditions on surfaces, and terms of one's own, can't be taken over; "
             "release them"
         )
+    timed = [t.name for t in before.terms if isinstance(t, Obstacle) and t.timed]
+    if timed:
+        raise InputError(f"of: {timed[0]}: a level set of the load factor can't be taken over; release it")
     if getattr(before, "held_slopes", None):
         raise InputError("of: slopes that are held on facets can't be taken over; release them")
 
@@ -44,7 +48,14 @@ def take_conditions(made: Any, before: Any) -> None:
     """Supports hold the body where it is, and loads keep the values that they have."""
     factor = before.progress.factor
     for given in before.given:
-        if given.released is not None or isinstance(given.condition, Term):
+        if given.released is not None:
+            continue
+        if isinstance(given.condition, Obstacle):
+            stays = given.condition.still(factor)
+            made._terms.append(stays)
+            made.given.add(Given(stays.name, stays, 0.0), "surface")
+            continue
+        if isinstance(given.condition, Term):
             continue
         if isinstance(given.condition, Support):
             support = _still(given.condition)

@@ -31,9 +31,6 @@ class System(Protocol):
     def backtrack(self) -> bool:
         """Take back half of the last correction; False if there is none in this step."""
 
-    def out_of_balance(self) -> float:
-        """Size (N) of the out-of-balance forces of the last evaluation."""
-
     def update(self, fresh: bool, accuracy: float) -> None:
         """Solve with the last tangent and add the correction to the unknowns.
 
@@ -112,8 +109,8 @@ def solve(system: System, controls: Controls, search: bool = False) -> Outcome:
     """Iterate until one of the convergence measures is below its tolerance. Collective.
 
     Args:
-        search: halve corrections that make the residual grow from the beginning, as where the tangent jumps
-            (contact); else from when on iterations go round in circles.
+        search: halve corrections that don't make the residual smaller from the beginning; else from when on
+            iterations go round in circles.
     """
     outcome = Outcome()
     try:
@@ -131,10 +128,10 @@ def _iterate(system: System, controls: Controls, outcome: Outcome, search: bool)
     last ratio of residuals promises that the tangent at hand is good enough for the tolerance, the last
     correction is made with it (a chord step); if that isn't enough, a full iteration follows.
     """
-    tangent, chord, before = True, False, math.inf
+    tangent, chord, lifted = True, False, True
     while True:
-        if math.isfinite(before):
-            _evaluate_less(system, tangent, before)
+        if search and not lifted:
+            _evaluate_less(system, tangent, outcome.history[-1][0])
         else:
             evaluate(system, tangent, system.backtrack)
         force, energy = system.convergence_measures()
@@ -153,10 +150,8 @@ def _iterate(system: System, controls: Controls, outcome: Outcome, search: bool)
                 f"no convergence in {controls.max_iterations} iterations (force measure {force:.3g})"
             )
             return
-        ratio = _ratio(outcome)
+        ratio, lifted = _ratio(outcome), system.pending()
         search = search or _in_circles(outcome)
-        # prescribed values that are put in make forces of their own
-        before = system.out_of_balance() if search and not system.pending() else math.inf
         chord = not chord and not system.pending() and _SAFETY * ratio * force < controls.force_tolerance
         if not tangent and not chord:
             system.evaluate(True)
@@ -183,8 +178,8 @@ def evaluate(system: System, tangent: bool, backtrack: Callable[[], bool]) -> No
 
 
 def _evaluate_less(system: System, tangent: bool, before: float) -> None:
-    """Evaluate, and while the out-of-balance forces are larger than before, go back half of the last
-    correction; where points have no stresses they count as infinite. Where nothing helps, take the shortest.
+    """Evaluate, and while the force measure isn't smaller than before, go back half of the last correction;
+    where points have no stresses it counts as infinite.
 
     Raises:
         LocalFailure: they still have none.
@@ -192,7 +187,7 @@ def _evaluate_less(system: System, tangent: bool, before: float) -> None:
     for _ in range(_SEARCHES):
         try:
             system.evaluate(tangent)
-            if system.out_of_balance() <= before:
+            if system.convergence_measures()[0] < before:
                 return
         except LocalFailure:
             pass
@@ -224,7 +219,7 @@ def _accuracy(ratio: float, force: float, controls: Controls) -> float:
 _SHARE = 0.1  # of the residual to come that a linear solution may leave
 _COARSEST, _FINEST = 1e-3, 1e-10  # relative residuals of linear systems
 _BACKTRACKS = 4  # corrections halved before points without stresses end the attempt
-_SEARCHES = 6  # the same where the residual is not to grow
+_SEARCHES = 8  # the same where the residual is to become smaller
 _PATIENCE, _CIRCLE = 8, 4  # iterations before they may be said to go round in circles, and that have to
 _SAFETY = 10.0  # the change of the tangent is about twice the ratio
 

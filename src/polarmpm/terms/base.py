@@ -121,15 +121,15 @@ class Piece(ABC):
         """Take note of the increments (m, n, b) of a converged step. Collective."""
 
     def balanced(self, x: np.ndarray) -> None:  # noqa: B027
-        """In dynamics: forces are in balance at increments (m, n, b); those of the step's end follow. Local."""
+        """In dynamics: forces are in balance at increments (m, n, b), before the step ends. Local."""
 
     def admits(self, x: np.ndarray) -> bool:
         """Whether it has forces at increments (m, n, b). Local."""
         return True
 
     def refine(self, x: np.ndarray) -> bool:
-        """After iterations have converged at increments (m, n, b): whether its forces are to be improved, so that
-        iterations go on. Local.
+        """After iterations have converged at increments (m, n, b): whether its forces are to be improved, so
+        that iterations go on. Local.
 
         Raises:
             LocalFailure: the solution can't be taken.
@@ -220,7 +220,8 @@ class Term(ABC):
             factor doesn't depend on the increments: the arc-length method can take it.
         committed: it has taken part in a converged step; the problem sees to it.
         taken: it belongs to a problem.
-        renew: its pieces don't fit the present state any more: the next step is to begin with a reset; the same
+        renew: its pieces don't fit the present state any more: the next step is to begin with a reset; the
+            same
             on all ranks.
         rows: arrays (np, ...) with one row for each local point of the body, by name. They move with the
             points to other ranks and into restart files.

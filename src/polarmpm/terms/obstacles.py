@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any
 
 from mpi4py import MPI
@@ -11,7 +12,7 @@ import numpy as np
 from ..conditions.amplitudes import Amplitude
 from ..errors import InputError, LocalFailure
 from ..forms.contact import CONSTANTS, ContactForm, Law, pose_row
-from ..geometry.shapes import Shape
+from ..geometry.shapes import Level, Shape
 from ..geometry.surfaces import Surface
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
@@ -21,29 +22,28 @@ from ..tools import checks
 from .base import Piece, Setting
 from .obstaclepieces import SitePiece
 from .settings import GridSetting
-from .surfaceterms import SurfaceCondition
+from .sites import Sites
 
 _REACH = 2.0  # cells: sites that are nearer to the obstacle when increments begin to count may touch it
 _LEAST = 0.1  # share of a corner's area, at least, that an obstacle beside it sees
-_KEPT = ("u", "F", "seen_area", "multiplier", "slip", "seen", "turn", "w", "gap", "pressure", "traction", "couple", "sums")
 
 
-class Obstacle(SurfaceCondition):
+class Obstacle(Sites):
     """A rigid obstacle that the body touches; made by `problem.obstacle`.
 
-    Arrays are those of the last converged step, the same on all ranks, with one row for each of the sites: places
-    on the body's boundary that it carries.
+    Arrays are those of the last converged step, the same on all ranks, with one row for each of the sites:
+    places on the body's boundary that it carries.
 
     Attributes:
         force: of the obstacle on the body (N), (d,).
-        couple: sum of the couple tractions (N m), (r,).
         moment: of both about the origin (N m), (1,) in the plane or (3,).
         gap: distances of the sites (m), (n,); negative in the obstacle.
         pressure: (Pa) per undeformed area, (n,).
         traction: force on the body per undeformed area (Pa), (n, d), friction included.
-        couples: the same of couple tractions (N/m), (n, r).
+        couple: couple traction on it per undeformed area (N/m), (n, r).
         x: where the sites are (m), (n, d).
-        area: of the undeformed body that they stand for (m^2; m in the plane), (n,); of corners what faces the
+        area: of the undeformed body that they stand for (m^2; m in the plane), (n,); of corners what faces
+            the
             obstacle.
         touching: sites with a pressure, (n,) bool.
     """
@@ -83,21 +83,14 @@ class Obstacle(SurfaceCondition):
             raise InputError(
                 f"{self.name}: {self.shape!r} has {self.shape.dim} dimensions, the body has {layout.dim}"
             )
-        n, d, r = len(self.surface), layout.dim, layout.rotations
-        turns = 1 if d == 2 else 3
+        d, turns = layout.dim, 1 if layout.dim == 2 else 3
         motion, rotation, about = self._given
         zero = 0.0 if d == 2 else (0.0, 0.0, 0.0)
         self._motion = Amplitude(f"{self.name}, motion", 0.0 if motion is None else motion, d)
         self._rotation = Amplitude(f"{self.name}, rotation", zero if rotation is None else rotation, turns)
         self._about = np.zeros(d) if about is None else checks.vector(f"{self.name}: about", about, d)
         super().attach(layout, comm)
-        self.w, self.turn = np.zeros((n, r)), np.zeros((n, r))
-        self.multiplier, self.pressure = np.zeros(n), np.zeros(n)
-        self.slip, self.seen, self.traction = np.zeros((n, d)), np.full((n, d), np.nan), np.zeros((n, d))
-        self.couple, self.gap = np.zeros((n, r)), np.full(n, np.nan)
-        self.sums = np.full(d + r + turns, np.nan)
-        self.seen_area = self.surface.area.copy()
-        self._u_at, self._F_at, self._trial = self.u, self.F, self.multiplier
+        self._put_arrays()
         self._factor = self._now = 0.0  # of the last converged step, and of the present one
         self._balanced: tuple[np.ndarray, np.ndarray, list[np.ndarray]] | None = None
         self._checked = False
@@ -118,67 +111,24 @@ class Obstacle(SurfaceCondition):
     def start_from(self, u: np.ndarray, F: np.ndarray) -> None:
         self.u, self.F, self._u_at, self._F_at = u, F, u, F
 
-    # results ------------------------------------------------------------------------------------------
     @property
-    def x(self) -> np.ndarray:
-        place: np.ndarray = self.surface.x + self.u
-        return place
+    def timed(self) -> bool:
+        """Its level set depends on the load factor."""
+        return isinstance(self.shape, Level) and self.shape.timed
 
-    @property
-    def area(self) -> np.ndarray:
-        return self.seen_area
-
-    @property
-    def touching(self) -> np.ndarray:
-        touching: np.ndarray = self.pressure > 0.0
-        return touching
-
-    @property
-    def couples(self) -> np.ndarray:
-        return self.couple
-
-    @property
-    def reaction(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Force and couple; None before the first step."""
-        d, r = self.layout.dim, self.layout.rotations
-        return None if np.isnan(self.sums[0]) else (self.sums[:d], self.sums[d : d + r])
-
-    @property
-    def force(self) -> np.ndarray:
-        return self.sums[: self.layout.dim].copy()
-
-    @property
-    def moment(self) -> np.ndarray:
-        return self.sums[self.layout.dim + self.layout.rotations :].copy()
-
-    @property
-    def penetration(self) -> float:
-        """How deep sites are in the obstacle at most (m)."""
-        return float(np.max(-np.nan_to_num(self.gap), initial=0.0))
-
-    def as_dict(self) -> dict[str, Any]:
-        """Columns of a table: force, moment, couple, number of sites that touch, deepest penetration."""
-        out: dict[str, Any] = {"force": self.force, "moment": self.moment, "touching": int(self.touching.sum())}
-        if self.layout.rotations:
-            out["couple"] = self.sums[self.layout.dim : self.layout.dim + self.layout.rotations].copy()
-        return {**out, "penetration": self.penetration}
+    def still(self, factor: float) -> Obstacle:
+        """The same obstacle at rest where it is at a load factor, for a problem that goes on from time 0."""
+        made = copy(self)
+        where = np.zeros((1, self.layout.dim))
+        made._motion, made._rotation = copy(self._motion), copy(self._rotation)
+        for now, before in ((made._motion, self._motion), (made._rotation, self._rotation)):
+            value = before.at(factor, where)[0]
+            now.function, now.field = (lambda time, value=value: value), False
+            now.begin(0.0, "total")
+        made._factor = made._now = 0.0
+        return made
 
     # between two resets -------------------------------------------------------------------------------
-    @property
-    def displacement(self) -> np.ndarray:
-        return self._u_at
-
-    @property
-    def deformation(self) -> np.ndarray:
-        return self._F_at
-
-    def begin(self) -> None:
-        self._u_at, self._F_at = self.u, self.F
-        self.w = np.zeros_like(self.w)
-
-    def rebase_rotations(self) -> None:
-        self.w = np.zeros_like(self.w)
-
     def _pose(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
         """Where the point `about` is (d,), and the rotation tensor (d, d)."""
         nowhere = np.zeros((1, self.layout.dim))
@@ -193,8 +143,10 @@ class Obstacle(SurfaceCondition):
             return np.zeros(max(1, self.layout.rotations))
         nowhere = np.zeros((1, self.layout.dim))
         now, before = (rotations.in_space(self._rotation.at(f, nowhere)) for f in (factor, self._factor))
-        way = rotations.multiply(rotations.from_vector(now), rotations.conjugate(rotations.from_vector(before)))
-        vector = rotations.to_vector(np.where(way[:, :1] < 0, -way, way))[0]
+        way = rotations.multiply(
+            rotations.from_vector(now), rotations.conjugate(rotations.from_vector(before))
+        )
+        vector: np.ndarray = rotations.to_vector(np.where(way[:, :1] < 0, -way, way))[0]
         return vector[-1:] if self.layout.dim == 2 else vector
 
     def values(self, factor: float) -> list[np.ndarray]:
@@ -207,7 +159,14 @@ class Obstacle(SurfaceCondition):
         seen = (self.surface.x + self.u - last_centre) @ last_turn + self._about
         history = np.hstack([self._trial[:, None], self.slip, np.where(unseen, seen, self.seen)])
         turns = np.hstack([self.turn, self.w]) if r else np.zeros((n, 2))
-        return [place, np.tile(pose, (n, 1)), np.tile(self._constants, (n, 1)), history, turns, np.zeros((n, 0))]
+        return [
+            place,
+            np.tile(pose, (n, 1)),
+            np.tile(self._constants, (n, 1)),
+            history,
+            turns,
+            np.zeros((n, 0)),
+        ]
 
     def set_factor(self, factor: float, carrying: bool = False) -> None:
         self._trial = self.multiplier
@@ -279,8 +238,8 @@ class Obstacle(SurfaceCondition):
             share = float(np.mean(gap < 0.0))
             hint = "; is the sign of phi right? It is positive outside of the obstacle" if share > 0.5 else ""
             raise InputError(
-                f"{self.name}: the body begins inside of it: its site at {place} lies {-gap[deepest]:.4g} m deep, "
-                f"more than a cell ({self._size:.4g} m){hint}"
+                f"{self.name}: the body begins inside of it: its site at {place} lies {-gap[deepest]:.4g} m "
+                f"deep, more than a cell ({self._size:.4g} m){hint}"
             )
         if self.law.barrier and gap[deepest] <= 0.0:
             raise InputError(
@@ -347,14 +306,16 @@ class Obstacle(SurfaceCondition):
 
     def finish(self) -> None:
         """All pieces have told of their sites: the step has converged. Collective."""
-        every = self._moved.copy()
-        self.comm.Allreduce(MPI.IN_PLACE, every)
-        trial = np.where(self._trial != self.multiplier, self._trial, -np.inf)
+        moved = self._moved.copy()
+        self.comm.Allreduce(MPI.IN_PLACE, moved)
+        trial: np.ndarray = np.where(self._trial != self.multiplier, self._trial, -np.inf)
         self.comm.Allreduce(MPI.IN_PLACE, trial, op=MPI.MAX)
-        multiplier = np.where(np.isfinite(trial), trial, self.multiplier)
-        self._moved = np.zeros_like(every)
-        n, d, r = len(every), self.layout.dim, self.layout.rotations
-        every, gradient = every[:, : d + r], every[:, d + r :].reshape(n, d, d)
+        multiplier: np.ndarray = np.where(np.isfinite(trial), trial, self.multiplier)
+        self._trial = multiplier
+        self.put_multipliers()
+        self._moved = np.zeros_like(moved)
+        n, d, r = len(moved), self.layout.dim, self.layout.rotations
+        every, gradient = moved[:, : d + r], moved[:, d + r :].reshape(n, d, d)
         told = self.tell(every, np.arange(n))
         self.u = self._u_at + every[:, :d]
         self.F = (np.eye(d) + gradient) @ self._F_at
@@ -378,7 +339,7 @@ class Obstacle(SurfaceCondition):
         self.renew = bool(np.any(self.gap[~self._near] < 0.5 * _REACH * self._size))
 
     def _in_balance(self, told: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """What is told of the state in which forces are in balance; by default that of the step's end. Collective."""
+        """What is told where forces are in balance; by default at the end of the step. Collective."""
         every = self.comm.allgather(self._balanced is not None)
         if not any(every):
             return told
@@ -390,22 +351,3 @@ class Obstacle(SurfaceCondition):
             out[name][rows] = here[name]
             self.comm.Allreduce(MPI.IN_PLACE, out[name])
         return out
-
-    # restart ------------------------------------------------------------------------------------------
-    def state(self) -> dict[str, np.ndarray]:
-        parents = {} if self.parents is None else {"parents": self.parents}
-        kept = {name: getattr(self, name) for name in _KEPT}
-        return {**kept, **parents, "u_at": self._u_at, "F_at": self._F_at, "factor": np.array([self._factor])}
-
-    def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        for name, old in self.state().items():
-            found = np.shape(arrays[name]) if name in arrays else None
-            if found != old.shape:
-                raise InputError(f"{self.name}: the saved {name} has the shape {found}; {old.shape} is needed")
-        for name in _KEPT:
-            setattr(self, name, np.array(arrays[name], dtype=float))
-        if self.parents is not None:
-            self.parents = np.array(arrays["parents"], dtype=np.int64)
-        self._u_at, self._F_at = (np.array(arrays[name], dtype=float) for name in ("u_at", "F_at"))
-        self._factor = float(arrays["factor"][0])
-        self._trial, self._checked = self.multiplier, True
