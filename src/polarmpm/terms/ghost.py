@@ -204,6 +204,14 @@ def _kinds(grid: Grid, axis: int, cells: np.ndarray) -> list[tuple[tuple[float, 
     return [(size, kind.ravel() == (mine.index(size) if size in mine else -1)) for size in every]
 
 
+def _turns(grid: Grid, axis: int, cells: np.ndarray) -> np.ndarray:
+    """Lengths of a turn (m,) (m) at the middles of faces, for the cells below them."""
+    index = grid.node_index(cells)
+    share = 1.0 if axis == 0 else 0.5
+    radius: np.ndarray = grid.corners(index)[:, 0] + share * grid.sizes(index)[:, 0]
+    return 2.0 * np.pi * radius
+
+
 # terms ------------------------------------------------------------------------------------------
 @dataclass
 class GhostFaces(Piece):
@@ -213,7 +221,7 @@ class GhostFaces(Piece):
     """
 
     boxes: Boxes
-    matrix: np.ndarray  # (1, n, n, b)
+    matrix: np.ndarray  # (1, n, n, b), of a body of revolution (m, n, n, b)
     name = "ghost"
     symmetric = True
     linear = True
@@ -235,7 +243,7 @@ class Ghost(Term):
     name = "ghost"
 
     def __init__(self, penalty: GhostPenalty, layout: Layout):
-        self.penalty = penalty
+        self.penalty, self._axial = penalty, layout.axial
         self.scale = np.repeat([penalty.displacement, penalty.rotation], [layout.dim, layout.rotations])
 
     def pieces(self, setting: Setting) -> list[Piece]:
@@ -249,7 +257,10 @@ class Ghost(Term):
             count = tuple(3 if k == axis else 2 for k in range(grid.dim))
             for size, chosen in _kinds(grid, axis, cells):
                 one = self._stencil(grid, axis, size)
-                out.append(GhostFaces(Boxes(count, cells[chosen]), one[None, :, :, None] * self.scale))
+                matrix = one[None, :, :, None] * self.scale
+                if self._axial:
+                    matrix = matrix * _turns(grid, axis, cells[chosen])[:, None, None, None]
+                out.append(GhostFaces(Boxes(count, cells[chosen]), matrix))
         return out
 
     def _stencil(self, grid: Grid, axis: int, size: tuple[float, ...]) -> np.ndarray:
