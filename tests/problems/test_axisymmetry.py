@@ -58,7 +58,8 @@ def test_patch(kind, inner, material):
         problem = of_elements(material, int(degree), cell, lower=lower, upper=upper, cells=(4, 4))
     else:
         problem = of_points(material, kind, lower, upper)
-    assert stretched(problem, lower, upper) < 1e-9
+    # boxes of splines end a little before the axis
+    assert stretched(problem, lower, upper) < (1e-6 if kind == "bspline" and not inner else 1e-9)
     assert (problem.axis is not None) == (inner == 0.0)
 
 

@@ -26,7 +26,8 @@ from ..kinematics import rotations
 from ..kinematics.layout import Layout
 
 _BENT = structures.constant("_boxes.h", "BENT")
-_INSIDE = 1.0 - 1e-9  # how far a box may reach to the axis of a body of revolution, over its radius
+_INSIDE = 1.0 - 1e-5  # how far a box reaches to the axis of a body of revolution, over its radius; rounding
+# on a side is divided by what is left
 FLOWED = 0.01  # share of points that have flowed: what keeps cells from deforming for nothing
 
 

@@ -25,7 +25,7 @@ from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks
 from .facets import Facets, FacetSurface
 from .points import Points
 from .regions import Regions, materials_of
-from .revolution import check_axisymmetric, turned
+from .revolution import check_section, turned
 
 # exact for the stiffness of undistorted elements: degree + 1 Gauss points a direction on boxes
 _QUADRATURE = {"tensor": (3, 5, 7), "simplex": (2, 4, 6)}
@@ -89,6 +89,9 @@ class Elements:
         self.degree, self.quadrature_degree = degree, rule
         materials, of_cell = materials_of(self.body, material)
         self.axisymmetric = checks.flag("axisymmetric", axisymmetric)
+        if self.axisymmetric:
+            with errors_on_all_ranks(self.comm):
+                check_section(self.mesh.geometry.x[:, : self.dim], materials)
         self.layout = Layout.of(materials[0], self.dim, self.axisymmetric)
         self.space = compat.function_space(self.mesh, self.layout.block, degree)
         self.nodes = SpaceNodes(self.space, self.dim)
@@ -120,8 +123,6 @@ class Elements:
         half = np.tile(0.5 * area[:, None] ** (1 / self.dim), (1, self.dim))
         x = values[:, :, : self.dim].reshape(-1, self.dim)
         if self.axisymmetric:
-            with errors_on_all_ranks(self.comm):
-                check_axisymmetric(x, materials[0])
             volume = turned(area, x)
         points = Points(x, volume, half, materials[0], self.comm, axisymmetric=self.axisymmetric)
         points.put_materials(materials, np.repeat(of_cell, len(xi)))

@@ -379,6 +379,9 @@ class Points(Selecting):
             raise InputError("other: its points live on another communicator")
         if other.dim != self.dim:
             raise InputError(f"other has {other.dim} dimensions, these points have {self.dim}")
+        if other.axisymmetric != self.axisymmetric:
+            which = "other" if other.axisymmetric else "these points"
+            raise InputError(f"other: of both only {which} are a body of revolution (axisymmetric)")
         known = self.fingerprints()
         self.remember_ids()
         first = self._last_id + 1
@@ -414,6 +417,8 @@ class Points(Selecting):
         self.check(selection)
         if len(selection) == 0:
             raise InputError("selection: contains no point")
+        if self.axisymmetric:
+            check_axisymmetric(self.X, material)
         if material.micropolar != self.materials[0].micropolar:
             raise InputError("material: micropolar and classical materials can't be mixed in one body")
         if material not in self.materials:

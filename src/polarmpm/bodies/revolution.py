@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..errors import InputError
 from ..materials.base import Material
+
+_ROUNDING = 1e-9  # of the size of a mesh
 
 
 def check_axisymmetric(x: np.ndarray, material: Material) -> None:
@@ -25,6 +29,19 @@ def check_axisymmetric(x: np.ndarray, material: Material) -> None:
             f"axisymmetric = True: {type(material).__name__} has second gradients; bodies of revolution are "
             "of classical or micropolar materials"
         )
+
+
+def check_section(x: np.ndarray, materials: Sequence[Material]) -> None:
+    """The same for a mesh's nodes (n, d), which may lie on the axis."""
+    size = float(np.abs(x).max(initial=0.0))
+    beyond = x[:, 0] < -_ROUNDING * size
+    if np.any(beyond) and x.shape[1] == 2:
+        raise InputError(
+            f"axisymmetric = True: the mesh has a node at x = {x[:, 0].min():g}; the axis is x = 0, "
+            "and the mesh is at x >= 0"
+        )
+    for material in materials:
+        check_axisymmetric(np.maximum(x, _ROUNDING * size) if x.shape[1] == 2 else x, material)
 
 
 def turned(volume: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -59,6 +59,7 @@ def made_of(problem: Problem, terms: Sequence[Term]) -> Facts:
     """
     layout = problem.layout
     facts: Facts = {"unknowns": {"dimensions": layout.dim, "unknowns of a node": layout.block}}
+    facts["unknowns"] |= {"axisymmetric": True} if layout.axial else {}
     facts |= {"materials": _materials(problem), "terms": _terms(terms)}
     if isinstance(problem, QuasiStaticFEM):
         facts["mesh"] = meshstate.header(problem)

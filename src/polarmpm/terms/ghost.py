@@ -217,6 +217,14 @@ def stencils(grid: Grid, axis: int, cells: np.ndarray, power: int, unit: Sequenc
     return made
 
 
+def _turns(grid: Grid, axis: int, cells: np.ndarray) -> np.ndarray:
+    """Lengths of a turn (m,) (m) at the middles of faces, for the cells below them."""
+    index = grid.node_index(cells)
+    share = 1.0 if axis == 0 else 0.5
+    radius: np.ndarray = grid.corners(index)[:, 0] + share * grid.sizes(index)[:, 0]
+    return 2.0 * np.pi * radius
+
+
 # terms ------------------------------------------------------------------------------------------
 @dataclass
 class GhostFaces(Piece):
@@ -248,7 +256,7 @@ class Ghost(Term):
     name = "ghost"
 
     def __init__(self, penalty: GhostPenalty, layout: Layout):
-        self.penalty = penalty
+        self.penalty, self._axial = penalty, layout.axial
         self.scale = np.repeat([penalty.displacement, penalty.rotation], [layout.dim, layout.rotations])
 
     def pieces(self, setting: Setting) -> list[Piece]:
@@ -265,6 +273,8 @@ class Ghost(Term):
             else:
                 unit = [self._stencil(grid, axis, (1.0,) * grid.dim, above) for above in _ABOVE]
                 matrices = stencils(grid, axis, cells, self.penalty.power, unit)
+            if self._axial:
+                matrices = matrices * _turns(grid, axis, cells)[:, None, None]
             out.append(GhostFaces(Boxes(count, cells), matrices[..., None] * self.scale))
         return out
 
