@@ -58,6 +58,7 @@ from .tools import ends
 ends.install()
 
 if TYPE_CHECKING:
+    from . import geotechnics
     from .materials.clay import CamClay, Houlsby
     from .materials.cones import DruckerPrager, VonMises
     from .materials.plastic import Continuation, Plastic, UserPlasticity
@@ -74,7 +75,9 @@ _PLASTIC = {
 
 
 def __getattr__(name: str) -> Any:
-    """Plastic materials and their yield surfaces, imported when a scene asks for one."""
+    """Plastic materials and their yield surfaces, and `geotechnics`, imported when a scene asks for one."""
+    if name == "geotechnics":
+        return importlib.import_module(f"{__name__}.geotechnics")
     if name in _PLASTIC:
         return getattr(importlib.import_module(f"{__name__}.materials.{_PLASTIC[name]}"), name)
     raise AttributeError(f"module 'polarmpm' has no attribute {name!r}")
@@ -144,6 +147,7 @@ __all__ = [
     "Weights",
     "WhenDistorted",
     "YieldSurface",
+    "geotechnics",
     "load_restart",
     "plane",
     "register_basis",
