@@ -11,6 +11,7 @@ from .bodies.meshseeding import seed_mesh
 from .bodies.points import Points
 from .bodies.seeding import seed
 from .bodies.selection import Selection
+from .conditions.ground import K0
 from .errors import (
     ErrorOnAnotherRank,
     Finding,
@@ -86,6 +87,7 @@ def __getattr__(name: str) -> Any:
 __version__ = "0.1.0"  # the one place that states it; read without an import when the package is built
 
 __all__ = [
+    "K0",
     "PUBLISHED",
     "ArrudaBoyce",
     "Basis",

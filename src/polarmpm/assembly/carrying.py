@@ -17,6 +17,7 @@ import numpy as np
 
 from ..solvers.linear import SingularTangent
 from .points import LoadedPoints
+from .system import NodalSystem
 
 _SOFTEST = 1e-8  # stiffness of directions that the material has none in (turns), over that of the others
 _SOLUTIONS = 2  # the shift leaves 1e-8 of r after the first one, an iterative solver its accuracy
@@ -148,7 +149,7 @@ def close_again(system: LoadedPoints) -> None:
         system.residual = system.residual + before - system.carried
 
 
-def closing(system: LoadedPoints, forces: np.ndarray) -> np.ndarray:
+def closing(system: NodalSystem, forces: np.ndarray) -> np.ndarray:
     """The smallest forces (nodes, block) on prescribed unknowns that leave forces without a sum and without a
     moment, as far as they can. Collective.
 
@@ -166,7 +167,7 @@ def closing(system: LoadedPoints, forces: np.ndarray) -> np.ndarray:
     return out
 
 
-def _sums(system: LoadedPoints) -> np.ndarray:
+def _sums(system: NodalSystem) -> np.ndarray:
     """By what forces (owned nodes, block) are multiplied to sum up to a force and, about the body's middle
     and over its size, a moment: (components, owned nodes, block). Collective."""
     own, d, r = system.owned, system.layout.dim, system.layout.rotations

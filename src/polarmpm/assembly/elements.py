@@ -181,7 +181,7 @@ class ElementSystem(NodalSystem):
             yield self.nodes.number[rows], matrix
 
     def positions(self) -> np.ndarray:
-        x: np.ndarray = super().positions() + self.forms.elements.displacement
+        x: np.ndarray = super().positions() + self.forms.elements.moved
         return x
 
     @property

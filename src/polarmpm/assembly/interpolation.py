@@ -135,7 +135,6 @@ class Interpolation:
         offsets = groups.offsets[begin : end + 1]
         nodes, node_offsets = node_sets[0], node_sets[1][begin : end + 1]
         rows = order[offsets[0] : offsets[-1]]
-        parameters = parameter_values(form.material)
         batch = native.Batch()
         native.fill(
             batch,
@@ -145,12 +144,11 @@ class Interpolation:
             slots=w.table.shape[-1],
             orders=w.table.shape[-2],
             nstate=form.packed_size,
-            nparam=len(parameters),
+            nparam=len(parameter_values(form.material)),
             npoints=len(rows),
             ngroups=end - begin,
             weights=np.ascontiguousarray(w.table[rows]),
             count=np.ascontiguousarray(groups.count[begin:end], dtype=np.int32),
-            param=parameters,
             volume=np.ascontiguousarray(self.points.volume0[rows]),
             offsets=(offsets - offsets[0]).astype(np.int64),
             node_offsets=node_offsets - node_offsets[0],
@@ -187,7 +185,7 @@ class Interpolation:
             state = b.form.pack(r.F[b.rows], r.q[b.rows], r.wryness[b.rows], plastic, second)
             if isinstance(b.form, ProjectedForm):
                 state = b.form.extend(state, r.stiff_scalars[b.rows])
-            native.fill(b.batch, state=np.ascontiguousarray(state))
+            native.fill(b.batch, state=np.ascontiguousarray(state), param=parameter_values(b.form.material))
         for boxes in self.boxes or ():
             boxes.pack(r)
 

@@ -70,7 +70,7 @@ class LoadedPoints(ProjectedPoints):
         ]
 
     def _mapping(self, batch: PointBatch) -> ReturnMapping | None:
-        if not batch.form.material.plastic:
+        if not batch.form.material.yields:
             return None
         from ..forms.returnmapping import ReturnMapping  # lazy import: elastic scenes need no plasticity
 
@@ -101,7 +101,7 @@ class LoadedPoints(ProjectedPoints):
     @property
     def symmetric(self) -> bool:
         """Whether the tangent is symmetric."""
-        elastic = not any(b.form.material.plastic for b in self.interpolation.batches)
+        elastic = not any(b.form.material.yields for b in self.interpolation.batches)
         return elastic and self.couple_kernel is None and self.terms.symmetric
 
     def weak_nodes(self) -> np.ndarray:

@@ -145,7 +145,7 @@ class StiffScalars:
     # sums -----------------------------------------------------------------------------------------
     def _vectors(self, mean: Mean, kernels: native.PointKernels) -> np.ndarray:
         m, nz, n = self.form.scalars, self.form.layout.unknowns, len(self._z)
-        sides = None if mean.odd is None else mean.odd.reshape(n, -1, m, nz)
+        sides = None if mean.odd is None else mean.odd.reshape(n, mean.odd.shape[1], m, nz)
         return self.patches.vectors(kernels, mean.whole.reshape(n, m, nz), sides)
 
     def evaluate(

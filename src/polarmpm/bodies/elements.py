@@ -47,7 +47,9 @@ class Elements:
     Attributes:
         points: state of the quadrature points; ids count them along the cells in the order of the mesh's
             input.
-        displacement: total displacement of the nodes (m), (n, d).
+        displacement: of the nodes (m), (n, d), in total or since `problem.zero_displacements()`.
+        moved: how far the nodes are from those of the mesh (m), (n, d), whatever displacements count from.
+        counted_from: `moved` at which displacements are zero; None: that of the mesh.
         q: microrotation of the nodes, unit quaternions (n, 4), for output.
 
     Raises:
@@ -87,7 +89,8 @@ class Elements:
         self.nodes = SpaceNodes(self.space, self.dim)
         self.cell_nodes = compat.cell_dofs(self.space)
         self.points = self._quadrature_points(materials, of_cell)
-        self.displacement: np.ndarray = np.zeros((len(self.nodes), self.dim))
+        self.moved: np.ndarray = np.zeros((len(self.nodes), self.dim))
+        self.counted_from: np.ndarray | None = None
         self.q: np.ndarray = rotations.identity(len(self.nodes))
 
     # quadrature points ----------------------------------------------------------------------------
@@ -271,6 +274,14 @@ class Elements:
             raise checks.refuse("values", values, allowed)
         means: np.ndarray = np.einsum("cq,cq...->c...", weights, values.reshape(*shape, *values.shape[1:]))
         return means
+
+    @property
+    def displacement(self) -> np.ndarray:
+        return self.moved if self.counted_from is None else self.moved - self.counted_from
+
+    @displacement.setter
+    def displacement(self, values: np.ndarray) -> None:
+        self.moved = values if self.counted_from is None else values + self.counted_from
 
     @collective("mean_displacement")
     def mean_displacement(self, facets: Facets | None = None) -> np.ndarray:

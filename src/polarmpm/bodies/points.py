@@ -52,7 +52,14 @@ PLASTIC_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
 # what bodies with second-gradient materials have beside it
 SECOND_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {"grad_F": ((3, 3, 3), float)}
 
-_PRIVATE = ("_has_plastic_state", "_fingerprints")  # what copies take along besides public attributes
+# what bodies have whose displacements don't count from their initial positions
+COUNTED_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {"counted_from": (("d",), float)}
+
+_PRIVATE = (
+    "_has_plastic_state",
+    "_fingerprints",
+    "_last_id",
+)  # what copies take along besides public attributes
 
 
 class Points(Selecting):
@@ -77,6 +84,8 @@ class Points(Selecting):
             following two only in bodies with plastic materials.
         grad_F: second gradient of the motion H_iJK = d^2 x_i / dX_J dX_K (1/m), (np, 3, 3, 3), symmetric in
             J and K; only in bodies with second-gradient materials, and zero at points of others.
+        counted_from: positions (m) from which displacements count, vector; only after
+            `problem.zero_displacements()`, else these are X.
         hardening: accumulated plastic strain chi, scalar.
         dissipation: plastic dissipation per reference volume so far (Pa), scalar.
         regions, surfaces: physical groups of the mesh that the points come from; see `region` and `surface`.
@@ -97,6 +106,7 @@ class Points(Selecting):
     half_length0: np.ndarray
     half_axes0: np.ndarray
     unresolved: np.ndarray
+    counted_from: np.ndarray
     grad_F: np.ndarray
     plastic_F: np.ndarray
     plastic_wryness: np.ndarray
@@ -146,8 +156,9 @@ class Points(Selecting):
         self.surfaces: dict[str | int, Surface] = {}
         self._has_plastic_state = False
         self._fingerprints: tuple[int, ...] = ()  # the present one, then those before other points joined
+        self._last_id = -1  # of points that have been there
         self.arrangements = 0
-        self._add_state()
+        self.add_state()
 
     def _put_positions(self, x: Any, volume: Any, half_length: Any, half_axes: Any) -> None:
         """Check and copy what a point is seeded with."""
@@ -216,8 +227,8 @@ class Points(Selecting):
     # state --------------------------------------------------------------------------------------
     @property
     def displacement(self) -> np.ndarray:
-        """x - X (m), vector."""
-        u: np.ndarray = self.x - self.X
+        """x - X (m), or what it has grown by since `problem.zero_displacements()`, vector."""
+        u: np.ndarray = self.x - vars(self).get("counted_from", self.X)
         return u
 
     @property
@@ -255,7 +266,8 @@ class Points(Selecting):
     def fields(self) -> dict[str, tuple[tuple[int | str, ...], type]]:
         """Names of the state's arrays, with their shapes after the point axis and types."""
         found = {**FIELDS, **PLASTIC_FIELDS} if self.plastic else FIELDS
-        return {**found, **SECOND_FIELDS} if self.second_gradient else found
+        found = {**found, **SECOND_FIELDS} if self.second_gradient else found
+        return {**found, **COUNTED_FIELDS} if "counted_from" in vars(self) else found
 
     def plastic_state(self, rows: np.ndarray) -> tuple[np.ndarray, ...]:
         """Fp, Gp and chi of some points; nothing in an elastic body."""
@@ -266,9 +278,9 @@ class Points(Selecting):
     def put_materials(self, materials: tuple[Material, ...], rows: np.ndarray) -> None:
         """Give the local points the materials of these rows (np,)."""
         self.materials, self.material = materials, rows.astype(np.int32)
-        self._add_state()
+        self.add_state()
 
-    def _add_state(self) -> None:
+    def add_state(self) -> None:
         """Arrays of plastic and of second-gradient materials, where they are needed and missing."""
         if self.second_gradient and "grad_F" not in vars(self):
             self.grad_F = np.zeros((len(self), 3, 3, 3))
@@ -286,6 +298,10 @@ class Points(Selecting):
         """Put in a whole state (restart, migration): every one of `fields`, one row a point. `same`: they
         are the points of before, so that selections of them stay valid; collective."""
         known = self.fingerprints() if same else ()
+        for name in COUNTED_FIELDS:  # whether it is there is part of the state
+            vars(self).pop(name, None)
+            if name in arrays:
+                setattr(self, name, arrays[name])
         for name, (shape, kind) in self.fields.items():
             full = (len(arrays["id"]), *(self.dim if s == "d" else s for s in shape))
             setattr(self, name, np.ascontiguousarray(arrays[name], dtype=kind).reshape(full))
@@ -301,6 +317,11 @@ class Points(Selecting):
         self.replace({name: route.forward(a) for name, a in self.arrays().items()})
         self._fingerprints = known
         return route
+
+    def remember_ids(self) -> None:
+        """Points that join get ids beyond the present ones, also when these are gone then. Collective."""
+        last = self.comm.allreduce(int(self.id.max(initial=-1)), op=MPI.MAX)
+        self._last_id = max(last, self._last_id)
 
     @collective("join")
     def join(self, other: Points) -> None:
@@ -318,11 +339,15 @@ class Points(Selecting):
         if other.dim != self.dim:
             raise InputError(f"other has {other.dim} dimensions, these points have {self.dim}")
         known = self.fingerprints()
-        first = self.comm.allreduce(int(self.id.max(initial=-1)), op=MPI.MAX) + 1
+        self.remember_ids()
+        first = self._last_id + 1
         number, mine = len(self.materials), self.materials
         self.materials = other.materials = mine + other.materials  # both sets know all fields
-        self._add_state()
-        other._add_state()
+        for one, two in ((self, other), (other, self)):
+            if "counted_from" in vars(one) and "counted_from" not in vars(two):
+                two.counted_from = two.X.copy()
+        self.add_state()
+        other.add_state()
         theirs = dict(other.arrays())
         other.materials = other.materials[number:]
         theirs["id"] = theirs["id"] + first
@@ -351,7 +376,7 @@ class Points(Selecting):
             raise InputError("material: micropolar and classical materials can't be mixed in one body")
         if material not in self.materials:
             self.materials = (*self.materials, material)
-        self._add_state()
+        self.add_state()
         self.material = self.material.copy()
         self.material[self.rows(selection)] = self.materials.index(material)
         self.arrangements += 1

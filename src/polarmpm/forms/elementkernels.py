@@ -39,12 +39,13 @@ class KernelForms(ElementForms):
     def __init__(self, elements: Elements, forms: Sequence[PointForm] = ()):
         super().__init__(elements)
         points = elements.points
-        self.symmetric = not points.plastic
+        self.symmetric = not any(m.yields for m in points.materials)
         self._rows_of = [np.flatnonzero(points.material == m) for m in range(len(points.materials))]
         self._point_forms = list(forms) or [make_form(m, elements.dim) for m in points.materials]
         for form in self._point_forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
         self._comm = elements.comm
+        self._parameters = [parameter_values(form.material) for form in self._point_forms]
         self._states: list[np.ndarray] = []  # of each material's points
         self._turns: list[np.ndarray | None] = []  # (n, 3, 3), of gradients; None: they stay
 
@@ -57,6 +58,11 @@ class KernelForms(ElementForms):
         """There is none on the mesh."""
         return None
 
+    def put_materials(self, materials: Sequence[Material]) -> None:
+        for form, material in zip(self._point_forms, materials, strict=True):
+            form.take(material)
+        self._parameters = [parameter_values(material) for material in materials]
+
     # kernels --------------------------------------------------------------------------------------
     @cached_property
     def compiled(self) -> tuple[list[tuple[Kernel, Kernel]], list[ReturnMapping | None]]:
@@ -65,7 +71,7 @@ class KernelForms(ElementForms):
         mappings: list[ReturnMapping | None] = []
         for form, rows in zip(self._point_forms, self._rows_of, strict=True):
             kernels.append(form.compile(self._comm))
-            mappings.append(self._mapping(form, rows) if form.material.plastic else None)
+            mappings.append(self._mapping(form, rows) if form.material.yields else None)
         return kernels, mappings
 
     def _mapping(self, form: PointForm, rows: np.ndarray) -> ReturnMapping:
@@ -110,8 +116,7 @@ class KernelForms(ElementForms):
 
     def kernel_inputs(self, k: int, z: np.ndarray) -> np.ndarray:
         """Inputs (n, form.inputs) of a material's residual at unknowns z (n, nz) in the kernel's frame."""
-        numbers = parameter_values(self._point_forms[k].material)
-        return np.hstack([z, self._states[k], np.tile(numbers, (len(z), 1))])
+        return np.hstack([z, self._states[k], np.tile(self._parameters[k], (len(z), 1))])
 
 
 @dataclass
@@ -202,7 +207,7 @@ class NativeElementForms(KernelForms):
     def bound(self, k: int) -> native.Elements:
         """The elements of a material in the present state."""
         elements = self.parts[k].elements
-        native.fill(elements, state=self._states[k], axes=self._axes[k])
+        native.fill(elements, state=self._states[k], axes=self._axes[k], param=self._parameters[k])
         return elements
 
     def unknowns(self, k: int, x: np.ndarray) -> np.ndarray:

@@ -83,6 +83,13 @@ class ElementForms:
         e = self.elements
         return [fem.Constant(e.mesh, parameter_values(m)) for m in e.points.materials]
 
+    takes_numbers = True  # of materials that change
+
+    def put_materials(self, materials: Sequence[Material]) -> None:
+        """Go on with materials of the same forms and other numbers. Local."""
+        for constant, material in zip(self._numbers, materials, strict=True):
+            constant.value = parameter_values(material)
+
     @property
     def uncured(self) -> list[Material]:
         """Materials whose stiff scalars aren't projected."""

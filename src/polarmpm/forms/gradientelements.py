@@ -122,6 +122,8 @@ class GradientForms(ElementForms):
         InputError: a material that yields; see `slope_stiffness` and `inner_faces`.
     """
 
+    takes_numbers = False  # their moduli are in the penalty of the faces
+
     def __init__(self, elements: Elements, penalty: float):
         super().__init__(elements)
         materials, dim = elements.points.materials, elements.dim

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..bodies.elements import Elements
 from ..kinematics.layout import Layout
 from .elementkernels import KernelForms
 from .numbers import QuadratureForms
@@ -19,6 +20,10 @@ from .numbers import QuadratureForms
 
 class PlasticElementForms(KernelForms):
     """As `ElementForms`, for bodies in which a material can yield."""
+
+    def __init__(self, elements: Elements):
+        super().__init__(elements)
+        self.symmetric = False  # whatever the materials, whole tangents are put into the matrix
 
     @cached_property
     def _quadrature_forms(self) -> QuadratureForms:

@@ -47,6 +47,10 @@ class PointForm:
         self._packing: Kernel | None = None
 
     # sizes --------------------------------------------------------------------------------------
+    def take(self, material: Material) -> None:
+        """Go on with a material of the same form and other numbers."""
+        self.material = material
+
     @property
     def unknowns(self) -> int:
         """Scalars by which the energy is derived."""

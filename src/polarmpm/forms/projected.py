@@ -86,6 +86,12 @@ class ProjectedForm(PointForm):
         self.extra = self.space.coefficient(2 * self.scalars + 1)  # pi, base and s
 
     # sizes ----------------------------------------------------------------------------------------
+    def take(self, material: Material) -> None:
+        super().take(material)
+        plain = self.__dict__.get("plain")
+        if plain is not None:
+            plain.take(material if plain.material.plastic else material.elastic_part)
+
     @property
     def unknowns(self) -> int:
         return self.layout.unknowns + self.scalars

@@ -103,7 +103,7 @@ def _terms(terms: Sequence[Term]) -> dict[str, Any]:
 
 # materials --------------------------------------------------------------------------------------------
 def _materials(problem: Problem) -> dict[str, Any]:
-    materials = problem.points.materials
+    materials = problem.first_materials  # what they change to follows from the conditions
     out: dict[str, Any] = {"materials": len(materials)}
     return out | {f"materials[{k}]": _of_material(material) for k, material in enumerate(materials)}
 

@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from ..bodies.points import PLASTIC_FIELDS, Points
+from ..bodies.points import COUNTED_FIELDS, PLASTIC_FIELDS, Points
 from ..errors import InputError
 from ..problems.elements import QuasiStaticFEM
 from ..tools.parallel import raise_on_all_ranks, values_by_number
 
 _OF_POINTS = ("X", "x", "F", "q", "wryness", "material")
 _OF_CELLS = ("X", "displacement", "q")
+_MORE = ("counted_from", "carried")  # of nodes, in some states
 _NEAR = 1e-10  # of a cell; farther apart, two positions aren't the same
 
 
@@ -37,12 +38,14 @@ def arrays(problem: QuasiStaticFEM) -> dict[str, np.ndarray]:
     """This rank's rows by name."""
     e = problem.elements
     nodes = e.cell_nodes[: len(e.body.owned_cells)]
-    out = {f"points/{name}": getattr(e.points, name) for name in ("id", *_names(e.points))}
+    names = [name for name in ("id", *_names(e.points)) if hasattr(e.points, name)]
+    out = {f"points/{name}": getattr(e.points, name) for name in names}
     out["cells/id"] = e.body.original_cells
     kept = {f"kept/{name}": a for name, a in problem.kept().items()}
     if kept:
         out |= {"kept/id": e.points.id, **kept}
-    nodal = {"X": e.nodes.position, "displacement": e.displacement, "q": e.q}
+    nodal = {"X": e.nodes.position, "displacement": e.moved, "q": e.q}
+    nodal |= _more(problem)
     nodal |= {name: held.base for name, held in _slopes(problem).items()}
     return out | {f"cells/{name}": values[nodes] for name, values in nodal.items()}
 
@@ -71,7 +74,8 @@ def find(problem: QuasiStaticFEM, rows: dict[str, np.ndarray], path: Any) -> Fou
     kept, has_kept = _find(problem, rows, "kept", names, p.id) if names else ({}, True)
     numbers = e.body.original_local_cells
     slopes = tuple(name for name in _slopes(problem) if f"cells/{name}" in rows)
-    of_cells, has_cells = _find(problem, rows, "cells", (*_OF_CELLS, *slopes), numbers)
+    more = tuple(name for name in _MORE if f"cells/{name}" in rows)
+    of_cells, has_cells = _find(problem, rows, "cells", (*_OF_CELLS, *slopes, *more), numbers)
     near, error = _NEAR * e.cell_size, None
     if not (
         has_points
@@ -90,18 +94,41 @@ def find(problem: QuasiStaticFEM, rows: dict[str, np.ndarray], path: Any) -> Fou
 def put(problem: QuasiStaticFEM, found: Found) -> None:
     """Put a state into the elements."""
     e, p, of_cells = problem.elements, problem.points, found.of_cells
+    for name in set(COUNTED_FIELDS) & set(vars(p)):
+        delattr(p, name)  # displacements count as in the file
     for name in set(found.of_points) - {"X", "material"}:
         setattr(p, name, found.of_points[name])
     problem.keep(found.kept)
-    e.displacement, e.q = np.zeros_like(e.displacement), np.zeros_like(e.q)
+    e.moved, e.q = np.zeros_like(e.moved), np.zeros_like(e.q)
     # backwards, so that a node gets what this rank's own cells say, which come first
     back = e.cell_nodes[::-1]
-    e.displacement[back], e.q[back] = of_cells["displacement"][::-1], of_cells["q"][::-1]
+    e.moved[back], e.q[back] = of_cells["displacement"][::-1], of_cells["q"][::-1]
+    _put_more(problem, {name: (back, of_cells[name][::-1]) for name in _MORE if name in of_cells})
     for name, held in _slopes(problem).items():
-        base = e.displacement.copy()  # of what the file doesn't know: from now on
+        base = e.moved.copy()  # of what the file doesn't know: from now on
         if name in of_cells:
             base[back] = of_cells[name][::-1]
         held.count_from(base)
+
+
+def _more(problem: QuasiStaticFEM) -> dict[str, np.ndarray]:
+    """What only some states have at the nodes: from where displacements count, and what holds an initial
+    stress. Collective."""
+    found, e = {}, problem.elements
+    if e.counted_from is not None:
+        found["counted_from"] = e.counted_from
+    if problem.carried_at_rest is not None:
+        found["carried"] = problem.carried_at_rest.copy()
+        e.nodes.update_ghosts(found["carried"])
+    return found
+
+
+def _put_more(problem: QuasiStaticFEM, found: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
+    e, made = problem.elements, {}
+    for name, (at, values) in found.items():
+        made[name] = np.zeros((len(e.nodes), values.shape[2]))
+        made[name][at] = values
+    e.counted_from, problem.carried_at_rest = made.get("counted_from"), made.get("carried")
 
 
 def _slopes(problem: QuasiStaticFEM) -> dict[str, Any]:
@@ -110,7 +137,7 @@ def _slopes(problem: QuasiStaticFEM) -> dict[str, Any]:
 
 
 def _names(points: Points) -> tuple[str, ...]:
-    return (*_OF_POINTS, *(PLASTIC_FIELDS if points.plastic else ()))
+    return (*_OF_POINTS, *(PLASTIC_FIELDS if points.plastic else ()), *COUNTED_FIELDS)
 
 
 def _find(

@@ -27,6 +27,7 @@ class Material:
         micropolar: whether points carry a microrotation; without it the scene has no rotation unknowns.
         isotropic: W(R E R^T, R Gamma R^T) = W(E, Gamma) for every rotation R. Allows a cheaper frame.
         plastic: the energy is that of the elastic part, and there is a yield function; see `plastic.Plastic`.
+        yields: it is plastic, and can flow; a plastic one may not, see `prestressed.Prestressed`.
         second_gradient: the energy depends on the second gradient of the motion, too: W(F, H) with
             H_iJK = d^2 x_i / dX_J dX_K. Such a material is classical.
         stress_prediction: iterations predict the stress of the tangent's geometric part linearly, see
@@ -35,6 +36,7 @@ class Material:
     """
 
     plastic: ClassVar[bool] = False
+    yields: ClassVar[bool] = False
     second_gradient: bool = False
     stress_prediction: ClassVar[bool] = True
     units: ClassVar[Mapping[str, str]] = {}  # of parameters, for repr

@@ -221,6 +221,26 @@ class CamClay(Plastic):
     def logarithmic_compaction(self, tau: Any, nu: Any, chi: Any, p: Any) -> Any:
         return _shrinking(self.logarithmic, tau, nu, chi, p)
 
+    def consolidated(self, tau: np.ndarray, ratio: float) -> np.ndarray:
+        """Hardening variables (n,) at which the pressure of consolidation is a multiple of that of the
+        ellipse through stresses (n, 3, 3).
+
+        Raises:
+            InputError: there is no such ellipse.
+        """
+        pressure = self.cohesion - np.trace(tau, axis1=1, axis2=2) / 3
+        s = tau + (pressure - self.cohesion)[:, None, None] * np.eye(3)
+        square = 1.5 * np.einsum("nij,nij->n", s, s) / self.M**2
+        if np.any(pressure <= 0.0):
+            raise InputError(f"overconsolidation = {ratio:g}: CamClay has no ellipse through a tension")
+        own = ratio * (pressure + square / pressure - self.cohesion)
+        if np.any(own <= 0.0):
+            raise InputError(
+                f"overconsolidation = {ratio:g}: there is a stress without a pressure of consolidation"
+            )
+        chi: np.ndarray = np.log(own / self.p_c) / self.plastic_parameters()["hardening"]
+        return chi
+
     def consolidation(self, chi: np.ndarray) -> np.ndarray:
         """p_c (Pa) of hardening variables (n,), such as `points.hardening`."""
         return self.p_c * np.exp(np.asarray(chi) * self.plastic_parameters()["hardening"])

@@ -62,6 +62,7 @@ class Plastic(Material):
 
     elastic: Material
     plastic = True
+    yields = True
     units: ClassVar[Mapping[str, str]] = {
         **dict.fromkeys(("c", "k", "H", "tip"), "Pa"),
         **dict.fromkeys(("phi", "psi"), "rad"),

@@ -61,13 +61,13 @@ def gather_faces(elements: Elements, values: np.ndarray | None, nodal: bool) -> 
         cell, face = cell[outer], face[outer]
     nodes = cells[cell[:, None], rings[face]]
     before = e.nodes.position[nodes]
-    data: dict[str, Any] = {"before": before, "now": before + e.displacement[nodes]}
+    data: dict[str, Any] = {"before": before, "now": before + e.moved[nodes]}
     data["outward"] = _outward(before, e.nodes.position[cells].mean(axis=1)[cell])
     if values is not None:
         data["values"] = values[nodes].mean(axis=1) if nodal else values[cell]
     if values is not None and nodal and e.dim == 2:
         shape = compat.tabulate(e.body.cell, e.degree, np.array([_MIDDLE[e.body.cell]]))[0, 0]
-        data["middle"] = np.einsum("k,nkd->nd", shape, (e.nodes.position + e.displacement)[cells])
+        data["middle"] = np.einsum("k,nkd->nd", shape, (e.nodes.position + e.moved)[cells])
         data["of_nodes"] = np.column_stack([values[nodes], values[cells] @ shape])
     key = _global_numbers(e.space, len(e.nodes))[nodes]
     parts = e.comm.gather((data, key))

@@ -51,6 +51,7 @@ class Problem(Results):
 
     def __init__(self, comm: MPI.Comm, points: Points, dim: int, controls: Controls | None):
         super().__init__(comm, points, dim)
+        self._note_materials()
         if controls is not None:
             checks.instance("controls", controls, Controls, "polarmpm.Controls(...), or None, is")
         self.controls, self.timer = controls or Controls(), Timer()
@@ -137,7 +138,9 @@ class Problem(Results):
         factor = _factor(factor)
 
         def make() -> NodalSystem:
+            self._use_materials(self._settled)
             system = self._prepare()
+            self._change_materials(factor)
             self._put_loads(system, factor)
             system.set_prescribed(self._prescribed_at(system, factor))
             return system
@@ -191,13 +194,16 @@ class Problem(Results):
         """Go on in that way, or return to the one before."""
 
     def _attempt(self, factor: float) -> Outcome:
+        self._use_materials(self._settled)
         system = self._prepare()
         with self.timer("conditions"):
+            self._change_materials(factor)
             start = self._begin(system, factor)
             increments = self._prescribed_at(system, factor)
             system.set_prescribed(increments)
         outcome = attempts.solve(system, start.x, increments, self.controls)
         self._finish(system, start, outcome, factor)
+        self._settle_materials(outcome.converged)
         return outcome
 
     @collective("march_arc_length", compare=True)
@@ -243,6 +249,7 @@ class Problem(Results):
     def _check_path(self) -> None:
         """Raise InputError unless all loads, terms and supports are such as the arc-length method takes."""
         system = self._prepare()
+        self._check_changes_at_once()
         with errors_on_all_ranks(self.comm):
             places = self._load_places()
         apart = [term.name for term in self.terms if not term.proportional]
@@ -279,8 +286,10 @@ class Problem(Results):
         return outcome, found
 
     def _attempt_along(self, length: float, to: float | None, kink: bool) -> tuple[Outcome, float]:
+        self._use_materials(self._settled)
         system, p = self._prepare(), self.progress
         with self.timer("conditions"):
+            self._change_materials(p.factor)
             ends = []
             for factor in (0.0, 1.0):
                 self._put_loads(system, factor)
@@ -296,14 +305,15 @@ class Problem(Results):
             self._put_loads(system, path.factor)
         moved = along.moved(self, system, path.start, system.x) if path.settled else None
         self._finish(system, start, outcome, path.factor)
+        self._settle_materials(outcome.converged)
         if outcome.converged and moved is not None:  # what relaxed before tells nothing about the path
             self._last_x = self.points.x - moved
         return outcome, path.factor
 
     def _begin(self, system: NodalSystem, factor: float) -> StepStart:
-        """Set the loads of a step; in the first one they grow from nothing."""
+        """Set the loads of a step; in the first one they grow from nothing, but for a body at rest."""
         before = np.zeros_like(system.x)
-        if self.progress.step:
+        if self.progress.step or self.at_rest:
             self._put_loads(system, None)
             before = system.working_loads()
         self._put_loads(system, factor)

@@ -41,6 +41,13 @@ class BoxRecord:
         self.largest, self.in_doubt = (0.0, 0), False
         self._kernels: list[Kernel] = []
 
+    def renew(self, forms: Sequence[PointForm]) -> None:
+        """Go on with the forms of more materials."""
+        if self._kernels:
+            more = [form.compile_energy(self.comm) for form in forms[len(self._kernels) :]]
+            self._kernels = [*self._kernels, *more]
+        self.forms = forms
+
     def energies(self, system: LoadedPoints | None) -> np.ndarray:
         """Strain energy (J) in the variation over the boxes of this rank's points (np,)."""
         out = np.zeros(len(self.points))
@@ -50,7 +57,7 @@ class BoxRecord:
             return out
         if not self._kernels:
             self._kernels = [form.compile_energy(self.comm) for form in self.forms]
-        for boxes, kernel in zip(system.interpolation.boxes, self._kernels, strict=True):
+        for boxes, kernel in zip(system.interpolation.boxes, self._kernels, strict=False):  # some may be new
             out[boxes.rows] = boxes.energies(kernel, system.x)
         return out
 

@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 import ufl
 
@@ -32,16 +30,16 @@ from ..materials.base import warn_of_locking
 from ..solvers.choice import check_solver
 from ..solvers.newton import Controls
 from ..terms.base import Piece, Term, pieces_of
-from ..terms.settings import MeshNodes, MeshSetting, check_facets
+from ..terms.settings import MeshSetting, check_facets
 from ..terms.surfaceterms import SurfaceCondition
 from ..tools import checks, compat
 from ..tools.disposal import dispose_of_dropped
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
-from . import faceslopes
+from . import faceslopes, initial
 from .base import Problem
 from .described import described, of_rank
-from .facetloads import SurfaceLoad, Varying
+from .facetloads import SurfaceLoad, Varying, carried_so_far
 from .given import Present
 from .locking import check_locking
 from .state import Progress
@@ -96,8 +94,8 @@ class QuasiStaticFEM(Problem):
         super().__init__(elements.comm, elements.points, elements.dim, controls)
         self.elements = elements
         slope_penalty = checks.number("slope_penalty", slope_penalty, above=0.0, allowed="a positive number")
-        self.forms = faceslopes.make_forms(elements, slope_penalty, self.assembly, self.locking)
-        _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
+        self._slope_penalty = slope_penalty
+        self._renew_forms()
         for material in elements.points.materials:
             try_energy(material)
         with errors_on_all_ranks(elements.comm):  # of warnings a script may make errors
@@ -108,12 +106,29 @@ class QuasiStaticFEM(Problem):
         self.progress.reset_due = False
         self._system: ElementSystem | None = None
         self._last_loads: np.ndarray | None = None  # forces of the last converged state's loads
+        self.carried_at_rest: np.ndarray | None = None  # forces (nodes, block) that hold an initial stress
         self._body: Any = None  # densities of body loads at the quadrature points
 
     def _changing(self) -> Iterator[Changing]:
         yield from super()._changing()
         for thing in (self.elements, self.forms, *self.forms.changing()):
             yield thing, None
+
+    def _count_from_here(self) -> None:
+        super()._count_from_here()
+        self.elements.counted_from = self.elements.moved
+
+    def _check_change(self, name: str) -> None:
+        if not self.forms.takes_numbers:
+            raise InputError(f"{name}: materials of elements with second gradients can't change during a run")
+
+    def _renew_forms(self) -> None:
+        self.forms = faceslopes.make_forms(self.elements, self._slope_penalty, self.assembly, self.locking)
+        _ = self.forms.residual_form  # built now, so that a mistake in a user's energy shows here
+        self._stale = True
+
+    def _put_into_forms(self) -> None:
+        self.forms.put_materials(self.points.materials)
 
     def _free(self) -> None:
         if self._system is not None:
@@ -144,7 +159,7 @@ class QuasiStaticFEM(Problem):
         held = faceslopes.hold(self.elements, self.forms, where, support, even)
         if held is not None:
             if self.progress.step:
-                held.count_from(self.elements.displacement)
+                held.count_from(self.elements.moved)
             self.held_slopes[support], support.on_facets = held, True
 
     def _surface_of(self, where: Any) -> Any:
@@ -166,17 +181,7 @@ class QuasiStaticFEM(Problem):
             check_facets(term, self.elements)
         super().add(term, counts=counts)
         if isinstance(term, SurfaceCondition) and self.progress.step:
-            term.start_from(*self._carried_so_far(term))
-
-    def _carried_so_far(self, term: SurfaceCondition) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements (n, d) and deformation gradients (n, d, d) at a surface's points."""
-        carried, n, d = MeshSetting(self.elements).carry(term), len(term.surface), self.layout.dim
-        assert isinstance(carried.boxes, MeshNodes)
-        nodal = self.elements.displacement[carried.boxes.table]
-        found = np.zeros((n, 1 + d, d))
-        found[carried.rows] = np.einsum("mkn,mni->mki", carried.table, nodal)
-        self.comm.Allreduce(MPI.IN_PLACE, found)
-        return found[:, 0], np.eye(d) + np.swapaxes(found[:, 1:], 1, 2)
+            term.start_from(*carried_so_far(self.elements, term))
 
     def _remove_load(self, load: Any) -> None:
         super()._remove_load(load)
@@ -281,6 +286,7 @@ class QuasiStaticFEM(Problem):
         kind = SummedElements if isinstance(self.forms, NativeElementForms) else ElementSystem
         self._system = kind(self.forms, dead, varying, prescribed, self.timer, self.solver, self._pieces())
         self._rebase(None)
+        self.carried_at_rest = initial.carried(self, self._system, self.carried_at_rest)
         self._stale = self.progress.reset_due = False
         return self._system
 
@@ -379,7 +385,7 @@ class QuasiStaticFEM(Problem):
             p.F[rows] = F  # a new array, of this step
         e.q = rotations.turned(e.q, system.x[:, d:])
         self.forms.flow(base)
-        e.displacement = e.displacement + system.x[:, :d]
+        e.moved = e.moved + system.x[:, :d]
         self._last_loads = None if system.varying else system.loads  # others depend on the increments
         g = self.progress
         g.factor, g.step = factor, g.step + 1
@@ -394,7 +400,7 @@ class QuasiStaticFEM(Problem):
     def _rebase(self, system: ElementSystem | None) -> None:
         """Count increments from the present state on."""
         e = self.elements
-        self.forms.total.x.array.reshape(-1, self.layout.block)[:, : e.dim] = e.displacement
+        self.forms.total.x.array.reshape(-1, self.layout.block)[:, : e.dim] = e.moved
         self.forms.pack()
         if self.points.second_gradient:
             self.points.grad_F = self.forms.second_gradient()

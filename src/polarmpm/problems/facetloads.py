@@ -5,8 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from mpi4py import MPI
+
+import numpy as np
+
+from ..bodies.elements import Elements
 from ..bodies.facets import Facets
 from ..conditions.amplitudes import Amplitude
+from ..terms.settings import MeshNodes, MeshSetting
+from ..terms.surfaceterms import SurfaceCondition
 
 
 @dataclass(eq=False)
@@ -39,3 +46,14 @@ class Varying:
 
     residual: Any
     tangent: Any
+
+
+def carried_so_far(elements: Elements, term: SurfaceCondition) -> tuple[np.ndarray, np.ndarray]:
+    """Displacements (n, d) and deformation gradients (n, d, d) at a surface's points. Collective."""
+    carried, n, d = MeshSetting(elements).carry(term), len(term.surface), elements.dim
+    assert isinstance(carried.boxes, MeshNodes)
+    nodal = elements.moved[carried.boxes.table]
+    found = np.zeros((n, 1 + d, d))
+    found[carried.rows] = np.einsum("mkn,mni->mki", carried.table, nodal)
+    elements.comm.Allreduce(MPI.IN_PLACE, found)
+    return found[:, 0], np.eye(d) + np.swapaxes(found[:, 1:], 1, 2)

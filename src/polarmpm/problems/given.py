@@ -90,6 +90,7 @@ class Register:
                 "until": g.until,
                 "counts": g.counts,
                 "met": getattr(g.condition, "met", None),
+                "applied": getattr(g.condition, "applied", None),
             }
             for g in self.entries
         ]

@@ -48,7 +48,7 @@ def poisson(material: Material) -> float:
 
 def locks(material: Material) -> bool:
     """Whether it locks on coarse cells: by its volume, by plastic flow, or by its relative rotation."""
-    return poisson(material) > INCOMPRESSIBLE or material.plastic or _coupled(material)
+    return poisson(material) > INCOMPRESSIBLE or material.yields or _coupled(material)
 
 
 def _coupled(material: Material) -> bool:
@@ -68,8 +68,8 @@ def choose_form(locking: str | None, material: Material, dim: int, basis: Patche
     if not cured(locking, material, basis):
         return make_form(material, dim)
     mu = material.moduli("mu").get("mu", 0.0)
-    stiffness = 0.0 if material.plastic or not np.isfinite(mu) else basis.patch_stiffness * mu
-    rotation = material.micropolar and (material.plastic or _coupled(material) or locking == "always")
+    stiffness = 0.0 if material.yields or not np.isfinite(mu) else basis.patch_stiffness * mu
+    rotation = material.micropolar and (material.yields or _coupled(material) or locking == "always")
     return make_projected(material, dim, rotation=rotation, stabilisation=stiffness)
 
 
@@ -97,7 +97,7 @@ def forms_of_elements(locking: str | None, elements: Elements) -> list[PointForm
     patch = ElementPatch.of(elements)
 
     def form(material: Material) -> PointForm:
-        left = locking == "auto" and material.plastic and poisson(material) <= INCOMPRESSIBLE
+        left = locking == "auto" and material.yields and poisson(material) <= INCOMPRESSIBLE
         return choose_form(None if left else locking, material, elements.dim, patch)
 
     return [form(material) for material in elements.points.materials]

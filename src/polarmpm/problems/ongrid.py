@@ -30,7 +30,7 @@ from ..geometry.planes import Plane, PlaneSpec
 from ..kernels.kernel import Kernel
 from ..kinematics.motion import Motion
 from ..tools.disposal import dispose_of_dropped
-from . import slopes
+from . import initial, slopes
 from .balancing import BalancedResets
 from .base import Problem
 from .boxes import BoxRecord
@@ -137,6 +137,7 @@ class OnGrid(Problem):
             interpolation = self._interpolate(None)
         balanced = self.balanced_reset and p.step > 0
         held = self._held_before() if balanced else None
+        balanced = balanced or (self.balanced_at_rest and not p.step)
         if held is not None:  # before anything is changed
             self._check_held(interpolation, self._prescribed(interpolation.nodes))
         system = self._build(interpolation, supports=held)
@@ -145,6 +146,9 @@ class OnGrid(Problem):
         p.reset_factor = p.rotation_factor = p.factor
         if balanced:
             self._put_balance(system)
+            if not p.step:
+                initial.act_from_the_beginning(interpolation.pieces)
+                initial.check_equilibrium(self, system)
             self._resets.carry(system)
         if not self._drop_pieces(interpolation) and held is None:
             return system

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from mpi4py import MPI
@@ -19,13 +19,14 @@ from ..bodies.selection import Selection
 from ..bodies.validity import Seal
 from ..conditions.loads import Applied, HandedOver, Load, point_loads
 from ..conditions.movinggrid import MovingGrid
+from ..forms.points import PointForm
 from ..forms.stresses import MaterialField
 from ..forms.trial import try_energy
 from ..geometry.grid import Grid
 from ..geometry.planes import PlaneSpec
 from ..geometry.surfaces import Surface
 from ..kinematics import rotations
-from ..materials.base import warn_of_locking
+from ..materials.base import Material, warn_of_locking
 from ..solvers.choice import check_solver
 from ..solvers.newton import Controls, Outcome
 from ..solvers.resetting import ResetPolicy, WhenDistorted, make_policy
@@ -40,7 +41,8 @@ from .conservation import Conservation
 from .described import described, of_rank
 from .fitting import check_assembly, check_body, check_boxes, check_second_gradients
 from .locking import check_locking, choose_form
-from .ongrid import Compiled, OnGrid
+from .ongrid import Compiled
+from .stages import Staged
 from .state import Fields, Progress
 from .surfaces import add_load
 from .whole import Changing
@@ -51,7 +53,7 @@ _SPLINES_LOCK = 0.495  # Poisson's ratio beyond which functions of higher degree
 PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": False, "locking": None}
 
 
-class QuasiStatic(OnGrid):
+class QuasiStatic(Staged):
     """Equilibrium of material points on a grid under slowly changing loads. All methods are collective.
 
     Attributes:
@@ -123,11 +125,7 @@ class QuasiStatic(OnGrid):
         check_second_gradients(points, self.basis)
         super().__init__(grid.comm, points, grid.dim, controls)
         self.locking = check_locking(locking)
-        of_points = None if assembly == "projection" else self.locking
-        self.forms = [choose_form(of_points, m, grid.dim, self.basis) for m in points.materials]
-        for form in self.forms:
-            _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
-            try_energy(form.material)
+        self.forms = self._forms_of(self.points.materials)
         with errors_on_all_ranks(grid.comm):
             self._warn_of_locking()
         self.rotation_limit = 1.0
@@ -170,6 +168,40 @@ class QuasiStatic(OnGrid):
             *(self._conservation, self._moving, self._compiled, self._resets),
         ):
             yield thing, None
+
+    def _forms_of(self, materials: Sequence[Material]) -> list[PointForm]:
+        locking = None if self.assembly == "projection" else self.locking
+        forms = [choose_form(locking, m, self.initial_grid.dim, self.basis) for m in materials]
+        for form in forms:
+            _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
+            try_energy(form.material)
+        return forms
+
+    def _renew_forms(self) -> None:
+        self.points.arrangements += 1
+        self._arrangement = self.points.arrangements
+        self.forms = self._forms_of(self.points.materials)
+        self.box_record = BoxRecord(self.points, self.forms, self.comm)
+        self._compiled = Compiled()
+        self._resets = BalancedResets((f.layout for f in self.forms), self.comm, self.timer)
+        if self._system is not None:
+            self._system.destroy()
+            self._system = None
+        self.progress.reset_due = True
+
+    def _more_forms(self) -> None:
+        more = self._forms_of(self.points.materials[len(self.forms) :])
+        self.forms = [*self.forms, *more]
+        if self._compiled.kernels:
+            self._compiled.kernels = [*self._compiled.kernels, *(form.compile(self.comm) for form in more)]
+        self.box_record.renew(self.forms)
+        self._resets.layouts = tuple(dict.fromkeys(form.layout for form in self.forms))
+
+    def _put_into_forms(self) -> None:
+        for form, material in zip(self.forms, self.points.materials, strict=True):
+            form.take(material)
+        if self._system is not None:
+            self._system.interpolation.pack()
 
     def _free(self) -> None:
         self.box_record.kept = self.box_record.energies(self._system)

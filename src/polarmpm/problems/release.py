@@ -30,23 +30,23 @@ from .reactions import Equilibrium
 from .whole import Changing, Undo
 
 
-def fading(factor: float, over: float | None, until: float | None) -> Fade | None:
+def fading(factor: float, over: float | None, until: float | None, what: str = "release") -> Fade | None:
     """How a condition that is released at a load factor fades; None: it is gone at once.
 
     Raises:
         InputError: both are given, or no time at all.
     """
     if over is not None and until is not None:
-        raise InputError(f"release: over = {shown(over)} and until = {shown(until)}: one of them")
+        raise InputError(f"{what}: over = {shown(over)} and until = {shown(until)}: one of them")
     if over is None and until is None:
         return None
     allowed = "a finite load factor"
     if over is not None:
-        end = factor + checks.number("release: over", over, allowed=allowed)
+        end = factor + checks.number(f"{what}: over", over, allowed=allowed)
     else:
-        end = checks.number("release: until", until, allowed=allowed)
+        end = checks.number(f"{what}: until", until, allowed=allowed)
     if end == factor:
-        raise InputError(f"release: nothing can fade between the load factors {factor:g} and {end:g}")
+        raise InputError(f"{what}: nothing can fade between the load factors {factor:g} and {end:g}")
     return Fade(factor, end)
 
 
@@ -67,15 +67,24 @@ def hand_over(
             f"release: {support.name}: the grid has been reset, or a restart file read, since the last "
             "converged step; release it at once, without over and until, or after another step"
         )
+    turned = np.pad(equilibrium.w, ((0, 0), (system.layout.dim, 0)))
+    forces = equilibrium.free_residual(support, still)
+    return handed_forces(f"{support.name}, released", system, forces, turned, fade)
+
+
+def handed_forces(
+    name: str, system: NodalSystem, forces: np.ndarray, x: np.ndarray, fade: Fade
+) -> list[HandedOver]:
+    """Dead forces and couples on the points that fade, in the place of forces (nodes, block) on the nodes at
+    increments x (nodes, block), of which rotations count. Collective."""
     d, r = system.layout.dim, system.layout.rotations
-    values = point_values(system, equilibrium.free_residual(support, still))
+    values = point_values(system, forces)
     if r == 3:  # a dead couple m at a point does the work J_r(Dw) m
-        w = system.at_points(np.pad(equilibrium.w, ((0, 0), (d, 0))))[:, d:]
+        w = system.at_points(x)[:, d:]
         values[:, d:] = rotations.couples_on_spins(w, values[:, d:])
     out = []
     for couple, part in ((False, values[:, :d]), (True, values[:, d:])):
         if system.comm.allreduce(float(np.abs(part).max(initial=0.0))) > 0.0:
-            name = f"{support.name}, released"
             out.append(HandedOver(name, couple, fade, np.ascontiguousarray(part)))
     return out
 
@@ -135,6 +144,11 @@ class Releasable(Conditions):
         fade, given = fading(self.progress.factor, over, until), self.given.of(condition)
         if given is None:
             raise InputError(f"release: {described(condition)} is no condition of this problem")
+        if not self._can_go(given.condition):
+            raise InputError(
+                f"release: {given.name} is no condition that can be released; another change puts numbers "
+                "back, and another fill points"
+            )
         if given.released is not None:
             raise InputError(f"release: {given.name} was released at load factor {given.released:g} already")
         if fade is not None and not self.progress.step:
@@ -147,6 +161,10 @@ class Releasable(Conditions):
             given.released, given.until = self.progress.factor, None if fade is None else fade.end
 
         self.whole(let_go)
+
+    def _can_go(self, condition: Any) -> bool:
+        """Whether a condition is one that can be released."""
+        return True
 
     def _let_go(self, given: Given, fade: Fade | None) -> None:
         self._stale = True
@@ -246,6 +264,7 @@ class Releasable(Conditions):
         count from the load factor of the saved state; see `check_conditions`."""
         known, _ = self.given.match(state["given"])
         empty = np.zeros((0, 0))
+        self._loads = [load for load in self._loads if not isinstance(load, HandedOver)]
         self._loads += [
             HandedOver(name, couple, Fade(*ends), empty)
             for name, couple, *ends in json.loads(state.get("handed", "[]"))
@@ -257,6 +276,7 @@ class Releasable(Conditions):
                 continue
             if row:
                 given.begun, given.counts = row["begun"], row["counts"]
+                self._was_applied(given, row.get("applied"))
                 self._begin_again(given, row["met"])
             elif isinstance(given.condition, Support):
                 given.condition.committed = True
@@ -274,6 +294,9 @@ class Releasable(Conditions):
         else:
             for part in condition.parts:
                 part.amplitude.begin(given.begun, given.counts)
+
+    def _was_applied(self, given: Given, applied: bool | None) -> None:
+        """Put in whether a step had converged with a change, and since when it counts."""
 
     def _let_go_again(self, given: Given, factor: float) -> None:
         """Release what had been released when the state was saved."""

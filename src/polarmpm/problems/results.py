@@ -10,12 +10,12 @@ from ..forms.stresses import MaterialField
 from ..terms.surfaces import SurfaceSupport
 from ..tools.checks import shown
 from ..tools.meetings import collective
+from .initial import Initial
 from .reactions import Balance, Reaction, point_about, surface_reaction
-from .release import Releasable
 from .state import Fields, StateFields, choose_fields
 
 
-class Results(Releasable):
+class Results(Initial):
     """Results of a problem. All methods are collective."""
 
     _fields: StateFields

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,6 +58,11 @@ class ConsistentSupport(SurfaceSupport):
         self.method = METHODS[1] if symmetric else METHODS[2]
         if behind.materials[0].micropolar:
             self.moved = (*self.moved, "wryness")
+
+    def take(self, materials: Sequence[Material]) -> None:
+        """Go on with materials of the same forms and other numbers."""
+        for form, material in zip(self._forms, materials, strict=True):
+            form.material = material
 
     @property
     def faded(self) -> bool:
