@@ -55,13 +55,13 @@ def main(argv=None):
         output="slope",
         cell=0.5,
         points_per_cell=4,
-        steps=4,
+        steps=5,
         basis="bspline",
         bases=("bspline", "gimpm", "mpm"),
         argv=argv,
         more={
-            "--low": {"type": demo.positive, "default": 1.0, "help": "factor with which the slope stands"},
-            "--high": {"type": demo.positive, "default": 1.6, "help": "factor with which it fails"},
+            "--low": {"type": demo.positive, "default": 1.2, "help": "factor with which the slope stands"},
+            "--high": {"type": demo.positive, "default": 1.5, "help": "factor with which it fails"},
             "--width": {"type": demo.positive, "default": 0.02, "help": "of the bracket"},
         },
     )
@@ -72,6 +72,7 @@ def main(argv=None):
         high=args.high,
         width=args.width,
         steps=args.steps,
+        smallest=0.5,
     )
     fields = ("displacement", "hardening", "p", "q", "lode_angle")
     for name, problem in (("stands", found.standing), ("fails", found.failed)):
