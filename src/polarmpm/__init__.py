@@ -65,6 +65,7 @@ from .tools import ends
 ends.install()
 
 if TYPE_CHECKING:
+    from . import geotechnics
     from .materials.clay import CamClay, Houlsby
     from .materials.cones import DruckerPrager, VonMises
     from .materials.plastic import Continuation, Plastic, UserPlasticity
@@ -84,6 +85,8 @@ _LATER = {
 
 def __getattr__(name: str) -> Any:
     """Plastic materials, their yield surfaces and others, imported when a scene asks for one."""
+    if name == "geotechnics":
+        return importlib.import_module(f"{__name__}.geotechnics")
     if name in _LATER:
         return getattr(importlib.import_module(f"{__name__}.{_LATER[name]}"), name)
     raise AttributeError(f"module 'polarmpm' has no attribute {name!r}")
@@ -163,6 +166,7 @@ __all__ = [
     "Weights",
     "WhenDistorted",
     "YieldSurface",
+    "geotechnics",
     "lines",
     "lines_from",
     "load_restart",

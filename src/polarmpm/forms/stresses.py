@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -94,6 +95,28 @@ class PointState:
             return 0 * self.F
         return pushed(self._stresses[1], self.Q, self.F) / ufl.det(self.F)
 
+    @cached_property
+    def _deviator(self) -> tuple[Any, Any]:
+        """Deviator of sym sigma (Pa), and its second invariant."""
+        s = ufl.dev(ufl.sym(self.stress))
+        return s, ufl.inner(s, s) / 2
+
+    @cached_property
+    def q(self) -> Any:
+        """sqrt(3/2 s : s) (Pa) of the deviator s of sym sigma."""
+        return ufl.sqrt(3 * self._deviator[1])
+
+    @cached_property
+    def lode_angle(self) -> Any:
+        """Lode's angle (rad) of sym sigma, sin(3 theta) = -sqrt(27)/2 det(s) / J2^1.5: -pi/6 in triaxial
+        extension, pi/6 in triaxial compression; 0 where there is no deviator."""
+        s, second = self._deviator
+        cube = second * ufl.sqrt(second)
+        none = ufl.le(cube, 0.0)
+        sine = -math.sqrt(27) / 2 * ufl.det(s) / ufl.conditional(none, 1.0, cube)
+        angle = ufl.asin(ufl.max_value(-1.0, ufl.min_value(1.0, sine))) / 3
+        return ufl.conditional(none, 0.0, angle)
+
 
 def _elastic_parts(F: Any, Gamma: Any, plastic: Sequence[Any]) -> tuple[Any, Any, Any]:
     """Fe = F Fp^-1, Ge = Gamma - Gp and chi of the coefficients of the plastic state (T 4.1)."""
@@ -158,6 +181,9 @@ TABLE: dict[str, MaterialField] = {
         MaterialField("couple_stress", lambda s: s.couple_stress, "N/m"),
         MaterialField("double_stress", lambda s: s.double_stress, "N/m", second_gradient=True),
         MaterialField("mean_pressure", lambda s: -ufl.tr(s.stress) / 3, "Pa"),
+        MaterialField("p", lambda s: -ufl.tr(s.stress) / 3, "Pa"),  # as soils have it beside q
+        MaterialField("q", lambda s: s.q, "Pa"),
+        MaterialField("lode_angle", lambda s: s.lode_angle, "rad"),
     )
 }
 MECHANICAL = tuple(TABLE[name] for name in ("energy", "stress", "couple_stress"))  # share a kernel

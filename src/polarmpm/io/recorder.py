@@ -42,11 +42,12 @@ class Recorder:
         path: of the collection, ending in .pvd; missing folders are made.
         problem: whose states are written.
         fields: any of displacement (m), rotation (rotation vector, rad), F, stretch (U), wryness (1/m),
-            stress (Cauchy, Pa), couple_stress (N/m), mean_pressure (Pa), energy (per reference volume, Pa),
-            volume (m^3; m^2 in plane strain), id, material, unresolved (share of the last step's work that is
-            done inside a point's box); with plastic materials hardening (chi) and
-            dissipation (per reference volume, Pa); with second-gradient materials grad_F (1/m) and
-            double_stress (N/m). Tensors have 9 components, row by row, the latter two 27. A field of your
+            stress (Cauchy, Pa), couple_stress (N/m), mean_pressure (Pa), p (the same), q (Pa), lode_angle
+            (rad), energy (per reference volume, Pa), volume (m^3; m^2 in plane strain), id, material,
+            unresolved (share of the last step's work that is done inside a point's box); with plastic
+            materials hardening (chi) and dissipation (per reference volume, Pa); with second-gradient
+            materials grad_F (1/m) and double_stress (N/m). Tensors have 9 components, row by row, the latter
+            two 27. A field of your
             own is a `Field`, a function of the points, or a `MaterialField`, a UFL expression:
             `pm.Field("J", lambda points: np.linalg.det(points.F))`,
             `pm.MaterialField("deviator", lambda s: ufl.dev(s.stress), "Pa")`.

@@ -26,9 +26,9 @@ class Results(Initial):
         """Energy, Cauchy stress and couple stress at the local points, or what is asked for.
 
         Args:
-            *names: any of energy (Pa), stress (Pa), couple_stress (N/m), mean_pressure (Pa) and, with
-                second-gradient materials, double_stress (N/m), or a `MaterialField`; default: energy and
-                stresses.
+            *names: any of energy (Pa), stress (Pa), couple_stress (N/m), mean_pressure (Pa), p (the same), q
+                (Pa), lode_angle (rad) and, with second-gradient materials, double_stress (N/m), or a
+                `MaterialField`; default: energy and stresses.
 
         Returns:
             The fields by name; `.energy`, `.stress` and `.couple_stress` for short.

@@ -1,0 +1,40 @@
+"""The demos of soils: the factor of safety of a slope, and footings on frictional soil."""
+
+import math
+from functools import partial
+
+import pytest
+
+from tests.helpers.demos import demo_result
+
+
+@pytest.fixture
+def run(folder):
+    return partial(demo_result, folder)
+
+
+def test_factor_of_safety_of_a_slope_on_coarse_cells(run):
+    """Cells of a tenth of the height: a little too strong. What trials say is what the bracket says."""
+    result = run(
+        "slope", "--cell", "1", "--points-per-cell", "3", "--low", "1.3", "--high", "1.5", "--width", "0.05"
+    )
+    low, high = result["factor"]
+    assert 1.3 < low < high <= low + 0.05 + 1e-12
+    assert 1.38 == pytest.approx((low + high) / 2, rel=0.06)
+    for factor, (displacement, load, _) in result["trials"].items():
+        if float(factor) < low + 1e-3:
+            assert load == 1.0
+            assert displacement < result["limit"]
+    assert result["limit"] == pytest.approx(3 * result["reference"])
+    elastic = 0.379 * 20e3 * 10**2 / 1e8  # m, Griffiths and Lane
+    assert result["reference"] == pytest.approx(elastic, rel=0.03)
+
+
+@pytest.mark.slow
+def test_default_settings_of_the_slope(run):
+    """Griffiths and Lane find 1.4, Bishop and Morgenstern 1.380."""
+    low, high = run("slope")["factor"]
+    assert high - low <= 0.02
+    for published in (1.4, 1.38):
+        assert low > 0.97 * published
+        assert high < 1.03 * published
