@@ -336,6 +336,7 @@ class Problem(Results):
                 ranks.tell(self, "after_commit", self.progress.rotation_factor != base)
             else:
                 self.failed_at, system.x = system.x, start.x
+                system.flow_in_boxes(False)
 
     def _commit_terms(self, system: NodalSystem, start: np.ndarray) -> None:
         """Tell the terms of a step that has converged, from increments (nodes, block) at its start."""

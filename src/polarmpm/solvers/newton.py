@@ -10,9 +10,10 @@ from typing import Protocol
 from ..errors import LocalFailure
 from ..tools import checks
 from .linear import SingularTangent
+from .linesearch import Searched, shorten
 
 
-class System(Protocol):
+class System(Searched, Protocol):
     """A nonlinear system at a load factor."""
 
     def evaluate(self, tangent: bool) -> None:
@@ -124,6 +125,8 @@ def _iterate(system: System, controls: Controls, outcome: Outcome) -> None:
     while True:
         evaluate(system, tangent, system.backtrack)
         force, energy = system.convergence_measures()
+        if outcome.history and not force < _FALLS * outcome.history[-1][0] and shorten(system, tangent):
+            force, energy = system.convergence_measures()
         outcome.history.append((force, energy))
         if not math.isfinite(force) or force > controls.divergence:
             outcome.reason = f"diverged (force measure {force:.3g})"
@@ -180,6 +183,7 @@ def _accuracy(ratio: float, force: float, controls: Controls) -> float:
 
 _SHARE = 0.1  # of the residual to come that a linear solution may leave
 _COARSEST, _FINEST = 1e-3, 1e-10  # relative residuals of linear systems
+_FALLS = 0.8  # ratio of residuals above which a correction may have been too long
 _BACKTRACKS = 4  # corrections halved before points without stresses end the attempt
 _SAFETY = 10.0  # the change of the tangent is about twice the ratio
 
