@@ -39,7 +39,7 @@ from .boxes import BoxRecord
 from .conservation import Conservation
 from .described import described, of_rank
 from .fitting import check_assembly, check_body, check_boxes, check_second_gradients
-from .locking import check_locking, choose_form
+from .locking import check_locking, choose_form, warn_of_plastic_locking
 from .ongrid import Compiled, OnGrid
 from .state import Fields, Progress
 from .surfaces import add_load
@@ -158,6 +158,7 @@ class QuasiStatic(OnGrid):
             left = [form.material for form in self.forms if not form.scalars]
             if self.basis.locks:
                 warn_of_locking(left, functions, "locking='auto' with assembly='direct', or basis='bspline'")
+                warn_of_plastic_locking(self.locking, left, functions, "assembly='direct'")
             else:
                 few = "displacements are 2 to 6 % too small with 32 and 16 cells across a body that bends"
                 remedy = "locking='auto' with basis='bspline', or smaller cells"
