@@ -60,7 +60,9 @@ def build(rows, columns, length, args):
 
     if args.mode == "fem":
         problem = pm.QuasiStaticFEM(
-            _elements(rows, columns, strong, weak, in_zone), controls=controls(args.model)
+            _elements(rows, columns, strong, weak, in_zone),
+            controls=controls(args.model),
+            locking=None,  # the published curves are those of elements without a cure
         )
     else:
         cell = (WIDTH / columns, HEIGHT / rows)

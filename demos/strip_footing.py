@@ -57,7 +57,7 @@ def of_elements(degree, args):
     body = mesh.create_rectangle(
         MPI.COMM_WORLD, [(0, 0), (LENGTH, DEPTH)], counts, mesh.CellType.quadrilateral
     )
-    locking = None if args.locking == "none" else "always"  # "auto" leaves plastic elements as they are
+    locking = None if args.locking == "none" else "auto"
     return pm.QuasiStaticFEM(pm.Elements(body, material=soil(), degree=degree), locking=locking)
 
 

@@ -126,7 +126,8 @@ def test_regions(degree):
         tags = dmesh.meshtags(made, 2, cells, values.astype(np.int32))
         body = pm.Elements(made, material={1: plastic, 2: elastic, 3: MICROPOLAR}, degree=degree, cells=tags)
         random_state(body, 2)
-        found.append([*sums(pm.QuasiStaticFEM(body, assembly=assembly)), body.points.material])
+        problem = pm.QuasiStaticFEM(body, assembly=assembly, locking=None)  # dolfinx' forms have no cure
+        found.append([*sums(problem), body.points.material])
     assert len(np.unique(np.concatenate(COMM.allgather(found[0].pop())))) == 3
     assert_same(found[0], found[1][:3])
     k = found[0][2]
@@ -147,7 +148,7 @@ def test_a_run_with_all_kinds_of_loads_is_the_same(cell, degree, material, stric
     answers = []
     for assembly in ("native", "dolfinx"):
         body = pm.Elements(box(cell, (6, 2), (6.0, 2.0), distort=0.05), material=material, degree=degree)
-        problem = pm.QuasiStaticFEM(body, controls=strict, assembly=assembly)
+        problem = pm.QuasiStaticFEM(body, controls=strict, assembly=assembly, locking=None)
         left = body.facets(lambda x: x[:, 0] < 0.3)
         support = problem.fix(left, u=0, **({"theta": 0} if material.micropolar else {}))
         problem.fix(body.facets(lambda x: x[:, 0] > 5.7), uy=-0.04)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
@@ -114,6 +117,33 @@ def test_auto_leaves_bodies_alone_that_do_not_lock():
     assert cantilever("quadrilateral", stiff).forms._point_forms[0].scalars == 1
     simple = cantilever("triangle", stiff)
     assert simple.forms._point_forms[0].scalars == 0
+
+
+@pytest.mark.parametrize(("cell", "degree"), [("quadrilateral", 1), ("quadrilateral", 2), ("triangle", 2)])
+def test_a_footing_on_elements_finds_its_limit_by_default(cell, degree):
+    """(2 + pi) c b_eff, b_eff up to half the distance of nodes beyond the footing; else 8 to 50 % more."""
+    soil = pm.VonMises(pm.Hencky.from_engineering(E=1e4, nu=0.3), k=np.sqrt(3.0))
+    body = pm.Elements(box(cell, (16, 8), (4.0, 2.0)), material=soil, degree=degree)
+    problem = pm.QuasiStaticFEM(body)
+    for x in (0.0, 4.0):
+        problem.fix(pm.plane(x=x), ux=0)
+    problem.fix(pm.plane(y=0.0), u=0)
+    held = problem.fix(lambda x: (x[:, 0] < 1 + 1e-6) & (x[:, 1] > 2 - 1e-6), ux=0, uy=-0.01)
+    list(problem.march(4, progress=False))
+    width = 1 + 0.125 / degree
+    assert -problem.reaction(held).force[1] / width == pytest.approx(2 + np.pi, rel=0.06)
+
+
+def test_plastic_elements_that_nothing_cures_warn():
+    soil = pm.VonMises(HENCKY, k=1.0)
+    first = COMM.rank == 0  # it warns
+    for cell, options in (("triangle", {}), ("quadrilateral", {"assembly": "dolfinx"})):
+        body = pm.Elements(box(cell, (2, 2)), material=soil)
+        with pytest.warns(pm.TrustWarning, match="in plastic flow") if first else nullcontext():
+            pm.QuasiStaticFEM(body, **options)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            pm.QuasiStaticFEM(body, locking=None, **options)
 
 
 def test_arguments():

@@ -79,7 +79,7 @@ def points_and_element(cell, material):
     assert volume == pytest.approx(COMM.allreduce(points.volume0.sum()), rel=1e-14)
     body.displacement = body.nodes.position @ (F[:dim, :dim] - np.eye(dim)).T
     by_points = pm.QuasiStatic(grid, points, basis="mpm", reset=1, balanced_reset=False, locking=None)
-    return by_points, pm.QuasiStaticFEM(body)
+    return by_points, pm.QuasiStaticFEM(body, locking=None)
 
 
 @pytest.mark.parametrize(("cell", "material"), ONE_CELL)

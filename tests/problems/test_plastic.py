@@ -60,9 +60,9 @@ def _push(problem: Any, where: Any, dim: int, scale: float) -> Any:
     return problem
 
 
-def by_elements(material: Any, controls: Any = STRICT) -> Any:
+def by_elements(material: Any, controls: Any = STRICT, locking: str | None = None) -> Any:
     body = pm.Elements(box("quadrilateral", (6, 2), (3.0, 1.0)), material=material)
-    problem = pm.QuasiStaticFEM(body, controls=controls)
+    problem = pm.QuasiStaticFEM(body, controls=controls, locking=locking)
     problem.fix(pm.plane(x=0.0), u=0, **({"theta": 0} if material.micropolar else {}))
     return _push(problem, pm.plane(x=3.0), 2, 1.0)
 
@@ -97,6 +97,7 @@ SCENES = {
     "classical": lambda: by_points(cone(NEO_HOOKEAN), basis="mpm"),
     "elements": lambda: by_elements(cone()),
     "classical-elements": lambda: by_elements(cone(NEO_HOOKEAN)),
+    "cured-elements": lambda: by_elements(cone(NEO_HOOKEAN), locking="auto"),
     "space": lambda: by_points(cone(), 3, basis="mpm", per_cell=2),
     "classical-space": lambda: by_points(cone(NEO_HOOKEAN), 3, basis="mpm", per_cell=2),
 }
@@ -555,7 +556,7 @@ def test_elastic_material_beside_one_that_could_yield():
         body = pm.Elements(box("quadrilateral", (8, 2), (4.0, 1.0)), material=ELASTIC)
         if other is not None:
             body.points.assign(body.points.where(lambda x: x[:, 0] > 2.0), other)
-        problem = pm.QuasiStaticFEM(body, controls=STRICT)
+        problem = pm.QuasiStaticFEM(body, controls=STRICT, locking=None)  # the elastic body has no cure
         problem.fix(pm.plane(x=0.0), u=0, theta=0)
         problem.body_load(force=(0, -20.0))
         list(problem.march(2))

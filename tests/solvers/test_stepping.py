@@ -401,6 +401,9 @@ class Local:
     def backtrack(self) -> bool:
         return False
 
+    def slope(self, start: bool = False) -> float | None:
+        return None
+
 
 class Shortened(Local):
     """Points have stresses again once the correction has been halved twice."""

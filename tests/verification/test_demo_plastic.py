@@ -150,12 +150,13 @@ def test_length_orders_the_bands(run):
 
 
 @pytest.mark.slow
-def test_a_thin_band_needs_the_elastic_tangent_to_begin_with(run):
-    """T 4.4, 2.5 mm: from three quarters on the elastoplastic tangent at the start of a step fails."""
+def test_a_thin_band_unloads_beside_itself(run):
+    """T 4.4, 2.5 mm: from three quarters on the elastoplastic tangent at the start of a step points the wrong
+    way; corrections are shortened."""
     result, _ = run("--grids", "39x4", "--steps", "200", length="2.5e-3")
     assert result["displacement"][0] == pytest.approx(0.02, rel=1e-12)
     assert result["width"][0] < 0.02
-    assert result["most_iterations"][0] > 9
+    assert result["most_iterations"][0] <= 9
 
 
 def test_classical_band_is_a_row_of_cells(run):

@@ -133,6 +133,10 @@ class ElementSystem(NodalSystem):
     def point_volumes(self) -> np.ndarray:
         return self.forms.elements.points.volume0
 
+    @property
+    def plastic(self) -> bool:
+        return any(m.plastic for m in self.forms.elements.points.materials)
+
     def start_elastic(self, on: bool) -> bool:
         return self.forms.start_elastic(on)
 

@@ -65,6 +65,16 @@ class PointBoxes:
         """What counts of the boxes' energy at each point (n,)."""
         return self._arrays["box_share"]
 
+    def flow(self, rows: np.ndarray) -> bool:
+        """Let points (of the batch) count as ones that have flowed until the state is packed anew; whether
+        they are most of those that now do, by volume."""
+        volume: np.ndarray = self.batch.kept["volume"]
+        new = rows[self.share[rows] > FLOWED]
+        share = self.share.copy()
+        share[new] = FLOWED
+        self._arrays["box_share"] = share
+        return bool(2.0 * volume[new].sum() > volume[share <= FLOWED].sum())
+
     def pack(self, reference: Reference) -> None:
         """Take in the state of the points, after the batch has: which of them have flowed, and the base of
         the rotations.
@@ -73,10 +83,7 @@ class PointBoxes:
         their half axes from what their wryness has grown by since the reset, that of their gradients from
         `rebase_rotations`.
         """
-        r, d, rows, p = self.layout.rotations, self.layout.dim, self.rows, self.points
-        share = np.ones(len(rows))
-        if p.plastic:
-            share[p.hardening[rows] > 0.0] = FLOWED
+        r, d, rows = self.layout.rotations, self.layout.dim, self.rows
         turns: np.ndarray = np.zeros((len(rows), d, r * (1 + d)))
         if r:
             grown = (reference.wryness - reference.reset_wryness)[rows]
@@ -86,7 +93,15 @@ class PointBoxes:
             ]
             framed = reference.side_gradients[rows] @ self._to_frame(reference)[:, None]
             turns[:, :, r:] = framed.reshape(len(rows), d, r * d)
-        self._arrays |= {"box_share": share, "box_turns": turns}
+        self._arrays["box_turns"] = turns
+        self.pack_shares()
+
+    def pack_shares(self) -> None:
+        """Take in which of the points have flowed."""
+        share = np.ones(len(self.rows))
+        if self.points.plastic:
+            share[self.points.hardening[self.rows] > 0.0] = FLOWED
+        self._arrays["box_share"] = share
 
     def _to_frame(self, reference: Reference) -> np.ndarray:
         """F~^-1 T (n, d, d): from gradients in the unloaded body to those in the frame of the state."""

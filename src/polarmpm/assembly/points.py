@@ -80,11 +80,15 @@ class LoadedPoints(ProjectedPoints):
 
         return ReturnMapping(batch.form, self.comm, self.interpolation.points.id[batch.rows])
 
+    @property
+    def plastic(self) -> bool:
+        return any(m is not None for m in self.mappings)
+
     def start_elastic(self, on: bool) -> bool:
-        plastic = [m for m in self.mappings if m is not None]
-        for mapping in plastic:
-            mapping.start_elastic = on
-        return bool(plastic)
+        for mapping in self.mappings:
+            if mapping is not None:
+                mapping.start_elastic = on
+        return self.plastic
 
     def changing(self) -> Iterator[tuple[Any, tuple[str, ...] | None]]:
         yield from super().changing()
@@ -101,6 +105,20 @@ class LoadedPoints(ProjectedPoints):
     def leave_out_boxes(self, on: bool) -> bool:
         self._boxes = None if on else self.interpolation.boxes
         return self.interpolation.boxes is not None
+
+    def flow_in_boxes(self, on: bool) -> bool:
+        if self._boxes is None or not self.plastic:
+            return False
+        most = False
+        for boxes, mapping in zip(self._boxes, self.mappings, strict=True):
+            if mapping is not None and on and mapping.yielding is not None:
+                most |= boxes.flow(mapping.yielding.rows)
+            elif mapping is not None:
+                boxes.pack_shares()
+        felt: bool = self.comm.allreduce(most, op=MPI.LOR)
+        if on and not felt:
+            self.flow_in_boxes(False)
+        return felt
 
     @property
     def symmetric(self) -> bool:

@@ -21,6 +21,7 @@ from ..terms.base import Piece
 from ..tools.timing import Timer
 from .inertia import Inertia
 from .nodalterms import NodalTerms
+from .stepstate import StepState
 
 _ROUNDING = 16 * float(np.finfo(float).eps)
 
@@ -37,34 +38,6 @@ class Assembled:
 
     forces: np.ndarray
     lifted: np.ndarray | None = None
-
-
-@dataclass
-class StepState:
-    """Where the iterations of a load step stand; made when it begins. Arrays are (nodes, block).
-
-    Attributes:
-        lift: what prescribed unknowns still have to move, zero at the others.
-        pending: some rank's lift isn't zero.
-        initial: residual of the first evaluation; None before it.
-        lifted: of the last evaluation, see `Assembled`.
-        correction: the last one; None before the first.
-        rounding: squares of the forces that rounding makes, see `NodalSystem._rounding_squares`; None before
-            the first tangent.
-        tangents: how many there have been.
-        boxes: values of the matrix that the points' boxes have given; None before the first tangent.
-        projected: what the last tangent says of projected stresses, by batch; None before the first one.
-    """
-
-    lift: np.ndarray
-    pending: bool = False
-    initial: np.ndarray | None = None
-    lifted: np.ndarray | None = None
-    correction: np.ndarray | None = None
-    rounding: np.ndarray | None = None
-    tangents: int = 0
-    boxes: np.ndarray | None = None
-    projected: list[Any] | None = None
 
 
 class NodalSystem(ABC):
@@ -215,6 +188,11 @@ class NodalSystem(ABC):
         couples do work on spins. Collective."""
         return self.loads
 
+    @property
+    def plastic(self) -> bool:
+        """Whether there are points that may yield, on any rank."""
+        return False
+
     def start_elastic(self, on: bool) -> bool:
         """Whether points on the yield surface begin a step with their elastic tangent; False where there is
         no such choice."""
@@ -222,6 +200,11 @@ class NodalSystem(ABC):
 
     def leave_out_boxes(self, on: bool) -> bool:
         """Whether points stand for themselves alone from now on; False where they do anyway."""
+        return False
+
+    def flow_in_boxes(self, on: bool) -> bool:
+        """Whether the boxes of points that flow in this step count as of points that have flowed; False where
+        they are few, and stay as they are. Collective."""
         return False
 
     def positions(self) -> np.ndarray:
@@ -409,6 +392,7 @@ class NodalSystem(ABC):
         fixed, s = self.prescribed.fixed, self.step
         out_of_balance = self.residual if s.lifted is None else self.residual + s.lifted
         step = self.solve_free(-out_of_balance, fresh, accuracy)
+        s.origin = None if s.pending else (self.x, self.residual, s.projected)
         if s.pending:
             step[fixed] = s.lift[fixed]
         self.add(step)
@@ -436,7 +420,25 @@ class NodalSystem(ABC):
     def add(self, step: np.ndarray) -> None:
         """Add a correction (nodes, block) to the unknowns."""
         self.before, self.x = self.x, self.x + step
-        self.step.correction = step
+        self.step.correction = self.step.direction = step
+
+    def slope(self, start: bool = False) -> float | None:
+        s, own = self.step, slice(0, self.nodes.owned)
+        if s.origin is None or s.direction is None or not self.plastic:
+            return None
+        with np.errstate(over="ignore", invalid="ignore"):
+            forces = self.on_free(s.origin[1] if start else self.residual)
+            work = float(np.sum(forces[own] * s.direction[own]))
+        total: float = self.comm.allreduce(work)
+        return total
+
+    def take(self, share: float) -> None:
+        s = self.step
+        assert s.origin is not None
+        assert s.direction is not None
+        self.before, _, s.projected = s.origin
+        s.correction = share * s.direction
+        self.x = self.before + s.correction
 
     def jump(self, x: np.ndarray) -> None:
         """Put in nodal increments (nodes, block) that no correction has led to."""
@@ -447,7 +449,7 @@ class NodalSystem(ABC):
         s = self.step
         if s.correction is None:
             return False
-        s.correction = 0.5 * s.correction
+        s.correction = s.direction = 0.5 * s.correction
         self.x = self.x - s.correction
         s.lift = s.lift + np.where(self.prescribed.fixed, s.correction, 0.0)
         self._find_pending()

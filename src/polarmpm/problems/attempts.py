@@ -9,6 +9,8 @@ from ..errors import LocalFailure
 from ..solvers import newton
 from ..solvers.newton import Controls, Outcome
 
+_FELT = 0.01  # out-of-balance force that is worth another equilibrium
+
 
 def solve(system: NodalSystem, start: np.ndarray, increments: np.ndarray, controls: Controls) -> Outcome:
     """Newton's method in a system whose step has begun, and where that fails from other starts. Collective.
@@ -33,6 +35,8 @@ def solve(system: NodalSystem, start: np.ndarray, increments: np.ndarray, contro
         outcome.history[:0] = tried
     if not outcome.converged and system.leave_out_boxes(True):
         outcome = _start_without_boxes(system, start, increments, controls, outcome)
+    if outcome.converged and system.flow_in_boxes(True):
+        _flow_in_boxes(system, controls, outcome)
     return _refined(system, controls, outcome)
 
 
@@ -55,6 +59,25 @@ def _refined(system: NodalSystem, controls: Controls, outcome: Outcome) -> Outco
         outcome.history[:0] = tried[:-1]
     outcome.converged, outcome.reason = False, f"terms still change after {_MOST_REFINEMENTS} refinements"
     return outcome
+
+
+def _flow_in_boxes(system: NodalSystem, controls: Controls, outcome: Outcome) -> None:
+    """Points that have begun to flow in this step hardly count for their boxes any more: where most of them
+    have, that moves the equilibrium. Where there is none then, the one at hand stays."""
+    x = system.x
+    try:
+        system.evaluate(False)
+        felt = not system.convergence_measures()[0] < _FELT
+    except LocalFailure:
+        felt = True
+    if felt:
+        more = newton.solve(system, controls)
+        outcome.history += more.history[1:]
+        if more.converged:
+            return
+    system.flow_in_boxes(False)
+    system.jump(x)
+    system.evaluate(False)
 
 
 def _start_without_boxes(

@@ -365,6 +365,7 @@ class Problem(Results):
                 ranks.tell(self, "after_commit", self.progress.rotation_factor != base)
             else:
                 self.failed_at, system.x = system.x, start.x
+                system.flow_in_boxes(False)
 
     def _work(self, system: NodalSystem, start: StepStart) -> tuple[float, float]:
         """Work (J) of a step that has converged, see `step_work`. Collective."""

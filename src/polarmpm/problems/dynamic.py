@@ -231,7 +231,7 @@ class DynamicFEM(Moving, QuasiStaticFEM):
         return self.points.plastic or bool(self._system and self._system.projected_F())
 
     def _prepare(self) -> ElementSystem:
-        system: LoadedPoints = super()._prepare()
+        system = super()._prepare()
         self._add_inertia(system)
         return system
 

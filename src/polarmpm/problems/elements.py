@@ -42,7 +42,7 @@ from .conditions import AXIS
 from .described import described, of_rank
 from .facetloads import SurfaceLoad, Varying, carried_so_far
 from .given import Present
-from .locking import check_locking
+from .locking import check_locking, warn_of_plastic_locking
 from .state import Progress
 from .surfaces import add_load
 from .whole import Changing
@@ -66,9 +66,8 @@ class QuasiStaticFEM(Problem):
             may become unstable.
         assembly: how residual and tangent are summed over the elements: "native", by the points' own kernels
             in compiled loops, or "dolfinx", by its forms: the same to 1e-12, several times slower.
-        locking: as of `QuasiStatic`, with an element for a patch; but "auto" leaves plastic materials alone
-            that aren't nearly incompressible, too. Simplices of degree 1, second gradients and assembly
-            "dolfinx" have no cure; nor have elements of degree 3, which lock much less.
+        locking: as of `QuasiStatic`, with an element for a patch. Simplices of degree 1, second gradients and
+            assembly "dolfinx" have no cure; nor have elements of degree 3, which lock much less.
     """
 
     holds_on_facets = True
@@ -101,7 +100,11 @@ class QuasiStaticFEM(Problem):
             try_energy(material)
         with errors_on_all_ranks(elements.comm):  # of warnings a script may make errors
             if elements.degree == 1 and elements.comm.rank == 0:
-                warn_of_locking(self.forms.uncured, "elements of degree 1", "degree 2")
+                uncured = self.forms.uncured
+                warn_of_locking(uncured, "elements of degree 1", "degree 2")
+                simple = elements.body.cell in ("triangle", "tetrahedron")
+                remedy = "degree=2" if simple else "assembly='native'"
+                warn_of_plastic_locking(self.locking, uncured, "elements of degree 1", remedy)
         self._surface_loads: list[SurfaceLoad] = []
         self.held_slopes: dict[Support, Any] = {}  # slopes that supports hold
         self.progress.reset_due = False

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
 from ..bodies.elements import Elements
+from ..errors import TrustWarning
 from ..forms.choice import make_form, make_projected
 from ..forms.points import PointForm
 from ..materials.base import Material
 from ..tools import checks
+from ..tools.caller import warn
 
 
 class Patched(Protocol):
@@ -94,13 +97,23 @@ class ElementPatch:
 
 
 def forms_of_elements(locking: str | None, elements: Elements) -> list[PointForm]:
-    """The forms of a meshed body's materials; "auto" leaves plastic ones alone that aren't nearly
-    incompressible."""
+    """The forms of a meshed body's materials."""
     patch = ElementPatch.of(elements)
+    axial, materials = elements.points.axisymmetric, elements.points.materials
+    return [choose_form(locking, material, elements.dim, patch, axial) for material in materials]
 
-    def form(material: Material) -> PointForm:
-        left = locking == "auto" and material.yields and poisson(material) <= INCOMPRESSIBLE
-        how = None if left else locking
-        return choose_form(how, material, elements.dim, patch, elements.points.axisymmetric)
 
-    return [form(material) for material in elements.points.materials]
+def warn_of_plastic_locking(
+    locking: str | None, materials: Sequence[Material], functions: str, remedy: str
+) -> None:
+    """Warn where "auto" was to cure plastic flow and can't: it keeps the volume, or changes it by a rule, at
+    any ratio of Poisson."""
+    for material in materials:
+        if locking == "auto" and material.yields:
+            warn(
+                f"{type(material).__name__}: in plastic flow {functions} lock, and have no cure: bearing "
+                f"loads are a quarter too large and more, and may rise without a limit; take {remedy}, or "
+                "locking=None where this is meant",
+                TrustWarning,
+            )
+            return

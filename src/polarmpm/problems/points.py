@@ -47,7 +47,7 @@ from .fitting import (
     check_second_gradients,
     touches_axis,
 )
-from .locking import check_locking, choose_form
+from .locking import check_locking, choose_form, warn_of_plastic_locking
 from .ongrid import Compiled
 from .stages import Staged
 from .state import Fields, Progress
@@ -168,6 +168,7 @@ class QuasiStatic(Staged):
             left = [form.material for form in self.forms if not form.scalars]
             if self.basis.locks:
                 warn_of_locking(left, functions, "locking='auto' with assembly='direct', or basis='bspline'")
+                warn_of_plastic_locking(self.locking, left, functions, "assembly='direct'")
             else:
                 few = "displacements are 2 to 6 % too small with 32 and 16 cells across a body that bends"
                 remedy = "locking='auto' with basis='bspline', or smaller cells"

@@ -10,9 +10,10 @@ from typing import Protocol
 from ..errors import LocalFailure
 from ..tools import checks
 from .linear import SingularTangent
+from .linesearch import Searched, shorten
 
 
-class System(Protocol):
+class System(Searched, Protocol):
     """A nonlinear system at a load factor."""
 
     def evaluate(self, tangent: bool) -> None:
@@ -135,6 +136,8 @@ def _iterate(system: System, controls: Controls, outcome: Outcome, search: bool)
         else:
             evaluate(system, tangent, system.backtrack)
         force, energy = system.convergence_measures()
+        if outcome.history and not force < _FALLS * outcome.history[-1][0] and shorten(system, tangent):
+            force, energy = system.convergence_measures()
         outcome.history.append((force, energy))
         if not math.isfinite(force) or force > controls.divergence:
             outcome.reason = f"diverged (force measure {force:.3g})"
@@ -218,6 +221,7 @@ def _accuracy(ratio: float, force: float, controls: Controls) -> float:
 
 _SHARE = 0.1  # of the residual to come that a linear solution may leave
 _COARSEST, _FINEST = 1e-3, 1e-10  # relative residuals of linear systems
+_FALLS = 0.8  # ratio of residuals above which a correction may have been too long
 _BACKTRACKS = 4  # corrections halved before points without stresses end the attempt
 _SEARCHES = 8  # the same where the residual is to become smaller
 _PATIENCE, _CIRCLE = 8, 4  # iterations before they may be said to go round in circles, and that have to

@@ -1,0 +1,41 @@
+"""Where the iterations of a load step stand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass
+class StepState:
+    """Where the iterations of a load step stand; made when it begins. Arrays are (nodes, block).
+
+    Attributes:
+        lift: what prescribed unknowns still have to move, zero at the others.
+        pending: some rank's lift isn't zero.
+        initial: residual of the first evaluation; None before it.
+        lifted: of the last evaluation, see `Assembled`.
+        correction: the last one, the share of it that was taken; None before the first.
+        direction: all of it.
+        rounding: squares of the forces that rounding makes, see `NodalSystem._rounding_squares`; None before
+            the first tangent.
+        tangents: how many there have been.
+        boxes: values of the matrix that the points' boxes have given; None before the first tangent.
+        projected: what the last tangent says of projected stresses, by batch; None before the first one.
+        origin: from where the last correction was made: unknowns, residual, and `projected`; None where it
+            put in prescribed values.
+    """
+
+    lift: np.ndarray
+    pending: bool = False
+    initial: np.ndarray | None = None
+    lifted: np.ndarray | None = None
+    correction: np.ndarray | None = None
+    direction: np.ndarray | None = None
+    rounding: np.ndarray | None = None
+    tangents: int = 0
+    boxes: np.ndarray | None = None
+    projected: list[Any] | None = None
+    origin: tuple[np.ndarray, np.ndarray, list[Any] | None] | None = None
