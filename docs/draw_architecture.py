@@ -50,6 +50,7 @@ ROOMS = (
     Room("problems", "what a script talks to", "problem"),
     Room("io", "ParaView, tables, restart", "use"),
     Room("plot", "figures", "use"),
+    Room("geotechnics", "factors of safety", "use"),
     Room("study", "error against time, demos", "use"),
 )
 
@@ -99,8 +100,8 @@ def draw_rooms(ax: Axes, right: float) -> None:
         style = "round,pad=0,rounding_size=0.05"
         shape = (0.0, y - ROW / 2 + 0.035), NAMES - 0.06, ROW - 0.07
         ax.add_patch(FancyBboxPatch(*shape, boxstyle=style, facecolor=colour, edgecolor="#b0b0b0", lw=0.7))
-        ax.text(0.1, y, room.name, va="center", size=10.5, weight="bold", color=INK)
-        ax.text(1.1, y, room.holds, va="center", size=8.5, color=INK)
+        ax.text(0.1, y, room.name, va="center", size=9.5, weight="bold", color=INK)
+        ax.text(1.15, y, room.holds, va="center", size=8.2, color=INK)
     for layer in LAYERS:
         rows = [height(r.name) for r in ROOMS if r.layer == layer]
         low, high = min(rows) - ROW / 2, max(rows) + ROW / 2
