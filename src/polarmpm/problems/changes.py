@@ -141,7 +141,8 @@ class Changeable(Releasable):
             for name in numbers:
                 for row in rows:
                     check_name(label, self.first_materials[row], name)
-            self._materials_at(fade.end if fade else 1.0, [*self._changes, made])
+            now = self.progress.factor if self.progress.step else 1.0  # as functions are asked at first
+            self._materials_at(fade.end if fade else now, [*self._changes, made])
         self.given.add(Given(label, made, self.progress.factor), "change")
         return made
 

@@ -383,7 +383,8 @@ class Conditions(Keeping, Whole, Turns):
         """
         if not all(isinstance(load, Load) for load in self._loads):
             raise InputError(
-                "a support is being released over load factors; the arc-length method can't do that"
+                "forces fade over load factors, of a support that is released or of points that are removed or "
+                "added; the arc-length method can't do that"
             )
         loads = [load for load in self._loads if isinstance(load, Load)]
         spatial = [load.name for load in loads if load.couple and self.layout.rotations == 3]
