@@ -249,3 +249,5 @@ def test_stages_that_cannot_be_are_refused() -> None:
     elements = pm.QuasiStaticFEM(pm.Elements(box("quadrilateral", (1, 1)), material=SOIL))
     with pytest.raises(InputError, match="elements stay in their mesh"):
         elements.remove(selection)
+    with pytest.raises(InputError, match="elements stay in their mesh"):
+        elements.add(points)
