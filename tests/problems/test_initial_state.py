@@ -293,6 +293,10 @@ def test_what_is_no_initial_stress_is_refused() -> None:
     run(problem, 1, 0.1)
     with pytest.raises(InputError, match="before the first"):
         problem.initial_stress(ground)
+    consistent = on_elements(HENCKY)
+    consistent.fix(pm.plane(y=3.0), method="nitsche", ux=0.0)
+    with pytest.raises(InputError, match="takes up the stress"):
+        consistent.initial_stress(ground)
     clay = on_points(CLAY)
     with pytest.raises(InputError, match=r"elastic law|tension"):
         clay.initial_stress(np.diag([1e3, 1e3, 1e3]), overconsolidation=None)

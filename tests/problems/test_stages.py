@@ -130,6 +130,26 @@ def test_what_is_taken_out_at_once_is_gone_in_the_next_step() -> None:
     np.testing.assert_allclose(*answers, rtol=0, atol=1e-6 * np.abs(answers[0]).max())
 
 
+def test_a_removal_that_cannot_be_leaves_all_as_it_was() -> None:
+    ends = []
+    for tried in (False, True):
+        problem, selection = trench(SOIL, reset=2)
+        problem.load(problem.points.where(lambda x: x[:, 1] > 1.5), force=(0.0, -5e3))
+        run(problem, 1, 0.5)
+        if tried:
+            with pytest.raises(pm.PolarMPMError, match=r"support .*y = 0"):
+                problem.remove(problem.points.where(lambda x: x[:, 1] < 1.2), over=1.0)
+            assert problem.points.total == 4 * 24
+        run(problem, 1, 1.0)
+        before = problem.energies()
+        assert abs(before["residue"]) < 1e-4 * before["stored"]
+        problem.remove(selection, over=0.5)
+        assert abs(problem.energies()["residue"] - before["residue"]) < 1e-9 * before["stored"]
+        run(problem, 2, 1.5)
+        ends.append(by_id(problem.points, problem.points.displacement))
+    assert_repeated(*ends)
+
+
 def test_restart_goes_on_without_the_points(tmp_path: Path) -> None:
     def begin(late: bool) -> Any:
         problem, selection = trench(SOIL, reset=2)
@@ -249,3 +269,5 @@ def test_stages_that_cannot_be_are_refused() -> None:
     elements = pm.QuasiStaticFEM(pm.Elements(box("quadrilateral", (1, 1)), material=SOIL))
     with pytest.raises(InputError, match="elements stay in their mesh"):
         elements.remove(selection)
+    with pytest.raises(InputError, match="elements stay in their mesh"):
+        elements.add(points)

@@ -7,7 +7,7 @@ as they are; a load step puts others, with other numbers, in their place.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,7 +21,7 @@ from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from .given import Given
 from .release import Releasable, fading
-from .whole import Undo
+from .whole import Changing, Undo
 
 
 @dataclass(eq=False)
@@ -141,7 +141,8 @@ class Changeable(Releasable):
             for name in numbers:
                 for row in rows:
                     check_name(label, self.first_materials[row], name)
-            self._materials_at(fade.end if fade else 1.0, [*self._changes, made])
+            now = self.progress.factor if self.progress.step else 1.0  # as functions are asked at first
+            self._materials_at(fade.end if fade else now, [*self._changes, made])
         self.given.add(Given(label, made, self.progress.factor), "change")
         return made
 
@@ -198,6 +199,11 @@ class Changeable(Releasable):
 
     def _check_change(self, name: str) -> None:
         """Raise InputError where no material can change."""
+
+    def _changing(self) -> Iterator[Changing]:
+        yield from super()._changing()
+        for change in self._changes:
+            yield change, None
 
     def _put_back(self, undo: Undo) -> None:
         super()._put_back(undo)

@@ -268,6 +268,8 @@ class Conditions(Keeping, Whole, Turns):
             InputError: not a term, one that is in a problem already, or one that doesn't fit this problem.
         """
         self._check_outside("add")
+        if isinstance(term, Points):
+            raise InputError("add: points join bodies of material points; elements stay in their mesh")
         if not isinstance(term, Term):
             raise InputError(
                 f"term = {shown(term)} is not a Term; derive from polarmpm.Term or polarmpm.SurfaceTerm"
@@ -397,7 +399,8 @@ class Conditions(Keeping, Whole, Turns):
         """
         if not all(isinstance(load, Load) for load in self._loads):
             raise InputError(
-                "a support is being released over load factors; the arc-length method can't do that"
+                "forces fade over load factors (of a support that is released, of points that are removed or "
+                "added); the arc-length method can't do that"
             )
         loads = [load for load in self._loads if isinstance(load, Load)]
         spatial = [load.name for load in loads if load.couple and self.layout.rotations == 3]

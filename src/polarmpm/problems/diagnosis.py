@@ -185,7 +185,7 @@ def _rate(case: _Case, weak: WeakTangent) -> float | None:
     moved[own] = weak.solve(pushed.ravel()).reshape(pushed.shape)
     system.complete(moved)
     now = system.at_points(moved)[:, :d] / change
-    before = p.displacement / problem.progress.factor
+    before = (p.x - p.X) / problem.progress.factor
     sums = [float(np.sum(p.volume0[:, None] * u**2)) for u in (now, before)]
     squares = problem.comm.allreduce(np.array(sums))
     return math.sqrt(squares[0] / squares[1]) if squares[1] > 0.0 else None

@@ -17,6 +17,7 @@ from ..conditions.ground import K0
 from ..errors import InputError
 from ..materials.base import Material
 from ..terms.base import Piece
+from ..terms.nitsche import ConsistentSupport
 from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
@@ -80,6 +81,12 @@ class Initial(Changeable):
             )
         if self.points.second_gradient:
             raise InputError("initial_stress: materials with second gradients have none yet")
+        consistent = [term.name for term in self.terms if isinstance(term, ConsistentSupport)]
+        if consistent:
+            raise InputError(
+                f"initial_stress: {consistent[0]} takes up the stress of the body behind it, which isn't "
+                'known with an initial stress; hold nodes, or the surface with method="penalty"'
+            )
         if overconsolidation is not None:
             overconsolidation = checks.number("overconsolidation", overconsolidation, least=1.0)
         balanced = checks.flag("balanced", balanced)

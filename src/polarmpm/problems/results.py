@@ -48,8 +48,10 @@ class Results(Initial):
     def energies(self) -> dict[str, float]:
         """Energy balance of the run so far, in J (J per unit thickness in plane strain).
 
-        - external: work of the loads, and of the supports' reactions on prescribed displacements;
-        - carried: work of the initial stresses and forces that balanced resets carry along;
+        - external: work of the loads, and of the supports' reactions on prescribed displacements; also what
+          an initial stress has stored before the first step;
+        - carried: work of the initial stresses and forces that balanced resets carry along, and the energy of
+          points that have been removed;
         - stored: strain energy, with what hardening stores;
         - dissipated: by plastic flow;
         - ghost: work against the ghost penalty's forces;
