@@ -46,7 +46,7 @@ def soil():
 
 
 def grid_of(args):
-    """Equal cells, or lines that grow from the footing, fine to a quarter of it beside and half of it below."""
+    """Equal cells, or lines that are fine to a quarter of b beside the footing and to b / 2 below it."""
     fine = HALF / args.cells
     if args.grid == "equal":
         return pm.Grid.box((0, 0), (LENGTH, DEPTH), fine)
