@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-fast test-mpi lint image test-image study clean
+.PHONY: help setup demo test test-fast test-mpi lint docs image test-image study clean
 
 # Ranks of `make test-mpi`, and further arguments for pytest: make test PYTEST_ARGS='-k rotation -x'
 RANKS ?= 2
@@ -31,6 +31,10 @@ test-mpi: setup ## run the fast tests on 2 ranks (RANKS=3: on 3)
 lint: ## check style and types with ruff and mypy
 	@scripts/lint.sh
 
+docs: setup ## build the pages, running their examples; writes docs/_build/html/index.html
+	@scripts/install-packages.sh debian-packages-docs.txt
+	$(RUN) python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+
 image: ## build the Docker image
 	@docker info >/dev/null 2>&1 \
 	  || { echo 'image: no Docker engine answers; as root, `make test-image` builds without one' >&2; exit 1; }
@@ -44,5 +48,6 @@ study: setup ## compare material points with finite elements: error against time
 	$(RUN) python benchmarks/mpm_versus_fem.py --output results/mpm_versus_fem
 
 clean: ## remove what was built, installed and cached here (results stay)
+	rm -rf docs/_build docs/tutorial docs/gallery docs/sg_execution_times.rst
 	rm -rf .venv .venv-lint build .pytest_cache .mypy_cache .ruff_cache src/*.egg-info src/polarmpm/kernels/*.so
 	find src tests demos benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,8 +1,9 @@
 #!/bin/sh
-# Installs the system packages of debian-packages.txt, if some are missing: as root with apt-get, else by asking for
-# them. A script of its own, because an image's largest layer depends on nothing else.
+# Installs the system packages of a list (debian-packages.txt, unless another one beside it is named), if some are
+# missing: as root with apt-get, else by asking for them. A script of its own, because an image's largest layer depends on nothing else.
 set -eu
 cd "$(dirname "$0")"
+list=${1:-debian-packages.txt}
 
 stop() {
   printf '\nset-up: %s\n' "$@" >&2
@@ -16,7 +17,7 @@ if [ "$(. /etc/os-release 2>/dev/null && echo "${ID:-}")" != debian ] || ! comma
 fi
 
 installed=$(dpkg-query -W -f '${db:Status-Status} ${Package}\n' | sed -n 's/^installed //p')
-missing=$(printf '%s\n' "$installed" | grep -vxFf - debian-packages.txt | tr '\n' ' ')
+missing=$(printf '%s\n' "$installed" | grep -vxFf - "$list" | tr '\n' ' ')
 if [ -z "$missing" ]; then exit 0; fi
 if [ "$(id -u)" != 0 ]; then
   stop "these packages are missing, and only root can install them:

@@ -1,6 +1,30 @@
 """Figures of points, meshes, grids and load-displacement curves."""
 
+from typing import Any
+
 from .figures import gather, load_displacement, plot_mesh, plot_points, save, subplots
 from .gridlines import plot_grid
+from .style import COLOURS, COLUMN, PAGE
 
-__all__ = ["gather", "load_displacement", "plot_grid", "plot_mesh", "plot_points", "save", "subplots"]
+__all__ = [
+    "COLOURS",
+    "COLUMN",
+    "PAGE",
+    "STYLE",
+    "gather",
+    "load_displacement",
+    "plot_grid",
+    "plot_mesh",
+    "plot_points",
+    "save",
+    "subplots",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """STYLE needs a part of matplotlib, and is made when it's asked for."""
+    if name == "STYLE":
+        from . import style
+
+        return style.STYLE
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
