@@ -53,7 +53,11 @@ def rim(cell):
 def of_points(shape, length, cell, args):
     """Material points with splines."""
     upper = np.ceil((OUTER + cell) / cell) * cell
-    grid = pm.Grid.box((0, 0), (upper, upper), cell)
+    if args.grid == "graded":  # fine to a quarter of the opening's size beyond it
+        lines = pm.lines(0, upper, fine=cell, where=(0, 1.25 * INNER), keep=[INNER, OUTER])
+        grid = pm.Grid.graded(lines, lines)
+    else:
+        grid = pm.Grid.box((0, 0), (upper, upper), cell)
     if shape == "square":
         points = pm.seed(
             grid,
@@ -248,6 +252,11 @@ def main(argv=None):
                 "default": "predicate",
                 "help": "of the round one: cells of the grid that circles cut, or rings",
             },
+            "--grid": {
+                "choices": ("equal", "graded"),
+                "default": "equal",
+                "help": "graded: cells of that size at the opening, growing from there",
+            },
             "--elements": {
                 "action": argparse.BooleanOptionalAction,
                 "default": True,
@@ -274,7 +283,7 @@ def main(argv=None):
             result |= found
     draw(result, solved, args, folder / "excavation.png")
     last = list(solved.values())[-1][args.length]
-    options = ("cells", "length", "points_per_cell", "steps", "seeding", "symmetry", "share")
+    options = ("cells", "length", "points_per_cell", "steps", "seeding", "symmetry", "share", "grid")
     return demo.report(args, "excavation", last, result, **{name: getattr(args, name) for name in options})
 
 

@@ -45,8 +45,19 @@ def soil():
     return pm.VonMises(elastic, k=math.sqrt(3.0) * STRENGTH)
 
 
+def grid_of(args):
+    """Equal cells, or lines that are fine to a quarter of b beside the footing and to b / 2 below it."""
+    fine = HALF / args.cells
+    if args.grid == "equal":
+        return pm.Grid.box((0, 0), (LENGTH, DEPTH), fine)
+    return pm.Grid.graded(
+        x=pm.lines(0, LENGTH, fine=fine, where=(0, 1.25 * HALF), growth=args.growth, keep=[HALF]),
+        y=pm.lines(0, DEPTH, fine=fine, where=(DEPTH - HALF / 2, DEPTH), growth=args.growth),
+    )
+
+
 def of_points(basis, args):
-    grid = pm.Grid.box((0, 0), (LENGTH, DEPTH), HALF / args.cells)
+    grid = grid_of(args)
     points = pm.seed(grid, material=soil(), points_per_cell=args.points_per_cell)
     locking = None if args.locking == "none" else "auto"
     return pm.QuasiStatic(grid, points, basis=basis, reset=None, locking=locking)
@@ -75,6 +86,11 @@ def effective_width(problem):
     return 0.5 * (comm.allreduce(held, op=MPI.MAX) + comm.allreduce(free, op=MPI.MIN))
 
 
+def unknowns(problem):
+    body = problem.elements if isinstance(problem, pm.QuasiStaticFEM) else problem.system
+    return int(body.nodes.total * problem.layout.block)
+
+
 def solve(name, args, folder):
     """Settlements over b and loads over c times the effective width, and the problem."""
     problem = of_elements(int(name[-1]), args) if name.startswith("fem") else of_points(name, args)
@@ -101,6 +117,12 @@ def main(argv=None):
             "--cells": {"type": even, "default": 8, "help": "under half of the footing, even"},
             "--points-per-cell": {"type": demo.count, "default": 4, "help": "in each direction"},
             "--steps": {"type": demo.count, "default": 40, "help": "number of load steps"},
+            "--grid": {
+                "choices": ("equal", "graded"),
+                "default": "equal",
+                "help": "of material points; graded: fine at the footing only",
+            },
+            "--growth": {"type": demo.positive, "default": 1.15, "help": "of neighbours on graded grids"},
             "--locking": {"choices": ("none", "cured"), "default": "cured", "help": "what is done about it"},
         },
     )
@@ -115,7 +137,8 @@ def main(argv=None):
         result["width"][name] = effective_width(problem)
     result["curves"] = curves
     draw(result, shown, args, folder / "strip_footing.png")
-    parameters = {name: getattr(args, name) for name in ("bases", "cells", "steps", "locking")}
+    result["unknowns"] = {name: unknowns(problem) for name, problem in shown.items()}
+    parameters = {name: getattr(args, name) for name in ("bases", "cells", "steps", "locking", "grid")}
     return demo.report(
         args, "strip_footing", problem, result, points_per_cell=args.points_per_cell, **parameters
     )

@@ -103,12 +103,9 @@ def test_stretched_lines():
         ("abc", "x = "),
         ([1e6, 1e6 + 1e-8, 2e6], "x: line 1 .* too near to line 0"),
         ([0, 1e308, np.inf], "x = "),
-        ([-1.5e308, 0, 1.5e308], "x = |lattice|far"),
     ],
 )
 def test_bad_lines_are_named(lines, message):
-    if lines[0] == -1.5e308:
-        pytest.skip("sizes are finite numbers")
     with pytest.raises(pm.InputError, match=message):
         pm.Grid.graded(x=lines, y=[0, 1, 3])
 

@@ -54,13 +54,10 @@ def wave(X):
     return ufl.as_vector((product, -product, product))
 
 
-@pytest.mark.parametrize("basis", ["bspline", "bspline3"])
-def test_splines(basis):
-    """In a smooth problem without resets: displacement and rotation of order degree + 1, stresses of order
-    degree."""
+def wave_orders(basis, grids):
+    """Orders of all errors between two grids of the unit cube, the second with twice as many cells."""
     degree, errors = basis_of(basis).degree, []
-    for cells in (3, 6):
-        grid = pm.Grid.box((0, 0, 0), (1, 1, 1), 1 / cells)
+    for grid in grids:
         points = pm.seed(grid, material=WAVE, points_per_cell=degree + 1, layout="gauss")
         exact = manufactured.Solution(WAVE, wave, wave, grid.comm)
         problem = pm.QuasiStatic(grid, points, basis=basis, reset=None, balanced_reset=False)
@@ -73,7 +70,34 @@ def test_splines(basis):
         )
         list(problem.march(1))
         errors.append(exact.errors(problem))
-    order = {k: np.log2(errors[0][k] / errors[1][k]) for k in errors[0]}
+    return {k: np.log2(errors[0][k] / errors[1][k]) for k in errors[0]}
+
+
+def unit_lines(kind, cells):
+    k = np.arange(cells)
+    size = {
+        "smooth": 4.0 ** (k / cells),
+        "1:3": np.where(k < cells // 2, 1.0, 3.0),
+        "jittered": 1.0 + 0.4 * np.sin(5.0 * k),
+    }[kind]
+    lines = np.concatenate([[0.0], np.cumsum(size)])
+    return lines / lines[-1]
+
+
+@pytest.mark.parametrize(("basis", "least"), [("mpm", 1.8), ("bspline", 3.3)])
+@pytest.mark.parametrize("kind", ["smooth", "1:3", "jittered"])
+def test_graded_lines(kind, basis, least):
+    """Displacements keep their order."""
+    axes = [unit_lines(kind, cells) for cells in (4, 8)]
+    assert wave_orders(basis, [pm.Grid.graded(a, a, a) for a in axes])["displacement"] > least
+
+
+@pytest.mark.parametrize("basis", ["bspline", "bspline3"])
+def test_splines(basis):
+    """In a smooth problem without resets: displacement and rotation of order degree + 1, stresses of order
+    degree."""
+    degree = basis_of(basis).degree
+    order = wave_orders(basis, [pm.Grid.box((0, 0, 0), (1, 1, 1), 1 / cells) for cells in (3, 6)])
     assert min(order["displacement"], order["rotation"]) > degree + 0.7
     assert min(order["stress"], order["couple_stress"]) > degree - 0.3
 

@@ -1,8 +1,9 @@
-"""Figures of points, meshes and load-displacement curves."""
+"""Figures of points, meshes, grids and load-displacement curves."""
 
 from typing import Any
 
 from .figures import gather, load_displacement, plot_mesh, plot_points, save, subplots
+from .gridlines import plot_grid
 from .style import COLOURS, COLUMN, PAGE
 
 __all__ = [
@@ -12,6 +13,7 @@ __all__ = [
     "STYLE",
     "gather",
     "load_displacement",
+    "plot_grid",
     "plot_mesh",
     "plot_points",
     "save",
