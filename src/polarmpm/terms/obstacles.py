@@ -170,8 +170,8 @@ class Obstacle(Sites):
 
     def set_factor(self, factor: float, carrying: bool = False) -> None:
         self._trial = self.multiplier
-        if factor != self._factor:  # a new step; the forces of the last one had the area of that
-            self.seen_area = self.next_area
+        # the forces of the last step had the area of that
+        self.area_now = self.seen_area if factor == self._factor else self.next_area
         self._data, self._now = self.values(factor), factor
 
     def _columns(self, y: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
@@ -219,6 +219,7 @@ class Obstacle(Sites):
         if not self._checked:
             self._check_start(gap)
             self.seen_area = self.next_area = self._area_towards(told["normal"])
+        self.area_now = self.seen_area
         self._near, self.renew = gap < _REACH * self._size, False
         self._moved = np.zeros((len(every), self.form.size + self.layout.dim**2))
         if isinstance(setting, GridSetting) and self.parents is not None:
@@ -334,6 +335,7 @@ class Obstacle(Sites):
         self.pressure, self.traction = told["pressure"][:, 0], told["traction"]
         if r:
             self.couple = told["couple"]
+        self.seen_area = self.area_now
         force, couple = self.area[:, None] * self.traction, self.area[:, None] * self.couple
         total = moments(self.x, force, couple).sum(axis=0)
         self.sums = np.concatenate([force.sum(axis=0), couple.sum(axis=0), total])
