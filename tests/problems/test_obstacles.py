@@ -4,6 +4,7 @@ import re
 
 from mpi4py import MPI
 
+import meshio
 import numpy as np
 import pytest
 import ufl
@@ -270,3 +271,29 @@ def test_level_sets_needn_t_be_distances():
         force.append(one.force[1])
     assert np.isclose(force[0], force[2], rtol=1e-9)
     assert np.isclose(force[0], force[1], rtol=3e-3)
+
+
+def test_sites_for_paraview_and_forces_for_tables(folder):
+    problem = block(MICROPOLAR, basis="bspline")
+    problem.fix(lambda x: x[:, 1] > LOW + SIZE - 0.2, ux=0, uy=-0.01, theta=0)
+    floor = floor_of(problem, rolling=1e-3)
+    ceiling = problem.obstacle(pm.HalfSpace((0, LOW + 2 * SIZE), (0, -1)))
+    table = pm.Table(folder / "forces.csv", floor=lambda: floor, ceiling=lambda: ceiling.force)
+    with pm.Recorder(folder / "run.pvd", problem, contact=True) as recorder, table:
+        for step in problem.march(2, progress=False):
+            recorder(step)
+            table(step)
+    pieces = sorted(path for path in (folder / "run").iterdir() if "contact" in path.name)
+    assert len(pieces) == 3 * COMM.size
+    found = [meshio.read(piece) for piece in pieces[-COMM.size :]]
+    total = sum(
+        float(
+            (one.point_data["traction"][:, 1] * one.point_data["area"])[one.point_data["obstacle"] == 1].sum()
+        )
+        for one in found
+        if len(one.points)
+    )
+    assert np.isclose(total, floor.force[1])
+    head = (folder / "forces.csv").read_text().splitlines()[0]
+    assert "floor_force_y" in head
+    assert "floor_penetration" in head

@@ -13,6 +13,7 @@ from ..geometry.cells import corner_numbers, occupied_cells
 from ..problems.base import Problem
 from ..problems.elements import QuasiStaticFEM
 from ..solvers.stepping import Step
+from ..terms.obstacles import Obstacle
 from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import values_by_number
@@ -53,6 +54,9 @@ class Recorder:
             `pm.MaterialField("deviator", lambda s: ufl.dev(s.stress), "Pa")`.
         grid: also write the occupied cells of the background grid to `arch_grid.pvd`, at their position
             at the last reset, with displacement_increment (m) and rotation_increment (rad) since then.
+        contact: also write the sites of all obstacles to `arch_contact.pvd`, where they are: obstacle (its
+            number), gap (m), pressure (Pa), traction (on the body, Pa), area (m^2; m in plane strain), with
+            microrotations couple (N/m).
         domains: show a point as the box of its current GIMPM domain, with the fields on cells; False as
             a vertex, with the fields on points. Of finite elements, False shows the quadrature points at
             their current positions.
@@ -75,6 +79,7 @@ class Recorder:
         *,
         fields: str | AnyField | Sequence[str | AnyField] = ("displacement", "rotation"),
         grid: bool = False,
+        contact: bool = False,
         domains: bool = True,
         initial: bool = True,
     ):
@@ -91,6 +96,9 @@ class Recorder:
         self._grid: Collection | None = None
         if grid:
             self._grid = Collection(file.with_name(f"{file.stem}_grid.pvd"), folder, problem.comm)
+        self._contact: Collection | None = None
+        if checks.flag("contact", contact):
+            self._contact = Collection(file.with_name(f"{file.stem}_contact.pvd"), folder, problem.comm)
 
     def __enter__(self) -> Recorder:
         if self.initial and not self._points.has(self.problem.progress.step, self.problem.restored):
@@ -123,6 +131,8 @@ class Recorder:
             self._record_points(progress.step, time)
             if self._grid is not None:
                 self._record_grid(self._grid, progress.step, time)
+            if self._contact is not None:
+                self._record_contact(self._contact, progress.step, time)
 
     __call__ = record
 
@@ -147,6 +157,26 @@ class Recorder:
         else:
             vertices = np.arange(len(points))[:, None]
             self._points.add(number, time, points.x, vertices, point_data=data, **self._of_step(number))
+
+    def _record_contact(self, collection: Collection, number: int, time: float) -> None:
+        """All ranks know all sites; each writes some of them."""
+        comm, dim = self.problem.comm, self.problem.layout.dim
+        own = slice(comm.rank, None, comm.size)
+        obstacles = [term for term in self.problem.terms if isinstance(term, Obstacle)]
+        names = ("gap", "pressure", "area", "traction", "couple")
+        data = {"obstacle": [np.full(len(one.gap), k + 1)[own] for k, one in enumerate(obstacles)]}
+        data |= {name: [np.nan_to_num(getattr(one, name))[own] for one in obstacles] for name in names}
+        joined = {name: np.concatenate(parts) for name, parts in data.items() if parts}
+        for name in ("traction", "couple"):
+            values = joined.get(name, np.zeros((0, 0)))
+            if name == "couple" and values.shape[1] == 1:
+                values = np.pad(values, ((0, 0), (2, 0)))
+            joined[name] = padded(values)
+        if not self.problem.layout.rotations:
+            del joined["couple"]
+        x = np.concatenate([np.zeros((0, dim)), *(one.x[own] for one in obstacles)])
+        vertices = np.arange(len(x))[:, None]
+        collection.add(number, time, x, vertices, point_data=joined, **self._of_step(number))
 
     def _record_grid(self, collection: Collection, number: int, time: float) -> None:
         problem, grid = self.problem, self.problem.grid

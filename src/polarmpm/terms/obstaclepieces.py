@@ -35,7 +35,7 @@ class SitePiece(Piece):
 
     @property
     def _area(self) -> np.ndarray:
-        area: np.ndarray = self.term.seen_area[self.rows]
+        area: np.ndarray = self.term.area_now[self.rows]
         return area
 
     def _y(self, x: np.ndarray) -> np.ndarray:

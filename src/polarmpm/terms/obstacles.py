@@ -170,6 +170,8 @@ class Obstacle(Sites):
 
     def set_factor(self, factor: float, carrying: bool = False) -> None:
         self._trial = self.multiplier
+        # the forces of the last step had the area of that
+        self.area_now = self.seen_area if factor == self._factor else self.next_area
         self._data, self._now = self.values(factor), factor
 
     def _columns(self, y: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
@@ -216,7 +218,8 @@ class Obstacle(Sites):
         gap = told["gap"][:, 0]
         if not self._checked:
             self._check_start(gap)
-            self.seen_area = self._area_towards(told["normal"])
+            self.seen_area = self.next_area = self._area_towards(told["normal"])
+        self.area_now = self.seen_area
         self._near, self.renew = gap < _REACH * self._size, False
         self._moved = np.zeros((len(every), self.form.size + self.layout.dim**2))
         if isinstance(setting, GridSetting) and self.parents is not None:
@@ -327,15 +330,15 @@ class Obstacle(Sites):
         self.slip = np.where(touching, told["slip"], 0.0)
         if r:
             self.turn = np.where(touching, told["turn"], 0.0)
-        self._factor = self._now
+        self._factor, self.next_area = self._now, self._area_towards(told["normal"])
         told = self._in_balance(told)
         self.pressure, self.traction = told["pressure"][:, 0], told["traction"]
         if r:
             self.couple = told["couple"]
+        self.seen_area = self.area_now
         force, couple = self.area[:, None] * self.traction, self.area[:, None] * self.couple
         total = moments(self.x, force, couple).sum(axis=0)
         self.sums = np.concatenate([force.sum(axis=0), couple.sum(axis=0), total])
-        self.seen_area = self._area_towards(told["normal"])
         self.renew = bool(np.any(self.gap[~self._near] < 0.5 * _REACH * self._size))
 
     def _in_balance(self, told: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -13,6 +13,7 @@ _KEPT = (
     "u",
     "F",
     "seen_area",
+    "next_area",
     "multiplier",
     "slip",
     "seen",
@@ -42,6 +43,8 @@ class Sites(SurfaceCondition):
     gap: np.ndarray
     sums: np.ndarray
     seen_area: np.ndarray
+    next_area: np.ndarray
+    area_now: np.ndarray
     _u_at: np.ndarray
     _F_at: np.ndarray
     _trial: np.ndarray
@@ -56,7 +59,7 @@ class Sites(SurfaceCondition):
         self.slip, self.seen, self.traction = np.zeros((n, d)), np.full((n, d), np.nan), np.zeros((n, d))
         self.couple, self.gap = np.zeros((n, r)), np.full(n, np.nan)
         self.sums = np.full(d + r + (1 if d == 2 else 3), np.nan)
-        self.seen_area = self.surface.area.copy()
+        self.seen_area = self.next_area = self.area_now = self.surface.area.copy()
         self._u_at, self._F_at, self._trial = self.u, self.F, self.multiplier
 
     # results ------------------------------------------------------------------------------------------
