@@ -19,11 +19,10 @@ from ..solvers.choice import is_large
 from ..solvers.linear import ACCURACY, NearNullSpace
 from ..terms.base import Piece
 from ..tools.timing import Timer
+from . import rounding
 from .inertia import Inertia
 from .nodalterms import NodalTerms
 from .stepstate import StepState
-
-_ROUNDING = 16 * float(np.finfo(float).eps)
 
 
 @dataclass
@@ -88,8 +87,9 @@ class NodalSystem(ABC):
         self.carried: np.ndarray = np.zeros(shape)
         self.step = StepState(np.zeros(shape))
         # a couple counts as a force at the distance of a cell, so that measures don't depend on units
-        self._cell = float(np.prod(length)) ** (1.0 / len(length)) if sizes is None else self._mean_size()
-        self.as_force = np.array([1.0] * layout.dim + [1.0 / self._cell] * layout.rotations)
+        equal = sizes is None
+        self.mean_size = float(np.prod(length)) ** (1.0 / len(length)) if equal else self._mean_size()
+        self.as_force = np.array([1.0] * layout.dim + [1.0 / self.mean_size] * layout.rotations)
 
     def _mean_size(self) -> float:
         """Geometric mean (m) of the sizes of cells around all nodes. Collective."""
@@ -333,7 +333,9 @@ class NodalSystem(ABC):
             if s.initial is None:
                 s.initial = self.residual
             if tangent and s.rounding is None:  # at the start: iterates that run away must not set it
-                s.rounding = self._rounding_squares()
+                diagonal = self.diagonal()
+                sizes = self.sizes if self.sizes.ndim == 1 else self.sizes[: len(diagonal)]
+                s.rounding = rounding.squares(diagonal, sizes, self.mean_size, self.comm)
 
     def convergence_measures(self) -> tuple[float, float]:
         with np.errstate(over="ignore", invalid="ignore"):  # divergence shows in the measures
@@ -355,38 +357,13 @@ class NodalSystem(ABC):
         )
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         out, loads = np.sqrt(sums[:2])
+        level = rounding.level(self.step.rounding, self.x[:, self.layout.dim :], self.comm)
         # before the first correction loads as small as rounding still count
-        if (last is not None or loads == 0.0) and out <= self._rounding_level():
+        if (last is not None or loads == 0.0) and out <= level:
             return 0.0, 0.0
         force = out / loads if loads > 0 else np.inf
         energy = sums[2] / abs(sums[3]) if sums[3] != 0 else np.inf
         return float(force), float(energy)
-
-    def _rounding_squares(self) -> np.ndarray:
-        """Squares of the out-of-balance forces (N) that a relative rounding of strains makes, and of those
-        that one of rotations of a radian makes beside. Collective.
-
-        Strains and rotations are rounded relative to one, and the tangent's diagonal turns that into forces:
-        a rotation is a strain, and a displacement is one over a cell. It is different where bending stiffness
-        is large: a change of the wryness is rounded relative to itself, and is as small as the rotations.
-        """
-        diagonal, d = np.abs(self.diagonal()), self.layout.dim
-        forces = diagonal[:, :d] * (self.sizes if self.sizes.ndim == 1 else self.sizes[: len(diagonal)])
-        couples = diagonal[:, d:] / self._cell
-        strains = np.minimum(couples, forces.mean(axis=1, keepdims=True))
-        squares = np.array([np.sum(forces**2) + np.sum(strains**2), np.sum(couples**2)])
-        return _ROUNDING**2 * np.asarray(self.comm.allreduce(squares))
-
-    def _rounding_level(self) -> float:
-        """Out-of-balance force (N) that rounding makes at the present increments: loads whose strains are
-        near rounding can't be balanced more closely. Collective."""
-        if self.step.rounding is None:
-            return 0.0
-        turned = 0.0
-        if self.layout.rotations:
-            most = float(np.abs(self.x[:, self.layout.dim :]).max(initial=0.0))
-            turned = min(1.0, self.comm.allreduce(most, op=MPI.MAX))
-        return math.sqrt(self.step.rounding[0] + turned**2 * self.step.rounding[1])
 
     def update(self, fresh: bool, accuracy: float = ACCURACY) -> None:
         fixed, s = self.prescribed.fixed, self.step

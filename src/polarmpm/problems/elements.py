@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import ufl
 
 from ..assembly.elements import ElementSystem
 from ..assembly.elementsums import SummedElements
@@ -32,7 +31,7 @@ from ..solvers.newton import Controls
 from ..terms.base import Piece, Term, pieces_of
 from ..terms.settings import MeshSetting, check_facets
 from ..terms.surfaceterms import SurfaceCondition
-from ..tools import checks, compat
+from ..tools import checks
 from ..tools.disposal import dispose_of_dropped
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
@@ -40,7 +39,7 @@ from . import faceslopes, initial
 from .base import Problem
 from .conditions import AXIS
 from .described import described, of_rank
-from .facetloads import SurfaceLoad, Varying, carried_so_far
+from .facetloads import SurfaceLoad, Varying, carried_so_far, forms_of_loads
 from .given import Present
 from .locking import check_locking, warn_of_plastic_locking
 from .state import Progress
@@ -312,35 +311,12 @@ class QuasiStaticFEM(Problem):
         return bool(self.loads)
 
     def _load_forms(self) -> tuple[list[Any], list[Varying]]:
-        from dolfinx import fem
-
-        e, f = self.elements, self.forms
-        dead, varying, self._body = [], [], None
-        spatial = self.layout.rotations == 3
-
-        def add(form: Any, changes: bool) -> None:
-            compiled = compat.compile_form(form)
-            if changes:
-                tangent = compat.compile_form(-ufl.derivative(form, f.x, f.trial))
-                varying.append(Varying(compiled, tangent))
-            else:
-                dead.append(compiled)
-
-        if self._loaded:
-            size, degree = self.layout.block, e.quadrature_degree
-            self._body = fem.Function(compat.quadrature_space(e.mesh, size, degree))
-            add(f.body_work(self._body), spatial and self._couples_act)
-        for load in self.surface_loads:
-            space = compat.function_space(e.mesh, load.amplitude.size, e.degree)
-            load.function = fem.Function(space)
-            load.rows = fem.locate_dofs_topological(space, self.layout.dim - 1, load.facets.facets)
-            load.position = space.tabulate_dof_coordinates()[load.rows, : self.layout.dim]
-            if load.kind == "pressure":
-                add(f.pressure_work(load.facets, load.function), True)
-            else:
-                couple = load.kind == "couple"
-                changes = load.follows or (couple and spatial)
-                add(f.traction_work(load.facets, load.function, couple, load.follows), changes)
+        couples_vary = self.layout.rotations == 3
+        block = self.layout.block if self._loaded else 0
+        body_varies = couples_vary and self._couples_act
+        dead, varying, self._body = forms_of_loads(
+            self.elements, self.forms, self.surface_loads, block, body_varies, couples_vary
+        )
         return dead, varying
 
     def _put_loads(self, system: ElementSystem, factor: float | None) -> None:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
+import ufl
 
 from ..bodies.elements import Elements
 from ..bodies.facets import Facets
 from ..conditions.amplitudes import Amplitude
 from ..terms.settings import MeshNodes, MeshSetting
 from ..terms.surfaceterms import SurfaceCondition
+from ..tools import compat
 
 
 @dataclass(eq=False)
@@ -57,3 +60,46 @@ def carried_so_far(elements: Elements, term: SurfaceCondition) -> tuple[np.ndarr
     found[carried.rows] = np.einsum("mkn,mni->mki", carried.table, nodal)
     elements.comm.Allreduce(MPI.IN_PLACE, found)
     return found[:, 0], np.eye(d) + np.swapaxes(found[:, 1:], 1, 2)
+
+
+def forms_of_loads(
+    elements: Elements, forms: Any, loads: Sequence[SurfaceLoad], block: int, body_varies: bool, couples: bool
+) -> tuple[list[Any], list[Varying], Any]:
+    """Compiled forms of dead loads; those of loads whose work depends on the displacements, with their
+    tangents; and the densities of body loads at the quadrature points, None without. Collective.
+
+    Args:
+        forms: of the elements; weak forms of loads.
+        block: unknowns of a node, 0: there are no body loads.
+        body_varies: body loads have couples in space, whose work depends on the rotation.
+        couples: couples on facets do likewise.
+    """
+    from dolfinx import fem
+
+    dead: list[Any] = []
+    varying: list[Varying] = []
+    body = None
+
+    def add(form: Any, changes: bool) -> None:
+        compiled = compat.compile_form(form)
+        if changes:
+            tangent = compat.compile_form(-ufl.derivative(form, forms.x, forms.trial))
+            varying.append(Varying(compiled, tangent))
+        else:
+            dead.append(compiled)
+
+    if block:
+        body = fem.Function(compat.quadrature_space(elements.mesh, block, elements.quadrature_degree))
+        add(forms.body_work(body), body_varies)
+    for load in loads:
+        space = compat.function_space(elements.mesh, load.amplitude.size, elements.degree)
+        load.function = fem.Function(space)
+        load.rows = fem.locate_dofs_topological(space, elements.dim - 1, load.facets.facets)
+        load.position = space.tabulate_dof_coordinates()[load.rows, : elements.dim]
+        if load.kind == "pressure":
+            add(forms.pressure_work(load.facets, load.function), True)
+        else:
+            couple = load.kind == "couple"
+            changes = load.follows or (couple and couples)
+            add(forms.traction_work(load.facets, load.function, couple, load.follows), changes)
+    return dead, varying, body

@@ -1,0 +1,49 @@
+"""Out-of-balance forces that rounding makes: loads as small as these can't be balanced."""
+
+from __future__ import annotations
+
+import math
+
+from mpi4py import MPI
+
+import numpy as np
+
+_ROUNDING = 16 * float(np.finfo(float).eps)
+
+
+def squares(diagonal: np.ndarray, sizes: np.ndarray, mean_size: float, comm: MPI.Comm) -> np.ndarray:
+    """Squares of the out-of-balance forces (N) that a relative rounding of strains makes, and of those that
+    one of rotations of a radian makes beside. Collective.
+
+    Strains and rotations are rounded relative to one, and the tangent's diagonal turns that into forces: a
+    rotation is a strain, and a displacement is one over a cell. It is different where bending stiffness is
+    large: a change of the wryness is rounded relative to itself, and is as small as the rotations.
+
+    Args:
+        diagonal: of the tangent, (n, block), at owned nodes.
+        sizes: of cells (d,), or of those around each node (n, d) (m).
+        mean_size: (m).
+    """
+    d = sizes.shape[-1]
+    forces = np.abs(diagonal[:, :d]) * sizes
+    couples = np.abs(diagonal[:, d:]) / mean_size
+    strains = np.minimum(couples, forces.mean(axis=1, keepdims=True))
+    found = np.array([np.sum(forces**2) + np.sum(strains**2), np.sum(couples**2)])
+    return _ROUNDING**2 * np.asarray(comm.allreduce(found))
+
+
+def level(made: np.ndarray | None, rotations: np.ndarray, comm: MPI.Comm) -> float:
+    """Out-of-balance force (N) that rounding makes at increments: loads whose strains are near rounding can't
+    be balanced more closely. Collective.
+
+    Args:
+        made: of `squares`, None: 0.
+        rotations: the nodes' increments (n, r), r = 0 without microrotations.
+    """
+    if made is None:
+        return 0.0
+    turned = 0.0
+    if rotations.shape[1]:
+        most = float(np.abs(rotations).max(initial=0.0))
+        turned = min(1.0, comm.allreduce(most, op=MPI.MAX))
+    return math.sqrt(made[0] + turned**2 * made[1])
