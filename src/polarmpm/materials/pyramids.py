@@ -1,4 +1,4 @@
-"""Yield surfaces that depend on the intermediate stress: Mohr-Coulomb's pyramid and Tresca's prism, rounded.
+"""Yield surfaces that depend on the intermediate stress: Mohr-Coulomb's pyramid and Tresca's prism.
 
 Of the Kirchhoff stress with deviator s, J2 = s : s / 2 and Lode's angle theta,
 sin(3 theta) = -sqrt(27)/2 det(s) / J2^1.5, from -30 degrees (triaxial extension) to 30 degrees (triaxial
@@ -6,8 +6,8 @@ compression), the pyramid is
 
     sqrt(J2) K(theta) + p sin(phi) - c cos(phi) = 0,   K = cos(theta) - sin(theta) sin(phi)/sqrt(3).
 
-Its edges are rounded as by Abbo, Lyamin, Sloan and Hambleton (2011): beyond an angle `corner`, K is
-a + b sin(3 theta) + c sin(3 theta)^2, whose value and first two derivatives agree there. The surface lies
+Its edges are sharp (`materials.edges`), or rounded as by Abbo, Lyamin, Sloan and Hambleton (2011): beyond an
+angle `corner`, K is a + b sin(3 theta) + c sin(3 theta)^2, whose value and first two derivatives agree there. The surface lies
 inside of the pyramid and is smooth but for its apex.
 """
 
@@ -28,6 +28,7 @@ from .plastic import Continuation, Plastic, check_names
 from .regions import SPRING, ConeApex, Edge, Region, SmoothPart, YieldSurface
 
 EDGES = ("rounded", "sharp")
+_CORNER = math.radians(25.0)
 _SHARPEST = 1 - 1e-13  # sine of three times the angle beyond which flow on a face is that on the edge
 _SIGNS = {"extension": -1, "compression": 1}  # the edges, and of Lode's angle there
 _NOTHING = 1e-30  # J2 over the square of a modulus; Lode's angle of no deviator is any
@@ -117,9 +118,9 @@ class MohrCoulomb(Plastic):
 
         f = sqrt(q^2 + tip^2) + sqrt(3) [p sin(phi) - (c + H chi) cos(phi)]
 
-    with q^2 = 3 J2 K(theta)^2 + 3/2 nu : nu / l_p^2 and p = tr(tau)/3, and the potential g with psi. Within
-    `corner` of plane shear that is Mohr's and Coulomb's law; at the edges the strength is less by
-    `edge_deficit`.
+    with q^2 = 3 J2 K(theta)^2 + 3/2 nu : nu / l_p^2 and p = tr(tau)/3, and the potential g with psi. With
+    sharp edges, and within `corner` of plane shear, that is Mohr's and Coulomb's law; at rounded edges the
+    strength is less by `edge_deficit`.
 
     Args:
         elastic: e.g. `Hencky`, or `MicropolarElastic`.
@@ -132,8 +133,9 @@ class MohrCoulomb(Plastic):
         tip: rounds the apex off: q becomes sqrt(q^2 + tip^2) (Pa). With 0 the apex is sharp.
         corner: Lode's angle (rad) beyond which edges are rounded, below pi/6. The closer to it, the sharper,
             and the harder to return to.
-        edges: "rounded", or "sharp": the pyramid itself, its edges regions of their own, as the strength
-            in triaxial tests asks for; of classical, isotropic materials without `cut` and `tip`.
+        edges: "sharp": the pyramid itself, whose edges are regions of their own; of classical, isotropic
+            materials without `cut` and `tip`, and there the default unless a `corner` is given. "rounded":
+            smooth, see the module.
 
     Raises:
         InputError: an argument is out of range.
@@ -147,8 +149,8 @@ class MohrCoulomb(Plastic):
     l_p: float | None = None
     cut: float | None = None
     tip: float = 0.0
-    corner: float = math.radians(25.0)
-    edges: str = "rounded"
+    corner: float = _CORNER
+    edges: str | None = None
 
     def __post_init__(self) -> None:
         put_numbers(self, "phi", "psi", "tip", "corner")
@@ -171,19 +173,23 @@ class MohrCoulomb(Plastic):
         check_names(self)
 
     def _check_edges(self) -> None:
-        choice("edges", self.edges, EDGES)
-        if not self.sharp:
-            return
-        elastic = self.elastic
-        if elastic.micropolar or not elastic.isotropic:
-            allowed = '"rounded" with micropolar materials, and with those that don\'t say isotropic=True'
-            raise refuse("edges", self.edges, allowed)
-        if self.cut is not None or self.tip > 0:
-            name = "cut" if self.cut is not None else "tip"
-            raise refuse("edges", self.edges, f'"rounded" with {name} = {getattr(self, name):g}')
+        if self.edges is not None:
+            choice("edges", self.edges, EDGES)
+        if self.edges == "sharp" and (why := self._rounded_for):
+            raise refuse("edges", self.edges, f'"rounded" {why}')
+
+    @property
+    def _rounded_for(self) -> str:
+        """Why edges can't be sharp."""
+        if self.elastic.micropolar or not self.elastic.isotropic:
+            return "with micropolar materials, and with those that don't say isotropic=True"
+        given = {"cut": self.cut or 0.0, "tip": self.tip}
+        return "".join(f"with {name} = {value:g}" for name, value in given.items() if value)
 
     @property
     def sharp(self) -> bool:
+        if self.edges is None:
+            return self.corner == _CORNER and not self._rounded_for
         return self.edges == "sharp"
 
     @property
