@@ -7,8 +7,8 @@ compression), the pyramid is
     sqrt(J2) K(theta) + p sin(phi) - c cos(phi) = 0,   K = cos(theta) - sin(theta) sin(phi)/sqrt(3).
 
 Its edges are sharp (`materials.edges`), or rounded as by Abbo, Lyamin, Sloan and Hambleton (2011): beyond an
-angle `corner`, K is a + b sin(3 theta) + c sin(3 theta)^2, whose value and first two derivatives agree there. The surface lies
-inside of the pyramid and is smooth but for its apex.
+angle `corner`, K is a + b sin(3 theta) + c sin(3 theta)^2, whose value and first two derivatives agree there.
+The surface lies inside of the pyramid and is smooth but for its apex.
 """
 
 from __future__ import annotations
