@@ -2,7 +2,7 @@
 
 A slope of 2:1 and 10 m on firm ground, Mohr-Coulomb with phi = 20 degrees, psi = 0 and c = 0.05 gamma H,
 E = 1e5 kPa, nu = 0.3, under its weight. c and tan(phi) are divided by a factor until no equilibrium is found,
-or the largest displacement is three times the elastic one. D. V. Griffiths, P. A. Lane: Slope stability
+or the largest displacement is five times the elastic one. D. V. Griffiths, P. A. Lane: Slope stability
 analysis by finite elements, Geotechnique 49 (1999), 387-403, find 1.4; charts by Bishop, Morgenstern 1.380.
 """
 

@@ -70,7 +70,7 @@ def test_block_fails_where_mohr_and_coulomb_say(kind, phi):
     assert max(t.factor for t in found.trials if t.stands) == low
     assert min(t.factor for t in found.trials if not t.stands) == high
     assert all(t.reason for t in found.trials if not t.stands)
-    assert found.limit == pytest.approx(3 * found.reference)
+    assert found.limit == pytest.approx(5 * found.reference)
     elastic = pressure / 1e4 * (1 - 0.3**2)  # of the height, and nu/(1 - nu) as much across
     assert found.reference == pytest.approx(elastic * math.hypot(1, 0.3 / 0.7), rel=0.3)
     assert f"factor of safety {low:.4g} to {high:.4g}" in repr(found)

@@ -24,7 +24,7 @@ def test_factor_of_safety_of_a_slope_on_coarse_cells(run):
         if float(factor) < low + 1e-3:
             assert load == 1.0
             assert displacement < result["limit"]
-    assert result["limit"] == pytest.approx(3 * result["reference"])
+    assert result["limit"] == pytest.approx(5 * result["reference"])
     elastic = 0.379 * 20e3 * 10**2 / 1e8  # m, Griffiths and Lane
     assert result["reference"] == pytest.approx(elastic, rel=0.03)
 

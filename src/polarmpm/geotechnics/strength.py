@@ -101,7 +101,7 @@ def strength_reduction(
     low: float = 1.0,
     high: float = 2.0,
     width: float = 0.02,
-    growth: float = 3.0,
+    growth: float = 5.0,
     limit: float | None = None,
     steps: int = 4,
     smallest: float = 0.25,

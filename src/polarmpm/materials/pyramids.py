@@ -1,4 +1,4 @@
-"""Yield surfaces that depend on the intermediate stress: Mohr-Coulomb's pyramid and Tresca's prism, rounded.
+"""Yield surfaces that depend on the intermediate stress: Mohr-Coulomb's pyramid and Tresca's prism.
 
 Of the Kirchhoff stress with deviator s, J2 = s : s / 2 and Lode's angle theta,
 sin(3 theta) = -sqrt(27)/2 det(s) / J2^1.5, from -30 degrees (triaxial extension) to 30 degrees (triaxial
@@ -6,9 +6,9 @@ compression), the pyramid is
 
     sqrt(J2) K(theta) + p sin(phi) - c cos(phi) = 0,   K = cos(theta) - sin(theta) sin(phi)/sqrt(3).
 
-Its edges are rounded as by Abbo, Lyamin, Sloan and Hambleton (2011): beyond an angle `corner`, K is
-a + b sin(3 theta) + c sin(3 theta)^2, whose value and first two derivatives agree there. The surface lies
-inside of the pyramid and is smooth but for its apex.
+Its edges are sharp (`materials.edges`), or rounded as by Abbo, Lyamin, Sloan and Hambleton (2011): beyond an
+angle `corner`, K is a + b sin(3 theta) + c sin(3 theta)^2, whose value and first two derivatives agree there.
+The surface lies inside of the pyramid and is smooth but for its apex.
 """
 
 from __future__ import annotations
@@ -20,12 +20,16 @@ from typing import Any
 import numpy as np
 import ufl
 
-from ..tools.checks import put_numbers, require
+from ..tools.checks import choice, put_numbers, refuse, require
 from .base import Material
 from .cones import TIPS, check_flow
+from .edges import PyramidEdge, principal_values
 from .plastic import Continuation, Plastic, check_names
 from .regions import SPRING, ConeApex, Edge, Region, SmoothPart, YieldSurface
 
+EDGES = ("rounded", "sharp")
+_CORNER = math.radians(25.0)
+_SHARPEST = 1 - 1e-13  # sine of three times the angle beyond which flow on a face is that on the edge
 _SIGNS = {"extension": -1, "compression": 1}  # the edges, and of Lode's angle there
 _NOTHING = 1e-30  # J2 over the square of a modulus; Lode's angle of no deviator is any
 
@@ -54,11 +58,13 @@ def _pyramid_numbers(name: str, friction: float, corner: float) -> dict[str, flo
     return numbers
 
 
-def _lode_function(s: Any, second: Any, name: str, p: Any) -> Any:
-    """K of the rounded pyramid, for a deviator and its J2, in UFL."""
+def _lode_function(s: Any, second: Any, name: str, p: Any, sharp: bool) -> Any:
+    """K of the pyramid, for a deviator and its J2, in UFL."""
     sine = -math.sqrt(27) / 2 * ufl.det(s) / (second * ufl.sqrt(second))
     theta = ufl.asin(ufl.max_value(-p.sin_corner, ufl.min_value(p.sin_corner, sine))) / 3  # of the faces
     face = ufl.cos(theta) - ufl.sin(theta) * getattr(p, f"sin_{name}") / math.sqrt(3)
+    if sharp:
+        return face
     edges = []
     for edge in _SIGNS:
         a, b, c = (getattr(p, f"{name}_{edge}_{k}") for k in "abc")
@@ -67,11 +73,11 @@ def _lode_function(s: Any, second: Any, name: str, p: Any) -> Any:
     return ufl.conditional(ufl.gt(abs(sine), p.sin_corner), rounded, face)
 
 
-def _invariants(tau: Any, nu: Any, name: str, p: Any) -> Any:
+def _invariants(tau: Any, nu: Any, name: str, p: Any, sharp: bool = False) -> Any:
     """sqrt(q^2 + tip^2) + sqrt(3) p sin(angle), q^2 = 3 J2 K^2 + 3/2 nu : nu / l_p^2."""
     s = ufl.dev(ufl.sym(tau))
     second = ufl.inner(s, s) / 2 + p.nothing
-    square = 3 * second * _lode_function(s, second, name, p) ** 2 + p.tip**2
+    square = 3 * second * _lode_function(s, second, name, p, sharp) ** 2 + p.tip**2
     if nu is not None:
         square += 1.5 * ufl.inner(nu, nu) / p.l_p**2
     return ufl.sqrt(square) + getattr(p, f"sin_{name}") * ufl.tr(tau) / math.sqrt(3)
@@ -112,9 +118,9 @@ class MohrCoulomb(Plastic):
 
         f = sqrt(q^2 + tip^2) + sqrt(3) [p sin(phi) - (c + H chi) cos(phi)]
 
-    with q^2 = 3 J2 K(theta)^2 + 3/2 nu : nu / l_p^2 and p = tr(tau)/3, and the potential g with psi. Within
-    `corner` of plane shear that is Mohr's and Coulomb's law; at the edges the strength is less by
-    `edge_deficit`.
+    with q^2 = 3 J2 K(theta)^2 + 3/2 nu : nu / l_p^2 and p = tr(tau)/3, and the potential g with psi. With
+    sharp edges, and within `corner` of plane shear, that is Mohr's and Coulomb's law; at rounded edges the
+    strength is less by `edge_deficit`.
 
     Args:
         elastic: e.g. `Hencky`, or `MicropolarElastic`.
@@ -127,6 +133,9 @@ class MohrCoulomb(Plastic):
         tip: rounds the apex off: q becomes sqrt(q^2 + tip^2) (Pa). With 0 the apex is sharp.
         corner: Lode's angle (rad) beyond which edges are rounded, below pi/6. The closer to it, the sharper,
             and the harder to return to.
+        edges: "sharp": the pyramid itself, whose edges are regions of their own; of classical, isotropic
+            materials without `cut` and `tip`, and there the default unless a `corner` is given. "rounded":
+            smooth, see the module.
 
     Raises:
         InputError: an argument is out of range.
@@ -140,7 +149,8 @@ class MohrCoulomb(Plastic):
     l_p: float | None = None
     cut: float | None = None
     tip: float = 0.0
-    corner: float = math.radians(25.0)
+    corner: float = _CORNER
+    edges: str | None = None
 
     def __post_init__(self) -> None:
         put_numbers(self, "phi", "psi", "tip", "corner")
@@ -159,7 +169,28 @@ class MohrCoulomb(Plastic):
                 require(
                     self.cut < most, "cut", self.cut, f"cut < c/tan(phi) = {most:g} Pa, the pyramid's tip"
                 )
+        self._check_edges()
         check_names(self)
+
+    def _check_edges(self) -> None:
+        if self.edges is not None:
+            choice("edges", self.edges, EDGES)
+        if self.edges == "sharp" and (why := self._rounded_for):
+            raise refuse("edges", self.edges, f'"rounded" {why}')
+
+    @property
+    def _rounded_for(self) -> str:
+        """Why edges can't be sharp."""
+        if self.elastic.micropolar or not self.elastic.isotropic:
+            return "with micropolar materials, and with those that don't say isotropic=True"
+        given = {"cut": self.cut or 0.0, "tip": self.tip}
+        return "".join(f"with {name} = {value:g}" for name, value in given.items() if value)
+
+    @property
+    def sharp(self) -> bool:
+        if self.edges is None:
+            return self.corner == _CORNER and not self._rounded_for
+        return self.edges == "sharp"
 
     @property
     def length(self) -> float:
@@ -169,6 +200,8 @@ class MohrCoulomb(Plastic):
     def edge_deficit(self) -> tuple[float, float]:
         """By which share the strength is less than the sharp pyramid's, in triaxial extension and compression
         at p = 0."""
+        if self.sharp:
+            return 0.0, 0.0
         found, friction = [], math.sin(self.phi)
         for sign in _SIGNS.values():
             a, b, c = edge_numbers(friction, self.corner, sign)
@@ -178,7 +211,8 @@ class MohrCoulomb(Plastic):
     # numbers and functions ------------------------------------------------------------------------
     def plastic_parameters(self) -> dict[str, float]:
         numbers = {"c": self.c, "H": self.H, "tip": self.tip, "cos_phi": math.sqrt(3) * math.cos(self.phi)}
-        numbers |= {"sin_corner": math.sin(3 * self.corner), "nothing": _NOTHING * self.modulus**2}
+        corner = _SHARPEST if self.sharp else math.sin(3 * self.corner)
+        numbers |= {"sin_corner": corner, "nothing": _NOTHING * self.modulus**2}
         for name, angle in (("phi", self.phi), ("psi", self.psi)):
             numbers |= _pyramid_numbers(name, math.sin(angle), self.corner)
         if self.cut is not None:
@@ -192,10 +226,10 @@ class MohrCoulomb(Plastic):
         return (p.c + p.H * chi) * p.cos_phi
 
     def yield_function(self, tau: Any, nu: Any, chi: Any, p: Any) -> Any:
-        return _invariants(tau, nu, "phi", p) - self.cohesion(chi, p)
+        return _invariants(tau, nu, "phi", p, self.sharp) - self.cohesion(chi, p)
 
     def potential(self, tau: Any, nu: Any, chi: Any, p: Any) -> Any:
-        return _invariants(tau, nu, "psi", p)
+        return _invariants(tau, nu, "psi", p, self.sharp)
 
     def tension(self, tau: Any, nu: Any, chi: Any, p: Any) -> Any:
         """The cut-off: the largest principal stress is at most `cut`; the pyramid for phi = 90 degrees."""
@@ -210,10 +244,28 @@ class MohrCoulomb(Plastic):
         shear = self.surface
         if self.cut is None:
             tip = (ConeApex(_Tip(self, "phi", "psi"), shear),) if self.phi > 0 and self.tip == 0 else ()
-            return (SmoothPart(shear), *tip)
+            edges = [PyramidEdge(self, name, shear) for name in _SIGNS] if self.sharp else []
+            return (SmoothPart(shear), *edges, *tip)
         tension = YieldSurface("tension", self.tension)
         tip = (ConeApex(_Tip(self, "tension", "tension"), tension),) if self.tip == 0 else ()
         return (SmoothPart(shear), SmoothPart(tension), Edge(shear, tension), *tip)
+
+    def first_region(self, tau: Any, nu: Any, chi: Any, p: Any) -> dict[str, Any]:
+        """Of sharp edges: where the small-strain return to a face changes the order of principal stresses."""
+        if not self.sharp or len(self.moduli("lam", "mu")) < 2:
+            return {}
+        high, middle, low = principal_values(ufl.sym(tau))
+        half = math.sqrt(3) / 2
+        rise, fall = half * (1 + p.sin_psi), half * (1 - p.sin_psi)
+        volume = p.lam * (rise - fall)
+        stiffness = half * (1 + p.sin_phi) * (volume + 2 * p.mu * rise)
+        stiffness += half * (1 - p.sin_phi) * (2 * p.mu * fall - volume) + p.cos_phi * p.H
+        multiplier = 2 * p.mu * self.yield_function(tau, nu, chi, p) / stiffness
+        found = {
+            "compression": middle - high + multiplier * rise,
+            "extension": low - middle + multiplier * fall,
+        }
+        return found | ({"apex": found["compression"] + found["extension"]} if self.phi > 0 else {})
 
     @property
     def continuation(self) -> Continuation:

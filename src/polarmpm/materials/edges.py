@@ -1,0 +1,114 @@
+"""Sharp edges of Mohr-Coulomb's pyramid, where two principal stresses are the same.
+
+Of isotropic classical materials elastic trial state, stress and flow have the same principal axes, so that
+the axis of the isolated principal stress is known from the trial state. On an edge the stress is symmetric
+about this axis; what flows across it is any sum of the two faces' flows (Koiter).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import ufl
+
+from ..kinematics.spectral import squared_log_strain, strain_invariants
+from .regions import LocalState, Region, Scales, YieldSurface
+
+# cos(arccos(1 - e)/3) = F(1/3, -1/3; 1/2; e/2), the hypergeometric series; the closed form has no derivative
+# at e = 0, where two eigenvalues coincide
+_SERIES, _NEAR = 9, 1e-2
+
+
+def largest_root(x: Any) -> Any:
+    """cos(arccos(x)/3) for x from -1 to 1, smooth at 1."""
+    half = (1.0 - x) / 2
+    term = total = ufl.as_ufl(1.0)
+    for k in range(_SERIES):
+        term = term * half * ((k + 1 / 3) * (k - 1 / 3) / ((k + 0.5) * (k + 1)))
+        total = total + term
+    apart = ufl.acos(ufl.max_value(-1.0, ufl.min_value(1.0 - 1e-3 * _NEAR, x)))
+    return ufl.conditional(ufl.lt(half, _NEAR / 2), total, ufl.cos(apart / 3))
+
+
+def _cosine(d: Any) -> tuple[Any, Any]:
+    """sqrt(J2/3) of a deviator, and the cosine whose third of the angle tells its largest eigenvalue."""
+    second = ufl.inner(d, d) / 2
+    return ufl.sqrt(second / 3), math.sqrt(27) / 2 * ufl.det(d) / (second * ufl.sqrt(second))
+
+
+def principal_values(a: Any) -> tuple[Any, Any, Any]:
+    """Eigenvalues of a symmetric tensor, the largest first; no derivatives are asked of them."""
+    d = ufl.dev(a)
+    size, x = _cosine(d)
+    x = ufl.max_value(-1.0, ufl.min_value(1.0, ufl.conditional(ufl.gt(size, 0.0), x, 0.0)))
+    high, low = (2 * size * ufl.cos(ufl.acos(y) / 3) for y in (x, -x))
+    mean = ufl.tr(a) / 3
+    return mean + high, mean + low - high, mean - low
+
+
+def axis_projector(a: Any, sign: int) -> Any:
+    """n n of the axis of a symmetric tensor's largest (sign 1) or smallest (-1) eigenvalue, which is to be a
+    single one."""
+    d = sign * ufl.dev(a)
+    size, x = _cosine(d)
+    high, second = 2 * size * largest_root(x), 3 * size**2
+    above = ufl.dot(d, d) + high * d + (high**2 - second) * ufl.Identity(3)
+    return above / (3 * high**2 - second)
+
+
+class PyramidEdge(Region):
+    """An edge of the pyramid: triaxial compression, where the smallest principal stress is the single one
+    (tension positive), or extension, where the largest is.
+
+    Args:
+        material: Mohr-Coulomb's.
+        name: "compression" or "extension".
+        surface: the pyramid's faces.
+    """
+
+    def __init__(self, material: Any, name: str, surface: YieldSurface):
+        self.material, self.name, self.surfaces = material, name, (surface,)
+        self.sign = -1 if name == "compression" else 1
+
+    def _shear(self, s: LocalState, tau: Any) -> Any:
+        """k: the deviator is sign k (3 n n - I), of which a face's law makes this (Pa)."""
+        mean, friction = ufl.tr(tau) / 3, s.p.sin_phi
+        strength = self.material.cohesion(s.chi, s.p) / math.sqrt(3)
+        return 2 * (strength - mean * friction) / (3 + self.sign * friction)
+
+    def _flow(self, s: LocalState) -> tuple[Any, Any, Any]:
+        """n n, and the logarithms of what flows along the axis and in volume."""
+        projector = axis_projector(ufl.dot(s.Fe_trial, ufl.transpose(s.Fe_trial)), self.sign)
+        return projector, ufl.ln(ufl.inner(projector, s.flow)), ufl.ln(ufl.det(s.flow))
+
+    def residual(self, s: LocalState) -> list[Any]:
+        """The stress on the edge, the flow symmetric, and its share along the axis that of the faces."""
+        tau, _ = s.kirchhoff()
+        projector, along, volume = self._flow(s)
+        apart = ufl.dev(ufl.sym(tau))
+        apart = apart - self.sign * self._shear(s, tau) * (3 * projector - ufl.Identity(3))
+        pairs = ((0, 1), (0, 2), (1, 2)) if s.dim == 3 else ((0, 1),)
+        rows = [apart[0, 0], apart[1, 1], *(apart[i, j] for i, j in pairs)]
+        rows += [s.flow[i, j] - s.flow[j, i] for i, j in pairs]
+        (multiplier,) = s.multipliers
+        share = math.sqrt(3) / 2 * (self.sign + s.p.sin_psi)
+        rows += [along - share * multiplier, volume - math.sqrt(3) * s.p.sin_psi * multiplier]
+        return [*rows, s.chi - s.chi_before - multiplier]
+
+    def row_scale(self, scales: Scales) -> np.ndarray:
+        pairs = 3 if scales.dim == 3 else 1
+        return np.array([1.0 / scales.modulus] * (2 + pairs) + [1.0] * (pairs + 3))
+
+    def flow(self, s: LocalState) -> list[Any]:
+        """Dissipation, and the smaller of both faces' multipliers; the tip is beyond where k is negative."""
+        tau, _ = s.kirchhoff()
+        _, along, volume = self._flow(s)
+        shear = self._shear(s, tau)
+        work = ufl.tr(tau) / 3 * volume + self.sign * shear * (3 * along - volume)
+        across = volume - along  # of both directions across the axis
+        square = squared_log_strain(*strain_invariants(s.flow)) - along**2
+        apart = ufl.sqrt(ufl.max_value(0.0, square / 2 - across**2 / 4))
+        least = -self.sign * across * (0.5 + 1e-6) - apart
+        return [work - s.hardening_work(), ufl.min_value(least, shear / s.p.c)]
