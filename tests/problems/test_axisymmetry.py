@@ -7,7 +7,17 @@ import pytest
 from dolfinx import mesh
 
 import polarmpm as pm
-from tests.conftest import COMM, MICROPOLAR, NEO_HOOKEAN, by_id, derivative_error
+from tests.assembly import test_system as points_tests
+from tests.conftest import (
+    COMM,
+    GENERAL,
+    HENCKY,
+    MICROPOLAR,
+    NEO_HOOKEAN,
+    assert_repeated,
+    by_id,
+    derivative_error,
+)
 from tests.helpers.bodies import own_rows, residual_at, tangent_at
 from tests.helpers.plasticity import L_P
 
@@ -88,16 +98,74 @@ def test_tangent_of_elements(material):
     problem = of_elements(material, 2)
     put_state(problem.points)
     problem._rebase(None)
-    system, size = problem.system_at(0.0), None
-    rng = np.random.default_rng(4)
-    size = COMM.allreduce(len(own_rows(problem, system.x)) // COMM.size)
-    x = 0.01 * rng.standard_normal((1, size))
+    system = problem.system_at(0.0)
+    x = 0.01 * np.random.default_rng(4).standard_normal((1, len(own_rows(problem, system.x))))
     error = derivative_error(
         lambda y: residual_at(problem, system, y[0])[None],
         lambda y: tangent_at(problem, system, y[0])[None],
         x,
     )
     assert error < 1e-6
+
+
+def boxed_points(material, locking=None):
+    """A system of a tube's points with oblique boxes, in a state of finite strain, without supports."""
+    grid = pm.Grid.box((0.0, 0.0), (3.0, 1.0), 0.5)
+    points = pm.seed(grid, bounds=((INNER, 0.2), (OUTER, 0.9)), material=material, axisymmetric=True)
+    turn = np.array([[0.9, 0.3], [-0.4, 0.8]])
+    points.half_axes0 = points.half_axes0 @ turn
+    put_state(points)
+    return pm.QuasiStatic(grid, points, locking=locking)._prepare()
+
+
+CASES = [
+    pytest.param(HENCKY, None, id="classical"),
+    pytest.param(MICROPOLAR, None, id="rotated"),
+    pytest.param(GENERAL, None, id="reference"),
+    pytest.param(NEO_HOOKEAN, "always", id="projected"),
+    pytest.param(MICROPOLAR, "always", id="projected-rotation"),
+]
+
+
+@pytest.mark.parametrize(("material", "locking"), CASES)
+def test_tangent_of_points(material, locking):
+    system = boxed_points(material, locking)
+    x = points_tests.random_increment(system, 0.02)
+
+    def tangent(y):
+        system.step.boxes = system.step.projected = None  # a step begins
+        return points_tests.tangent_at(system, y[0])[None]
+
+    if locking:  # patches, too, couple nodes: the whole matrix is compared along a direction
+        way = np.random.default_rng(3).standard_normal(len(x))
+        up, down = (points_tests.residual_at(system, x + h * way) for h in (1e-6, -1e-6))
+        exact = tangent(x[None])[0] @ way
+        assert np.abs((up - down) / 2e-6 - exact).max() < 1e-6 * np.abs(exact).max()
+    else:
+        assert (
+            derivative_error(lambda y: points_tests.residual_at(system, y[0])[None], tangent, x[None]) < 1e-6
+        )
+
+
+@pytest.mark.parametrize("material", [HENCKY, MICROPOLAR], ids=["classical", "micropolar"])
+def test_forces_of_boxes_are_the_derivative_of_their_energy(material):
+    system = boxed_points(material)
+    boxes, form = system.interpolation.boxes[0], system.interpolation.forms[0]
+    x = points_tests.random_increment(system, 0.02)
+    kernel = form.compile_energy(COMM)
+
+    def energy(y):
+        points_tests.put(system, y)
+        batch = system.interpolation.batches[0].batch
+        z, _, _ = boxes.gather(system.x)
+        numbers = np.tile(batch.kept["param"], (len(z), 1))
+        at_points = kernel(z, batch.kept["state"], numbers)[:, 0] @ batch.kept["volume"]
+        return COMM.allreduce(float(at_points + boxes.energies(kernel, system.x).sum()))
+
+    forces = points_tests.residual_at(system, x)
+    way = np.random.default_rng(3).standard_normal(len(x))
+    slope = (energy(x + 1e-5 * way) - energy(x - 1e-5 * way)) / 2e-5
+    assert slope == pytest.approx(forces @ way, abs=1e-7 * np.linalg.norm(forces) * np.linalg.norm(way))
 
 
 def test_native_elements_are_those_of_dolfinx():
@@ -201,3 +269,80 @@ def test_a_rubber_tube_is_blown_up():
         R2 = r**2 - r[0] ** 2 + INNER**2
         f = mu * (r**2 / R2 - R2 / r**2) / r
         assert float(np.sum(0.5 * (f[1:] + f[:-1]) * np.diff(r))) == pytest.approx(0.95 * p, rel=5e-3)
+
+
+# loads and supports -----------------------------------------------------------------------------------
+@pytest.mark.parametrize("basis", ["bspline", "gimpm"])
+def test_a_column_under_its_weight(basis):
+    """Its weight is borne by the ground; by springs on its side, too."""
+    for held in ("ground", "side"):
+        problem = of_points(MICROPOLAR, basis, (0.0, 0.0), (0.93, 1.0))
+        if held == "ground":
+            support = problem.fix(pm.plane(y=0.0), uy=0)
+        else:
+            support = problem.fix(pm.Surface.line((0.93, 0.0), (0.93, 1.0), 16), u=0, method="penalty")
+        problem.body_load(force=(0.0, -10.0))
+        list(problem.march(1, progress=False))
+        assert problem.reaction(support).force[1] == pytest.approx(10 * np.pi * 0.93**2, rel=1e-8)
+        assert problem.balance().residue[0] < 1e-8
+        assert problem.axis in problem.supports
+
+
+def test_loads_and_surfaces_of_elements():
+    problem = of_elements(MICROPOLAR, lower=(0.0, 0.0), upper=(1.0, 1.0), cells=(4, 4))
+    e = problem.elements
+    support, top = problem.fix(pm.plane(y=0.0), uy=0), e.facets(pm.plane(y=1.0))
+    assert top.area == pytest.approx(np.pi, rel=1e-12)
+    problem.load(top, force=(0.0, -7.0))
+    problem.traction(e.surface(top), force=(0.0, -1.0))
+    problem.fix(e.surface(pm.plane(x=1.0)), ux=0)
+    list(problem.march(2, progress=False))
+    assert problem.reaction(support).force[1] == pytest.approx(7 + np.pi, rel=1e-9)
+    assert problem.balance().residue[0] < 1e-9
+
+
+@pytest.mark.parametrize("reset", [1, 2])
+def test_restart(folder, reset):
+    """Of a column that is pressed, with resets; it goes on to the same digits."""
+
+    def column():
+        problem = of_points(MICROPOLAR, "bspline", (0.0, 0.0), (1.0, 1.0), reset=reset)
+        problem.fix(pm.plane(y=0.0), u=0)
+        problem.fix(pm.plane(y=1.0), uy=-0.2)
+        return problem
+
+    first, second = column(), column()
+    for step in first.march(4, progress=False):
+        if step.number == 2:
+            pm.save_restart(first, folder / "column.h5")
+    pm.load_restart(second, folder / "column.h5")
+    list(second.march(2, progress=False))
+    for name in ("x", "F", "wryness"):
+        one, other = (by_id(p.points, getattr(p.points, name)) for p in (first, second))
+        assert_repeated(other, one, name)
+    assert abs(first.energies()["residue"]) < 1e-3 * first.energies()["external"]
+
+
+# what there isn't -------------------------------------------------------------------------------------
+def test_refusals():
+    flat, solid = pm.Grid.box((0, 0), (1, 1), 0.5), pm.Grid.box((0, 0, 0), (1, 1, 1), 0.5)
+    with pytest.raises(pm.InputError, match="the body has 3 dimensions"):
+        pm.seed(solid, material=NEO_HOOKEAN, axisymmetric=True)
+    with pytest.raises(pm.InputError, match=r"point at the radius x = -0\.875"):
+        pm.seed(pm.Grid.box((-1, 0), (1, 1), 0.5), material=NEO_HOOKEAN, axisymmetric=True)
+    with pytest.raises(pm.InputError, match="axisymmetric = 2: True or False"):
+        pm.seed(flat, material=NEO_HOOKEAN, axisymmetric=2)
+    points = pm.seed(flat, material=NEO_HOOKEAN, axisymmetric=True)
+    with pytest.raises(pm.InputError, match="it begins at x = -1"):
+        pm.QuasiStatic(pm.Grid.box((-1, 0), (1, 1), 0.5), points)
+    with pytest.raises(pm.InputError, match="assembly = 'projection'"):
+        pm.QuasiStatic(flat, points, basis="mpm", assembly="projection")
+    with pytest.raises(pm.InputError, match="only these points are a body of revolution"):
+        points.join(pm.seed(flat, material=NEO_HOOKEAN))
+    with pytest.raises(pm.InputError, match=r"node at x = -0\.1"):
+        of_elements(NEO_HOOKEAN, lower=(-0.1, 0.0))
+    problem = of_points(NEO_HOOKEAN)
+    with pytest.raises(pm.InputError, match="'nitsche': tractions on a body of revolution"):
+        problem.fix(pm.Surface.line((INNER, 0.5), (INNER, 0.0), 4), u=0, method="nitsche")
+    with pytest.raises(pm.InputError, match="the surface has a point at the radius x = -"):
+        problem.pressure(pm.Surface.line((0.0, 0.5), (-1.0, 0.5), 4), 1.0)

@@ -32,6 +32,7 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
+from ..errors import InputError
 from ..kernels import codegen, jit
 from ..kernels.codegen import Scalariser
 from ..kernels.csource import write_c
@@ -62,9 +63,14 @@ class InitialStressForm:
 
     Attributes:
         size: numbers of a packed stress.
+
+    Raises:
+        InputError: of a body of revolution.
     """
 
     def __init__(self, layout: Layout, *, green: bool = False):
+        if layout.axial:  # their hoop stress would be left out
+            raise InputError("initial stress: there are none in bodies of revolution (axisymmetric)")
         self.layout, self._weights = layout, _GREEN if green else _MIXED
         d = layout.dim
         self.size = layout.block * d if layout.rotations else d * (d + 1)
