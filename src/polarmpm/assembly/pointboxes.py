@@ -24,7 +24,7 @@ from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
 
-FLOWED = 0.01  # share of points that have flowed: what keeps cells from deforming for nothing
+FLOWED = 0.003  # share of points that have flowed: what keeps cells from deforming for nothing
 
 
 def has_boxes(points: Points) -> bool:
