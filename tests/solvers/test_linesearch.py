@@ -90,7 +90,7 @@ def test_a_footing_flows_in_one_step(basis, locking):
         problem = pm.QuasiStatic(grid, points, basis=basis, reset=None, locking=locking)
         held = pressed_layer(problem, 0.005)
         taken = list(problem.march(steps, progress=False))
-        assert all(step.cuts == 0 and step.iterations <= 24 for step in taken)
+        assert all(step.cuts == 0 and step.iterations <= 30 for step in taken)
         loads.append(-problem.reaction(held).force[1])
     assert loads[0] == pytest.approx(loads[1], rel=0.02)
 

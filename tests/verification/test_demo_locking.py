@@ -35,9 +35,10 @@ def test_bearing_capacity_of_a_strip_footing_on_coarse_cells(run):
     assert sorted(result["bearing"]) == ["bspline", "fem1", "fem2", "gimpm", "mpm"]
     assert result["limit"] == 2 + math.pi
     for name, load in result["bearing"].items():
-        assert load == pytest.approx(result["limit"], rel=0.12), name
+        # splines are too weak on cells this coarse, with boxes and without
+        assert load == pytest.approx(result["limit"], rel=0.14 if name == "bspline" else 0.12), name
         assert result["curves"][name]["load"][-1] == load
-        assert result["rise"][name] < (0.06 if name == "bspline" else 0.01)  # 0.15 and more as it locks
+        assert result["rise"][name] < (0.03 if name == "bspline" else 0.01)  # 0.15 and more as it locks
 
 
 @pytest.mark.slow
@@ -49,4 +50,4 @@ def test_default_settings_of_the_locking_demos(run):
     result = run("strip_footing")
     for name, load in result["bearing"].items():
         assert load == pytest.approx(2 + math.pi, rel=0.03), name
-        assert result["rise"][name] < 0.012
+        assert result["rise"][name] < 0.01

@@ -28,7 +28,7 @@ from ..kinematics.layout import Layout
 _BENT = structures.constant("_boxes.h", "BENT")
 _INSIDE = 1.0 - 1e-5  # how far a box reaches to the axis of a body of revolution, over its radius; rounding
 # on a side is divided by what is left
-FLOWED = 0.01  # share of points that have flowed: what keeps cells from deforming for nothing
+FLOWED = 0.003  # share of points that have flowed: what keeps cells from deforming for nothing
 
 
 def has_boxes(points: Points) -> bool:
