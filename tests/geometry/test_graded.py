@@ -21,7 +21,7 @@ JITTERED = np.array([-0.5, 0.11, 0.74, 1.6, 2.02, 2.9, 3.3, 4.2])
 def graded(lines: np.ndarray, dim: int) -> pm.Grid:
     """The lines along x, shorter and mirrored along y, others along z."""
     axes = {"x": lines, "y": -lines[::-1], "z": 0.3 * lines}
-    with pytest.warns(UserWarning, match="differ by a factor of 8") if lines is STEEP else _silent():
+    with pytest.warns(pm.TrustWarning, match="differ by a factor of 8") if lines is STEEP else _silent():
         return pm.Grid.graded(**{name: axes[name] for name in "xyz"[:dim]})
 
 
@@ -111,7 +111,7 @@ def test_bad_lines_are_named(lines, message):
 
 
 def test_a_steep_grid_warns_and_three_to_one_does_not():
-    with pytest.warns(UserWarning, match=r"y: the cells on both sides of line 1 at 1 differ by .* 3.1"):
+    with pytest.warns(pm.TrustWarning, match=r"y: the cells on both sides of line 1 at 1 differ by .* 3.1"):
         pm.Grid.graded(x=[0, 1, 2], y=[0, 1, 4.1])
     pm.Grid.graded(x=[0, 1, 2], y=[0, 1, 4])  # a warning is an error here
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import polarmpm as pm
+from polarmpm.assembly.points import PointSystem
 from polarmpm.terms.ghost import Ghost, GhostPenalty, stencil
 from tests.conftest import COMM, MICROPOLAR, NEO_HOOKEAN, by_id
 from tests.helpers.ranks import close, on_ranks, report
@@ -174,6 +175,19 @@ def test_seeded_points_have_the_bodys_volume_and_moments():
     )
     assert total == pytest.approx(2.8**2, rel=1e-14)
     np.testing.assert_allclose(second, [2.8 * (3.1**3 - 0.3**3) / 3, 2.8 * (2.9**3 - 0.1**3) / 3], rtol=1e-13)
+
+
+@pytest.mark.parametrize("basis", ["mpm", "bspline"])
+def test_the_choice_of_a_solver_counts_lines(basis, monkeypatch):
+    """Not lengths over the smallest cell, which would make a compact body a slender one."""
+    asked = []
+    monkeypatch.setattr(PointSystem, "_is_large", lambda self, n: bool(asked.append(n)))
+    x = pm.lines(0, 10, fine=0.05, where=0, growth=2.5, keep=[0.2])
+    grid = pm.Grid.graded(x=x, y=[0, 1, 3])
+    problem = pm.QuasiStatic(grid, pm.seed(grid, material=NEO_HOOKEAN), basis=basis)
+    problem.fix(pm.plane(x=0.0), u=0)
+    list(problem.march(1, progress=False))
+    assert set(asked) == {len(x) - 1.0 + (basis == "bspline")}
 
 
 # files, ranks -------------------------------------------------------------------------------------------

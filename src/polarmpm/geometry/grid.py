@@ -19,7 +19,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, TrustWarning
 from ..tools import checks
 from ..tools.caller import warn
 from ..tools.parallel import communicator_named, name_of
@@ -142,7 +142,7 @@ class Grid:
             x, y, z: coordinates (m) of the lines across each axis, the grid's walls included; z in space.
 
         Warns:
-            UserWarning: neighbours whose sizes differ by more than a factor of three.
+            TrustWarning: neighbours whose sizes differ by more than a factor of three.
 
         Raises:
             InputError: lines that don't increase (the message names the line), cells too small for their
@@ -159,7 +159,8 @@ class Grid:
                 warn(
                     f"{name}: the cells on both sides of line {k} at {a[k]:.6g} differ by a factor of "
                     f"{ratio:.3g}; beyond {STEEP:g} the error of the larger one spoils what the smaller one "
-                    "is for. pm.lines makes lines that grow smoothly"
+                    "is for. pm.lines makes lines that grow smoothly",
+                    TrustWarning,
                 )
         axes, shape = tuple(map(evened, lines.values())), tuple(len(a) - 1 for a in lines.values())
         origin, mean = (
