@@ -43,7 +43,8 @@ class Dynamic(Moving, QuasiStatic):
         drag: of all velocities and spins relative to their inertia (1/s), the part of Rayleigh damping that
             is proportional to the mass.
         basis, reset, ghost, rebalance, controls, solver, boxes, locking: as of `QuasiStatic`. Resets aren't
-            balanced: the forces that a balanced one carries along would stay while the motion goes on.
+            balanced: the forces that a balanced one carries along would stay while the motion goes on. With
+            "bspline" and boxes=False a body that spins needs a `GhostPenalty` of 1e-3 of its moduli.
 
     Raises:
         InputError: an argument is out of range; materials that don't go together.
