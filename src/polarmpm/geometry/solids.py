@@ -169,7 +169,7 @@ def _carry_on(distance: np.ndarray, size: float) -> None:
 
 
 def _inside(origin: np.ndarray, size: float, counts: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Which nodes are inside: those with an odd number of triangles above them. The lines upward are beside the
+    """Which nodes are inside: those with an odd number of triangles above them. Lines upward are beside the
     nodes, so that they don't meet edges."""
     line = [origin[k] + size * (np.arange(counts[k]) + _BESIDE[k]) for k in range(2)]
     height = origin[2] + size * np.arange(counts[2])
