@@ -33,6 +33,7 @@ from .geometry.grid import Grid
 from .geometry.lines import lines
 from .geometry.planes import plane
 from .geometry.shapes import Box, Cylinder, HalfSpace, Polygon, Shape, Sphere
+from .geometry.solids import Solid
 from .geometry.surfaces import Surface
 from .io import Field, Recorder, Table
 from .io.restart import load as load_restart
@@ -151,6 +152,7 @@ __all__ = [
     "Selection",
     "Shape",
     "SmoothPart",
+    "Solid",
     "Sphere",
     "Step",
     "SupportLost",

@@ -2,6 +2,7 @@
 
 import re
 
+import meshio
 import numpy as np
 import pytest
 
@@ -89,3 +90,54 @@ def test_distance_from_a_cylinder_with_ends():
 def test_shapes_that_are_none(make, message):
     with pytest.raises(pm.InputError, match=re.escape(message)):
         make()
+
+
+def box_of_triangles(lower, upper):
+    """Corners of a box and twelve triangles, outward."""
+    low, high = np.array(lower, float), np.array(upper, float)
+    x = np.array(
+        [[(low, high)[i][0], (low, high)[j][1], (low, high)[k][2]] for i, j, k in np.ndindex(2, 2, 2)]
+    )
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return x, np.array([t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))])
+
+
+def sampled(shape, x):
+    """Distances from a shape whose numbers depend on the place."""
+    space = PointSpace(compat.point_domain())
+    place, p = space.coefficient(3), space.coefficient(31)
+    value = shape.distance(place, p)
+    kernel = compile_expressions([value], {place: 0, p: 3}, 34, space.domain, COMM)
+    return kernel(x, shape.at(x))[:, 0]
+
+
+def test_distance_from_a_solid(folder):
+    """A box of triangles, from arrays and from a file: exact before its faces, near enough elsewhere."""
+    x, triangles = box_of_triangles((0.0, 0.0, 0.0), (1.0, 0.6, 0.4))
+    solid = pm.Solid((x, triangles), spacing=0.05)
+    places = np.random.default_rng(1).uniform(-0.4, 1.4, (300, 3))
+    exact = distances(pm.Box((0, 0, 0), (1, 0.6, 0.4)), places)
+    near = np.abs(exact) < 0.1
+    assert np.abs(sampled(solid, places) - exact)[near].max() < 0.02
+    assert np.allclose(sampled(solid, places), exact, atol=0.1)
+    before = np.array([[0.5, 0.3, 0.47], [0.5, 0.3, 0.36], [1.07, 0.3, 0.2], [0.5, -0.04, 0.2]])
+    assert np.allclose(sampled(solid, before), [0.07, -0.04, 0.07, 0.04], atol=1e-12)
+    far = np.array([[9.0, 0.3, 0.2], [0.5, -7.0, 0.2]])
+    assert np.allclose(sampled(solid, far), [8.0, 7.0], rtol=0.03)
+    if COMM.rank == 0:
+        meshio.write_points_cells(folder / "box.stl", 1e3 * x, [("triangle", triangles)])
+    COMM.barrier()
+    read = pm.Solid(folder / "box.stl", spacing=0.05, scale=1e-3)
+    assert np.allclose(sampled(read, places), sampled(solid, places), atol=1e-7)
+
+
+def test_solids_that_are_none(folder):
+    x, triangles = box_of_triangles((0, 0, 0), (1, 1, 1))
+    with pytest.raises(pm.InputError, match="its surface isn't closed: 3 edge"):
+        pm.Solid((x, triangles[1:]))
+    with pytest.raises(pm.InputError, match="rows of three numbers"):
+        pm.Solid((x, triangles + 1))
+    with pytest.raises(pm.InputError, match=re.escape("spacing = 0.0001: the lattice would have")):
+        pm.Solid((x, triangles), spacing=1e-4)
+    with pytest.raises(pm.InputError, match="no STL file that can be read"):
+        pm.Solid(folder / "none.stl")

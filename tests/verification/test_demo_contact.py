@@ -49,3 +49,10 @@ def test_inclines(run):
         assert result[f"{name}_ratio"] == pytest.approx(0.3, rel=1e-3)
     for name in ("rolling", "slipping", "smooth", "block"):
         assert result[f"{name}_iterations"] < 5
+
+
+def test_a_micropolar_body_is_harder_under_a_small_wedge(run):
+    result = run("penetration", "--cells", "32", "--lengths", "0.02", "0.08", "--steps", "2")
+    assert abs(result["classical_error"]) < 0.12
+    assert 1.0 < result["loads"][0] < result["loads"][1] < 1.4
+    assert 1.05 < result["hardness"][0] < result["hardness"][1]
