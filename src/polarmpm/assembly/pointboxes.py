@@ -14,6 +14,7 @@ grows.
 from __future__ import annotations
 
 import ctypes
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,6 +33,21 @@ def has_boxes(points: Points) -> bool:
     return bool(points.comm.allreduce(int(np.any(points.half_axes0))))
 
 
+@dataclass
+class BoxTangent:
+    """What the points' boxes add to a tangent, and where that has been summed.
+
+    Attributes:
+        x: increments (nodes, block) at which it was.
+        before: those before the correction that led there.
+        values: of the matrix; None: to be summed.
+    """
+
+    x: np.ndarray
+    before: np.ndarray
+    values: np.ndarray | None = None
+
+
 class PointBoxes:
     """The boxes of a batch between two resets.
 
@@ -46,13 +62,15 @@ class PointBoxes:
         self.batch, self.layout, self.points, self.rows = batch, layout, points, rows
         d = layout.dim
         F, self._half_axes0 = reference.F[rows, :d, :d], points.half_axes0[rows]
-        axes = np.einsum("pij,pkj->pki", F, self._half_axes0)
-        self._arrays: dict[str, np.ndarray] = {"box_axes": np.ascontiguousarray(axes)}
+        self._axes = np.ascontiguousarray(np.einsum("pij,pkj->pki", F, self._half_axes0))
+        self._arrays: dict[str, np.ndarray | None] = {"box_axes": self._axes}
 
     @property
     def share(self) -> np.ndarray:
         """What counts of the boxes' energy at each point (n,)."""
-        return self._arrays["box_share"]
+        share = self._arrays["box_share"]
+        assert share is not None
+        return share
 
     def pack(self, reference: Reference) -> None:
         """Take in the state of the points, after the batch has: which of them have flowed, and the base of
@@ -66,8 +84,11 @@ class PointBoxes:
         share = np.ones(len(rows))
         if p.plastic:
             share[p.hardening[rows] > 0.0] = FLOWED
-        turns: np.ndarray = np.zeros((len(rows), d, r * (1 + d)))
+        turns, lean = None, None
         if r:
+            turns = np.zeros((len(rows), d, r * (1 + d)))
+            lean = np.linalg.solve(self.batch.frames, np.swapaxes(self._axes, 1, 2))
+            lean = np.ascontiguousarray(np.swapaxes(lean, 1, 2))
             grown = (reference.wryness - reference.reset_wryness)[rows]
             along = np.einsum("pij,pkj->pki", grown[:, :, :d], self._half_axes0)
             turns[:, :, :r] = (along @ np.swapaxes(rotations.to_tensor(reference.q[rows]), 1, 2))[
@@ -75,7 +96,9 @@ class PointBoxes:
             ]
             framed = reference.side_gradients[rows] @ self._to_frame(reference)[:, None]
             turns[:, :, r:] = framed.reshape(len(rows), d, r * d)
-        self._arrays |= {"box_share": share, "box_turns": turns}
+            if not turns.any():
+                turns = None
+        self._arrays |= {"box_share": share, "box_turns": turns, "box_lean": lean}
 
     def _to_frame(self, reference: Reference) -> np.ndarray:
         """F~^-1 T (n, d, d): from gradients in the unloaded body to those in the frame of the state."""
@@ -118,7 +141,7 @@ class PointBoxes:
         before: np.ndarray | None,
         lifted: np.ndarray | None,
         *,
-        whole: bool,
+        lift_only: bool = False,
     ) -> None:
         """Add the boxes' tangent at nodal increments x (nodes, block) to a matrix.
 
@@ -126,13 +149,15 @@ class PointBoxes:
             kernel: residual and tangent of the points' elastic energy, see `PointForm.compile`.
             before: x before the last correction, where the kernel predicts stresses.
             lifted: takes what prescribed increments add through the tangent.
-            whole: the tangent itself; else what the sides' strains add with the moduli at the points.
+            lift_only: the matrix has it already: only what prescribed increments add is meant.
         """
+        whole = bool(np.any(x))  # right after a reset the sides have the moduli of the points
         kernels = native.PointKernels()
         native.fill(kernels, kernel=kernel.address, before=before)
         self.put(kernels, None)
         add = native.library().polarmpm_assemble_boxes
-        if add(ctypes.byref(self.batch), ctypes.byref(kernels), ctypes.byref(matrix), int(whole), x, lifted):
+        structures = map(ctypes.byref, (self.batch, kernels, matrix))
+        if add(*structures, int(whole), int(lift_only), x, lifted):
             raise MemoryError("no memory for the sums over the points' boxes")
 
     def gather(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -27,6 +27,7 @@ from .folding import Folding
 from .initialstress import InitialStress
 from .interpolation import Interpolation, PointBatch
 from .onpattern import OnPattern
+from .pointboxes import BoxTangent
 from .projectedpoints import ProjectedPoints
 from .system import Assembled
 
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from ..forms.returnmapping import ReturnMapping
 
 
-_RENEWED = 3  # tangent of a step from which on that of the boxes is summed each time
 _UNFELT = 1e-12  # of a tangent's diagonal, added to it where there are fewer points than nodes
 _WEAK = 0.2  # share of a cell: nodes beyond edges of the body, and beyond faces that hardly enter a cell
 
@@ -44,10 +44,12 @@ class LoadedPoints(ProjectedPoints):
 
     Attributes:
         initial: initial stresses of the points; None: there are none.
+        box_tangent: of the last step, which serves in the next one; None: it is summed anew.
     """
 
     nodes: ActiveNodes
     initial: InitialStress | None = None
+    box_tangent: BoxTangent | None = None
 
     def __init__(
         self,
@@ -84,7 +86,7 @@ class LoadedPoints(ProjectedPoints):
 
     def changing(self) -> Iterator[tuple[Any, tuple[str, ...] | None]]:
         yield from super().changing()
-        yield self, ("initial", "_boxes", "_at_points", "_couples")
+        yield self, ("initial", "_boxes", "_at_points", "_couples", "box_tangent")
         yield self.interpolation, ("reference", "pieces")
         yield self.interpolation.reference, None
 
@@ -94,8 +96,11 @@ class LoadedPoints(ProjectedPoints):
         if self.initial is not None:
             self.initial.pack()
 
+    def keep_boxes(self) -> None:
+        """A step has converged: keep what serves the next one of its tangent. Local."""
+
     def leave_out_boxes(self, on: bool) -> bool:
-        self._boxes = None if on else self.interpolation.boxes
+        self._boxes, self.box_tangent = None if on else self.interpolation.boxes, None
         return self.interpolation.boxes is not None
 
     @property
@@ -215,6 +220,7 @@ class LoadedPoints(ProjectedPoints):
             self.initial.pack()
         self.forget_rotations()
         self.go_on(before)
+        self.box_tangent = None
 
 
 class PointSystem(OnPattern, LoadedPoints):
@@ -260,6 +266,8 @@ class PointSystem(OnPattern, LoadedPoints):
             )
             self._dispose = dispose_with(self, self.comm, self.solver.destroy)
         self._few = interpolation.points.total < self.nodes.total
+        # flow and projection change the energy in boxes from step to step: a restart couldn't repeat its tangent
+        self._keeps_boxes = not plastic and not any(form.scalars for form in interpolation.forms)
 
     # assembly ---------------------------------------------------------------------------------------
     def assemble(self, tangent: bool, lift: np.ndarray | None = None) -> Assembled:
@@ -294,19 +302,39 @@ class PointSystem(OnPattern, LoadedPoints):
         self.pattern.collect()
 
     def _begin_tangent(self, lifted: np.ndarray | None) -> None:
-        """Begin the tangent's sums with what the points' boxes add; where that is at hand from an earlier
-        iteration, it is good enough. Nothing is kept from step to step: a restart couldn't repeat it."""
+        """Begin the tangent's sums with what the points' boxes add, or have added before: that is good enough
+        unless iterations have gone on for a while. Where it was summed is kept for a restart."""
         values, boxes, step = self.pattern.values, self._boxes, self.step
         step.tangents += 1
-        due = step.boxes is None or lifted is not None or step.tangents >= _RENEWED
-        values[:] = 0.0 if boxes is None or due else step.boxes
-        if boxes is None or not due:
+        if boxes is None:
+            values[:] = 0.0
             return
-        whole = bool(np.any(self.x))  # right after a reset the sides have the moduli of the points
+        of_boxes = self.box_tangent if step.tangents == 1 else step.boxes
+        if of_boxes is None or self._renews(step.tangents):
+            of_boxes = BoxTangent(self.x, self.before)
+            if self.box_tangent is not None:  # no more than one of them needs memory
+                self.box_tangent.values = None
+        step.boxes, known = of_boxes, of_boxes.values is not None
+        values[:] = of_boxes.values if known else 0.0
+        if known and lifted is None:
+            return
         for own, form, (_, kernel) in zip(boxes, self.interpolation.forms, self.kernels, strict=True):
-            before = self.before if form.predicts else None
-            own.add_moduli(kernel, self.pattern.matrix, self.x, before, lifted, whole=whole)
-        step.boxes = values.copy()
+            before = of_boxes.before if form.predicts else None
+            own.add_moduli(kernel, self.pattern.matrix, of_boxes.x, before, lifted, lift_only=known)
+        if not known:
+            of_boxes.values = values.copy()
+
+    def keep_boxes(self) -> None:
+        """A step has converged: what its boxes have added to the last tangent is good enough for the next."""
+        if self._keeps_boxes and self.step.boxes is not None:
+            self.box_tangent = self.step.boxes
+
+    def _renews(self, tangents: int) -> bool:
+        """Whether such a tangent of a step has the boxes' part summed anew."""
+        return tangents % 2 == 1 and (tangents > 1 or not self._keeps_boxes)
+
+    def waits(self) -> bool:
+        return self._boxes is not None and self._keeps_boxes and self._renews(self.step.tangents + 1)
 
     def _check_sides(self, internal: np.ndarray) -> None:
         """A correction may be too large for the sides of boxes before it is for the points: they have no
@@ -367,4 +395,4 @@ class PointSystem(OnPattern, LoadedPoints):
     def destroy(self) -> None:
         self._dispose()
         self.pattern.release()
-        self.step.boxes = None
+        self.step.boxes = self.box_tangent = None

@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
@@ -20,6 +20,9 @@ from ..solvers.linear import ACCURACY, NearNullSpace
 from ..terms.base import Piece
 from ..tools.timing import Timer
 from .nodalterms import NodalTerms
+
+if TYPE_CHECKING:
+    from .pointboxes import BoxTangent
 
 _ROUNDING = 16 * float(np.finfo(float).eps)
 
@@ -51,7 +54,7 @@ class StepState:
         rounding: squares of the forces that rounding makes, see `NodalSystem._rounding_squares`; None before
             the first tangent.
         tangents: how many there have been.
-        boxes: values of the matrix that the points' boxes have given; None before the first tangent.
+        boxes: what the points' boxes have added to the last tangent; None before the first one.
         projected: what the last tangent says of projected stresses, by batch; None before the first one.
     """
 
@@ -62,7 +65,7 @@ class StepState:
     correction: np.ndarray | None = None
     rounding: np.ndarray | None = None
     tangents: int = 0
-    boxes: np.ndarray | None = None
+    boxes: BoxTangent | None = None
     projected: list[Any] | None = None
 
 
@@ -321,6 +324,9 @@ class NodalSystem(ABC):
 
     def pending(self) -> bool:
         return self.step.pending
+
+    def waits(self) -> bool:
+        return False
 
     def evaluate(self, tangent: bool) -> None:
         s = self.step

@@ -36,7 +36,7 @@ from . import container, meshstate
 from .files import reason
 from .identity import Facts, check_allowed, check_points, differences, made_of, refuse_differences
 
-_FORMAT = 8
+_FORMAT = 9
 _KIND = f"format {_FORMAT}"
 _WHOLE = ("terms", "steps")  # groups of arrays that every rank has whole
 _FINITE = ("points", "reference", "nodes", "cells", "equilibrium")  # that have nothing of a script's

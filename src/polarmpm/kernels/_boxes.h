@@ -6,8 +6,10 @@
  *
  *     W(z) + share / 6 sum_k [W(z + z_k) + W(z - z_k) - 2 W(z)]     (docs/theory.md).
  *
- * With second gradients z_k has the derivatives of the gradients alone: third ones of the functions are left out, and
- * their rows in `sides` stay zero.
+ * All z_k of a point follow from the second derivatives of its functions, h, and for rotations from their gradients:
+ * d(du_i/dx_c) = sum_h along[k][c][h] h_i, d(w_i) = sum_c lean[k][c] dw_i/dx_c. So nodes are read, and forces go back to
+ * them, once for all sides. With second gradients z_k has the derivatives of the gradients alone: third ones of the
+ * functions are left out.
  */
 #include "_points.h"
 
@@ -15,81 +17,120 @@ enum {
     SIDES = 3                  /* half axes in space */
 };
 
+typedef double lanes_t __attribute__((vector_size(8 * LANES), aligned(8 * LANES)));  /* a number of LANES points */
+
 /* Memory for LANES points and their boxes. */
 typedef struct {
-    vec *first, *second;       /* [SIDES][sv], [PAIRS][sv]: derivatives of a point's functions */
+    vec *curved;               /* [lane][PAIRS][sv]: second derivatives of a point's functions */
     vec *sides;                /* [side][lane][shapes_of(second)][sv]: a point's shapes differentiated along the half axes */
+    lanes_t *axes;             /* [side][dim] half axes */
+    lanes_t *along;            /* [side][dim][pair] see above */
+    lanes_t *lean;             /* [side][dim] half axes in the frame, where there are rotations */
+    lanes_t *h, *h_before;     /* [component][pair] second derivatives of the nodal values, of those before the last correction */
     double *zk, *before;       /* [side][nz][LANES]; of the nodal values before the last correction */
     double *sums;              /* [1 + side][nz][LANES]: sum_k [R(z + z_k) + R(z - z_k) - 2 R(z)], R(z + z_k) - R(z - z_k) */
+    lanes_t *bent;             /* [component][pair] what virtual second derivatives multiply */
     double *z, *up, *down;     /* inputs, and outputs on both sides */
     double *moduli;            /* [2 side + (0: up, 1: down)][outputs][LANES]: residuals and moduli on the sides */
     vec *moved;                /* [lane][shapes_of(second)][sv]: shapes on a side */
 } BoxWork;
 
-static int create_boxes(const Batch *b, int sv, int whole, BoxWork *w)
+/* With `shapes` for shapes along the half axes, with `whole` for the moduli at the sides, too. */
+static int create_boxes(const Batch *b, int sv, int shapes, int whole, BoxWork *w)
 {
     const int nz = unknowns_of(b->dim, b->rot, b->second), outputs = nz + nz * (nz + 1) / 2;
-    const size_t stride = (size_t)sv * WIDTH, inputs = 2 * nz + b->nstate + b->nparam;
-    *w = (BoxWork){.first = vectors(SIDES * stride), .second = vectors(PAIRS * stride),
-                   .sides = vectors(SIDES * LANES * shapes_of(b->second) * stride), .zk = vectors(SIDES * nz * LANES),
-                   .before = vectors(SIDES * nz * LANES), .moved = vectors(LANES * shapes_of(b->second) * stride),
-                   .moduli = vectors(whole ? (size_t)2 * SIDES * outputs * LANES : 1), .sums = vectors((1 + SIDES) * nz * LANES), .z = vectors(inputs * LANES),
-                   .up = vectors(nz * LANES), .down = vectors(nz * LANES)};
-    return !(w->first && w->second && w->sides && w->zk && w->before && w->sums && w->z && w->up && w->down && w->moduli &&
-             w->moved);
+    const size_t stride = (size_t)sv * WIDTH, inputs = 2 * nz + b->nstate + b->nparam, rows = LANES * shapes_of(b->second);
+    const size_t bent = (size_t)block_size(b) * PAIRS * LANES;
+    *w = (BoxWork){.curved = vectors(LANES * PAIRS * stride), .sides = vectors(shapes ? SIDES * rows * stride : 1),
+                   .axes = vectors(SIDES * 3 * LANES), .along = vectors(SIDES * 3 * PAIRS * LANES), .lean = vectors(SIDES * 3 * LANES), .h = vectors(bent),
+                   .h_before = vectors(bent), .zk = vectors(SIDES * nz * LANES), .before = vectors(SIDES * nz * LANES),
+                   .sums = vectors((1 + SIDES) * nz * LANES), .bent = vectors(bent), .z = vectors(inputs * LANES),
+                   .up = vectors(nz * LANES), .down = vectors(nz * LANES),
+                   .moduli = vectors(whole ? (size_t)2 * SIDES * outputs * LANES : 1), .moved = vectors(shapes ? rows * stride : 1)};
+    return !(w->curved && w->sides && w->axes && w->along && w->lean && w->h && w->h_before && w->zk && w->before && w->sums && w->bent &&
+             w->z && w->up && w->down && w->moduli && w->moved);
 }
 
 static void free_boxes(BoxWork *w)
 {
-    free(w->first), free(w->second), free(w->sides), free(w->zk);
-    free(w->sums), free(w->z), free(w->up), free(w->down), free(w->before), free(w->moduli), free(w->moved);
+    free(w->curved), free(w->sides), free(w->axes), free(w->along), free(w->lean), free(w->h), free(w->h_before), free(w->zk), free(w->before);
+    free(w->sums), free(w->bent), free(w->z), free(w->up), free(w->down), free(w->moduli), free(w->moved);
 }
 
-/* A point's shapes differentiated along a half axis, in the layout and frame of `shape`. */
-INLINE void side_shapes(const int dim, int n, int nv, int sv, const double *axis, const double *frame, const BoxWork *w,
-                        vec *s)
+/* Of lane l, point p: second derivatives of its n functions, and its half axes. */
+INLINE void find_curved(const int dim, const int rot, const Batch *b, const PointKernels *kernels, int64_t p,
+                        const int32_t *count, int n, int sv, int l, const BoxWork *w)
 {
-    for (int v = 0; v < nv; ++v) {
-        vec along[SIDES], value = {0};
-        for (int j = 0; j < dim; ++j) {
-            value += axis[j] * w->first[j * sv + v];
-            along[j] = (vec){0};
-            for (int l = 0; l < dim; ++l) along[j] += axis[l] * w->second[pair_of(dim, j, l) * sv + v];
-        }
-        s[v] = value;
-        for (int c = 0; c < dim; ++c) {
-            vec sum = {0};
-            for (int j = 0; j < dim; ++j) sum += frame[j * dim + c] * along[j];
-            s[(1 + c) * sv + v] = sum;
-        }
-        for (int q = 0; v == nv - 1 && q < WIDTH; ++q)  /* what an earlier point has left beyond its nodes */
-            for (int c = 0; c <= dim && v * WIDTH + q >= n; ++c) s[c * sv + v][q] = 0.0;
+    second_rows(dim, b, p, count, n, sv * WIDTH, (double *)(w->curved + (int64_t)l * PAIRS * sv));
+    for (int k = 0; k < dim * dim; ++k) {
+        w->axes[k][l] = kernels->box_axes[p * dim * dim + k];
+        if (rot) w->lean[k][l] = kernels->box_lean[p * dim * dim + k];
     }
 }
 
-/* Shapes of lane l, point p, differentiated along its half axes. */
-INLINE void find_sides(const int dim, const int second, const Batch *b, const PointKernels *kernels, int64_t p, const int32_t *count, int n,
-                       int sv, int l, BoxWork *w)
+/* What second derivatives make of gradients along the half axes, with LANES frames. */
+INLINE void find_along(const int dim, const double *frames, const BoxWork *w)
 {
-    const int nv = (n + WIDTH - 1) / WIDTH;
-    curved_shape(dim, b, p, count, sv * WIDTH, (double *)w->first, (double *)w->second);
+    const lanes_t *frame = (const lanes_t *)frames;
     for (int k = 0; k < dim; ++k)
-        side_shapes(dim, n, nv, sv, kernels->box_axes + (p * dim + k) * dim, b->state + p * b->nstate, w,
-                    w->sides + ((int64_t)k * LANES + l) * shapes_of(second) * sv);
+        for (int c = 0; c < dim; ++c)
+            for (int i = 0; i < dim; ++i)
+                for (int j = i; j < dim; ++j) {
+                    lanes_t sum = frame[i * dim + c] * w->axes[k * dim + j];
+                    if (j > i) sum += frame[j * dim + c] * w->axes[k * dim + i];
+                    w->along[(k * dim + c) * pairs_of(dim) + pair_of(dim, i, j)] = sum;
+                }
 }
 
-/* z_k of lane l, point p, from its group's nodal values, written with a step. */
-INLINE void gather_sides(const int dim, const int rot, const int second, const PointKernels *kernels, int64_t p, int nv, int sv, const vec *x,
-                         int l, const BoxWork *w, double *zk, const int step)
+/* The sums of the entries of s[0] .. s[3]. */
+INLINE void add_up(const vec *s, vec *out)
 {
-    const int nz = unknowns_of(dim, rot, second);
+    typedef int64_t places __attribute__((vector_size(8 * WIDTH)));
+    const places even = {0, 4, 2, 6}, odd = {1, 5, 3, 7}, low = {0, 1, 4, 5}, high = {2, 3, 6, 7};
+    const vec a = __builtin_shuffle(s[0], s[1], even) + __builtin_shuffle(s[0], s[1], odd);
+    const vec b = __builtin_shuffle(s[2], s[3], even) + __builtin_shuffle(s[2], s[3], odd);
+    *out = __builtin_shuffle(a, b, low) + __builtin_shuffle(a, b, high);
+}
+
+/* Second derivatives of a group's nodal values at lane l. */
+INLINE void gather_curved(const int dim, const int rot, int nv, int sv, const vec *x, int l, const BoxWork *w, lanes_t *h)
+{
+    const vec *curved = w->curved + (int64_t)l * PAIRS * sv;
+    const int pairs = pairs_of(dim);
+    for (int i = 0; i < dim + rot; ++i) {
+        vec sum[2 * WIDTH] = {{0}}, out[2];
+        for (int v = 0; v < nv; ++v)
+            for (int k = 0; k < pairs; ++k) sum[k] += x[i * sv + v] * curved[k * sv + v];
+        for (int k = 0; k * WIDTH < pairs; ++k) add_up(sum + k * WIDTH, out + k);
+        for (int k = 0; k < pairs; ++k) h[i * pairs + k][l] = out[k / WIDTH][k % WIDTH];
+    }
+}
+
+/* All z_k of LANES points from `start` on, the last of them that of the last lane, from z and the second derivatives. */
+INLINE void find_zk(const int dim, const int rot, const int second, const PointKernels *kernels, int64_t start, int count,
+                    const double *z, const lanes_t *h, const BoxWork *w, double *zk)
+{
+    const int nz = unknowns_of(dim, rot, second), pairs = pairs_of(dim), turning = rot * (1 + dim);
+    const lanes_t *at = (const lanes_t *)z;
     for (int k = 0; k < dim; ++k) {
-        double *own = zk + k * nz * step;
-        for (int i = unknowns_of(dim, rot, 0); i < nz; ++i) own[i * step] = 0.0;
-        interpolate(dim, rot, 0, nv, sv, w->sides + ((int64_t)k * LANES + l) * shapes_of(second) * sv, x, own, step);
-        const int turning = rot * (1 + dim);  /* rotations, then their gradients */
-        for (int i = 0; i < turning; ++i)
-            own[(value_slot(dim, rot, dim) + i) * step] += kernels->box_turns[(p * dim + k) * turning + i];
+        lanes_t *own = (lanes_t *)zk + k * nz;
+        for (int i = unknowns_of(dim, rot, 0); i < nz; ++i) own[i] = (lanes_t){0};
+        for (int i = 0; i < dim + rot; ++i)
+            for (int c = 0; c < dim; ++c) {
+                const lanes_t *along = w->along + (k * dim + c) * pairs;
+                lanes_t sum = along[0] * h[i * pairs];
+                for (int j = 1; j < pairs; ++j) sum += along[j] * h[i * pairs + j];
+                own[gradient_slot(dim, rot, i) + c] = sum;
+            }
+        for (int i = dim; i < dim + rot; ++i) {
+            lanes_t sum = w->lean[k * dim] * at[gradient_slot(dim, rot, i)];
+            for (int c = 1; c < dim; ++c) sum += w->lean[k * dim + c] * at[gradient_slot(dim, rot, i) + c];
+            own[value_slot(dim, rot, i)] = sum;
+        }
+        for (int l = 0; rot && kernels->box_turns && l < LANES; ++l) {  /* rotations, then their gradients */
+            const double *turns = kernels->box_turns + ((start + (l < count ? l : count - 1)) * dim + k) * turning;
+            for (int i = 0; i < turning; ++i) own[value_slot(dim, rot, dim) + i][l] += turns[i];
+        }
     }
 }
 
@@ -98,32 +139,77 @@ INLINE void evaluate_boxes(const int dim, const int rot, const int second, const
                            const double *residual, BoxWork *w)
 {
     const int nz = unknowns_of(dim, rot, second), block = nz * LANES;
+    const lanes_t *at = (const lanes_t *)in, *r = (const lanes_t *)residual, *up = (lanes_t *)w->up, *down = (lanes_t *)w->down;
+    lanes_t *z = (lanes_t *)w->z, *sums = (lanes_t *)w->sums;
     memcpy(w->z + block, in + block, sizeof(double) * (b->nstate + b->nparam) * LANES);
-    for (int i = 0; i < block; ++i) w->sums[i] = -2.0 * dim * residual[i];
+    for (int i = 0; i < nz; ++i) sums[i] = -2.0 * dim * r[i];
     for (int k = 0; k < dim; ++k) {
-        const double *zk = w->zk + k * block;
-        double *odd = w->sums + (1 + k) * block;
-        for (int i = 0; i < block; ++i) w->z[i] = in[i] + zk[i];
+        const lanes_t *zk = (const lanes_t *)w->zk + k * nz;
+        for (int i = 0; i < nz; ++i) z[i] = at[i] + zk[i];
         kernel(w->z, w->up);
-        for (int i = 0; i < block; ++i) w->z[i] = in[i] - zk[i];
+        for (int i = 0; i < nz; ++i) z[i] = at[i] - zk[i];
         kernel(w->z, w->down);
-        for (int i = 0; i < block; ++i) {
-            w->sums[i] += w->up[i] + w->down[i];
-            odd[i] = w->up[i] - w->down[i];
+        for (int i = 0; i < nz; ++i) {
+            sums[i] += up[i] + down[i];
+            sums[(1 + k) * nz + i] = up[i] - down[i];
         }
     }
 }
 
-/* The boxes' share in the residual r of a point on lane l, and what its sides add to the group's nodal forces. */
+/* What virtual values and derivatives multiply in place of virtual z and z_k: the first `sums`, and `bent`. */
+INLINE void collect_sides(const int dim, const int rot, const int second, const BoxWork *w)
+{
+    const int nz = unknowns_of(dim, rot, second), pairs = pairs_of(dim);
+    lanes_t *sums = (lanes_t *)w->sums;
+    for (int i = 0; i < dim + rot; ++i) {
+        const int gradient = gradient_slot(dim, rot, i);
+        for (int j = 0; j < pairs; ++j) {
+            lanes_t sum = {0};
+            for (int k = 0; k < dim; ++k)
+                for (int c = 0; c < dim; ++c) sum += w->along[(k * dim + c) * pairs + j] * sums[(1 + k) * nz + gradient + c];
+            w->bent[i * pairs + j] = sum;
+        }
+        for (int k = 0; has_value(dim, i) && k < dim; ++k)
+            for (int c = 0; c < dim; ++c)
+                sums[gradient + c] += w->lean[k * dim + c] * sums[(1 + k) * nz + value_slot(dim, rot, i)];
+    }
+}
+
+/* The boxes' share in the residual r of a point on lane l, and what its second derivatives add to the group's nodal
+ * forces. */
 INLINE void add_sides(const int dim, const int rot, const int second, int nv, int sv, const BoxWork *w, double weight, int l, double *r,
                       vec *f)
 {
-    const int nz = unknowns_of(dim, rot, second);
-    double side[UNKNOWNS_MAX];
+    const int nz = unknowns_of(dim, rot, second), pairs = pairs_of(dim);
+    const vec *curved = w->curved + (int64_t)l * PAIRS * sv;
     for (int i = 0; i < nz; ++i) r[i] += weight * w->sums[i * LANES + l];
+    for (int i = 0; i < dim + rot; ++i) {
+        double bent[PAIRS];
+        for (int j = 0; j < pairs; ++j) bent[j] = weight * w->bent[i * pairs + j][l];
+        for (int v = 0; v < nv; ++v) {
+            vec sum = f[i * sv + v];
+            for (int j = 0; j < pairs; ++j) sum += bent[j] * curved[j * sv + v];
+            f[i * sv + v] = sum;
+        }
+    }
+}
+
+/* Shapes s of lane l, differentiated along its half axes. */
+INLINE void side_shapes(const int dim, const int rot, const int second, int nv, int sv, const vec *s, int l, const BoxWork *w)
+{
+    const vec *curved = w->curved + (int64_t)l * PAIRS * sv;
     for (int k = 0; k < dim; ++k) {
-        for (int i = 0; i < nz; ++i) side[i] = weight * w->sums[((1 + k) * nz + i) * LANES + l];
-        add_residual(dim, rot, 0, nv, sv, w->sides + (k * LANES + l) * shapes_of(second) * sv, side, f);
+        vec *out = w->sides + ((int64_t)k * LANES + l) * shapes_of(second) * sv;
+        for (int c = 0; c < dim; ++c) {
+            const lanes_t *along = w->along + (k * dim + c) * pairs_of(dim);
+            const double lean = w->lean[k * dim + c][l];
+            for (int v = 0; v < nv; ++v) {
+                vec sum = along[0][l] * curved[v];
+                for (int j = 1; j < pairs_of(dim); ++j) sum += along[j][l] * curved[j * sv + v];
+                out[(1 + c) * sv + v] = sum;
+                if (rot) out[v] = (c ? out[v] : (vec){0}) + lean * s[(1 + c) * sv + v];
+            }
+        }
     }
 }
 

@@ -19,7 +19,12 @@ INLINE void sum_patches(const int dim, const int rot, const Batch *b, const Poin
             const int32_t *map = P->maps + P->map_of[p];
             double *own = out + first * nb * P->modes;
             shape(dim, b, p, count, b->state + p * b->nstate, stride, (double *)w->shapes);
-            if (sides) find_sides(dim, 0, b, kernels, p, count, n, sv, 0, &w->boxes);
+            if (sides) {
+                find_curved(dim, rot, b, kernels, p, count, n, sv, 0, &w->boxes);
+                for (int k = 0; k < dim * dim; ++k) w->in[k * LANES] = b->state[p * b->nstate + k];
+                find_along(dim, w->in, &w->boxes);
+                side_shapes(dim, rot, 0, nv, sv, w->shapes, 0, &w->boxes);
+            }
             for (int c = 0; c < P->scalars; ++c) {
                 memset(w->f, 0, sizeof(vec) * nb * sv);
                 add_residual(dim, rot, 0, nv, sv, w->shapes, work + (p * P->scalars + c) * nz, w->f);

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..assembly import carrying
 from ..assembly.interpolation import Interpolation
+from ..assembly.pointboxes import BoxTangent
 from ..assembly.points import LoadedPoints, PointSystem
 from ..assembly.transfer import motion_of
 from ..basis.base import Basis
@@ -115,6 +116,8 @@ class OnGrid(Problem):
             self._drop_pieces(old.interpolation)
             self._system = self._build(old.interpolation, old.x)
             self._system.carried[:] = old.carried
+            if old.box_tangent is not None:
+                self._system.box_tangent = BoxTangent(old.box_tangent.x, old.box_tangent.before)
         if old is not None:
             old.destroy()
         self._stale = False

@@ -25,6 +25,9 @@ class System(Protocol):
     def convergence_measures(self) -> tuple[float, float]:
         """Normalised out-of-balance force and energy; NaN or infinite when the iteration has diverged."""
 
+    def waits(self) -> bool:
+        """Whether the next tangent costs more than others: it is asked for when it is known to be needed."""
+
     def pending(self) -> bool:
         """Whether prescribed values are still to be put in."""
 
@@ -147,6 +150,7 @@ def _iterate(system: System, controls: Controls, outcome: Outcome) -> None:
         # the next residual and ratio if both fall quadratically: is a tangent needed for what then comes?
         following = ratio**2 * force
         tangent = not chord and _SAFETY * ratio**2 * following > controls.force_tolerance
+        tangent = tangent and not system.waits()
 
 
 def evaluate(system: System, tangent: bool, backtrack: Callable[[], bool]) -> None:
