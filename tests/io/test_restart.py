@@ -294,7 +294,7 @@ def test_an_edited_file_is_refused(saved, folder):
     with pytest.raises(pm.InputError, match="its checksum doesn't fit"):
         pm.load_restart(strip(cell=1.0), saved)
     refuse(
-        folder / "other.h5", content.replace(b"format 8", b"format 9", 1), strip(cell=1.0), "is of format 9"
+        folder / "other.h5", content.replace(b"format 9", b"format 8", 1), strip(cell=1.0), "is of format 8"
     )
 
 
