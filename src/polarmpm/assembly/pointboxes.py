@@ -40,11 +40,13 @@ class BoxTangent:
     Attributes:
         x: increments (nodes, block) at which it was.
         before: those before the correction that led there.
+        solutions: linear ones of the first step that has begun with it; 0: none has yet.
         values: of the matrix; None: to be summed.
     """
 
     x: np.ndarray
     before: np.ndarray
+    solutions: int = 0
     values: np.ndarray | None = None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
@@ -96,8 +97,9 @@ class LoadedPoints(ProjectedPoints):
         if self.initial is not None:
             self.initial.pack()
 
-    def keep_boxes(self) -> None:
-        """A step has converged: keep what serves the next one of its tangent. Local."""
+    def keep_boxes(self, first: bool) -> None:
+        """A step has converged, maybe the first one since a reset: keep what serves the next one of its
+        tangent. Local."""
 
     def leave_out_boxes(self, on: bool) -> bool:
         self._boxes, self.box_tangent = None if on else self.interpolation.boxes, None
@@ -315,6 +317,8 @@ class PointSystem(OnPattern, LoadedPoints):
             if self.box_tangent is not None:  # no more than one of them needs memory
                 self.box_tangent.values = None
         step.boxes, known = of_boxes, of_boxes.values is not None
+        if step.tangents == 1:
+            step.began_with = of_boxes
         values[:] = of_boxes.values if known else 0.0
         if known and lifted is None:
             return
@@ -324,10 +328,16 @@ class PointSystem(OnPattern, LoadedPoints):
         if not known:
             of_boxes.values = values.copy()
 
-    def keep_boxes(self) -> None:
-        """A step has converged: what its boxes have added to the last tangent is good enough for the next."""
-        if self._keeps_boxes and self.step.boxes is not None:
-            self.box_tangent = self.step.boxes
+    def keep_boxes(self, first: bool) -> None:
+        # what boxes add to a state without increments lacks much of what they add later, and where a step
+        # took more iterations than the first one with it, it has grown old
+        step, kept = self.step, self.step.boxes
+        if not self._keeps_boxes or kept is None:
+            return
+        if step.began_with is kept:
+            old = first or 0 < kept.solutions < step.solutions
+            kept = None if old else replace(kept, solutions=kept.solutions or step.solutions)
+        self.box_tangent = kept
 
     def _renews(self, tangents: int) -> bool:
         """Whether such a tangent of a step has the boxes' part summed anew."""

@@ -55,6 +55,8 @@ class StepState:
             the first tangent.
         tangents: how many there have been.
         boxes: what the points' boxes have added to the last tangent; None before the first one.
+        began_with: the same of the first tangent.
+        solutions: how many linear ones there have been.
         projected: what the last tangent says of projected stresses, by batch; None before the first one.
     """
 
@@ -66,6 +68,8 @@ class StepState:
     rounding: np.ndarray | None = None
     tangents: int = 0
     boxes: BoxTangent | None = None
+    began_with: BoxTangent | None = None
+    solutions: int = 0
     projected: list[Any] | None = None
 
 
@@ -393,6 +397,7 @@ class NodalSystem(ABC):
 
     def update(self, fresh: bool, accuracy: float = ACCURACY) -> None:
         fixed, s = self.prescribed.fixed, self.step
+        s.solutions += 1
         out_of_balance = self.residual if s.lifted is None else self.residual + s.lifted
         step = self.solve_free(-out_of_balance, fresh, accuracy)
         if s.pending:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from ..assembly import carrying
 from ..assembly.interpolation import Interpolation
-from ..assembly.pointboxes import BoxTangent
 from ..assembly.points import LoadedPoints, PointSystem
 from ..assembly.transfer import motion_of
 from ..basis.base import Basis
@@ -117,7 +116,7 @@ class OnGrid(Problem):
             self._system = self._build(old.interpolation, old.x)
             self._system.carried[:] = old.carried
             if old.box_tangent is not None:
-                self._system.box_tangent = BoxTangent(old.box_tangent.x, old.box_tangent.before)
+                self._system.box_tangent = replace(old.box_tangent, values=None)
         if old is not None:
             old.destroy()
         self._stale = False

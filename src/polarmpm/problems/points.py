@@ -286,12 +286,13 @@ class QuasiStatic(OnGrid):
         self._size = float(np.abs(increments.gradient).max(initial=0.0))
         system.interpolation.update_points(increments, self._compiled.motion)
         system.put_projected()
-        system.keep_boxes()
+        system.keep_boxes(first=self.progress.since_reset == 0)
         self._conservation.check(system.interpolation, system.x)
         if self.points.plastic:
             self._with_boxes(lambda: self._flow(system))
         self._converged_loads = self._attempted
-        p = self.progress
+        p, kept = self.progress, system.box_tangent
+        p.box_solutions = 0 if kept is None else kept.solutions
         p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
         with errors_on_all_ranks(self.comm, "the reset policy") as answer:
             due = answer.alike = bool(self.policy.due(p.since_reset, increments.gradient, self.comm))
@@ -391,7 +392,8 @@ class QuasiStatic(OnGrid):
         self._system, self._stale = self._build(interpolation, x), False
         self._system.carried[:] = carried
         if of_boxes:
-            self._system.box_tangent = BoxTangent(*map(np.ascontiguousarray, of_boxes))
+            x, before = map(np.ascontiguousarray, of_boxes)
+            self._system.box_tangent = BoxTangent(x, before, progress.box_solutions)
 
     # results --------------------------------------------------------------------------------------
     @collective("fields")
