@@ -181,14 +181,33 @@ class PointBoxes:
             kernel: of the elastic energy, see `PointForm.compile_energy`.
         """
         z, zk = self.gather(x)
-        known = self.batch.kept["state"], np.tile(self.batch.kept["param"], (len(z), 1))
-        energy = -2.0 * self.layout.dim * kernel(z, *known)[:, 0]
-        for k in range(self.layout.dim):
-            for side in (z + zk[:, k], z - zk[:, k]):
-                energy += kernel(side, *known)[:, 0]
-        weight: np.ndarray = self.share * self.batch.kept["volume"] / 6.0
-        energy *= weight
+        _, even, _ = self.means(kernel, z, zk, self.share * self.batch.kept["volume"] / 6.0, with_odd=False)
+        energy: np.ndarray = even[:, 0]
         return energy
+
+    def means(
+        self, kernel: Kernel, z: np.ndarray, zk: np.ndarray, weight: np.ndarray, *, with_odd: bool = True
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """What a kernel of z, state and parameters gives at the points (n, k), and what their boxes add with
+        weights (n,): to it (n, k), and times the derivatives along the half axes (n, d, k).
+
+        Args:
+            z, zk: from `gather`.
+        """
+        kept, (n, d, nz) = self.batch.kept, zk.shape
+        state, param = kept["state"], kept["param"]
+        if nz + state.shape[1] + len(param) != kernel.inputs:
+            raise ValueError(
+                f"kernel has {kernel.inputs} inputs, {nz + state.shape[1] + len(param)} are given"
+            )
+        here, even = np.empty((n, kernel.outputs)), np.empty((n, kernel.outputs))
+        odd = np.empty((n, d, kernel.outputs)) if with_odd else None
+        sizes, given = (n, d, nz, state.shape[1], len(param)), (z, zk, state, param)
+        if native.library().polarmpm_box_means(
+            kernel.address, *sizes, *given, weight, kernel.outputs, here, even, odd
+        ):
+            raise MemoryError("no memory for the points' boxes")
+        return here, even, odd
 
     def work(self, kernel: Kernel, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Work (J) of the change of the elastic stresses on the change of the strains between nodal

@@ -268,7 +268,7 @@ class PointSystem(OnPattern, LoadedPoints):
             )
             self._dispose = dispose_with(self, self.comm, self.solver.destroy)
         self._few = interpolation.points.total < self.nodes.total
-        # flow and projection change the energy in boxes from step to step: no restart could repeat its tangent
+        # flow and projection change the energy in boxes from step to step: no restart could repeat its sums
         self._keeps_boxes = not plastic and not any(form.scalars for form in interpolation.forms)
 
     # assembly ---------------------------------------------------------------------------------------

@@ -118,17 +118,9 @@ class StiffScalars:
         return z, self._state, self._parameters
 
     def _mean(self, kernel: Kernel, boxes: PointBoxes | None) -> Mean:
-        here = kernel(*self._inputs(self._z))
         if boxes is None or self._zk is None:
-            return Mean(here)
-        d = self._zk.shape[1]
-        even, odd = -2.0 * d * here, np.empty((len(here), d, here.shape[1]))
-        for k in range(d):
-            up, down = (kernel(*self._inputs(self._z + s * self._zk[:, k])) for s in (1.0, -1.0))
-            even += up + down
-            odd[:, k] = up - down
-        weight = boxes.share / 6.0
-        return Mean(here, weight[:, None] * even, weight[:, None, None] * odd)
+            return Mean(kernel(*self._inputs(self._z)))
+        return Mean(*boxes.means(kernel, self._z, self._zk, boxes.share / 6.0))
 
     def place(self, x: np.ndarray, boxes: PointBoxes | None) -> Mean:
         """Put t at nodal values x (nodes, block) into the state; e and e_z at the points."""
