@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import polarmpm as pm
-from polarmpm.assembly.pointboxes import FLOWED
+from polarmpm.assembly.pointboxes import FLOWED, PointBoxes
+from polarmpm.assembly.points import PointSystem
 from polarmpm.basis.registry import basis_of
 from polarmpm.kinematics.motion import Motion
 from tests.assembly.test_system import (
@@ -27,6 +28,7 @@ from tests.conftest import (
     HENCKY,
     MICROPOLAR,
     NEO_HOOKEAN,
+    assert_repeated,
     by_id,
     derivative_error,
 )
@@ -90,7 +92,7 @@ def test_tangent_is_the_derivative_of_the_residual(dim, material, basis):
     x = random_increment(system, 0.1)
 
     def tangent(y):
-        system.step.boxes = None  # a step begins
+        system.box_tangent, system.step.tangents = None, 0  # a step begins
         return tangent_at(system, y[0])[None]
 
     assert derivative_error(lambda y: residual_at(system, y[0])[None], tangent, x[None]) < 1e-7
@@ -101,7 +103,7 @@ def test_right_after_a_reset_the_moduli_of_the_points_serve():
     _, system = boxed(2, MICROPOLAR, "bspline")
     x = random_increment(system, 1e-9)
     whole = tangent_at(system, x)
-    system.step.boxes = None
+    system.box_tangent, system.step.tangents = None, 0
     np.testing.assert_allclose(tangent_at(system, 0 * x), whole, atol=1e-6 * abs(whole).max())
 
 
@@ -178,6 +180,93 @@ def test_points_that_have_flowed_keep_a_hundredth():
     boxes = pm.QuasiStatic(grid, points).system_at(0.0).interpolation.boxes[0]
     expected = np.where(points.id[boxes.rows] < 5, FLOWED, 1.0)
     np.testing.assert_array_equal(boxes.share, expected)
+
+
+# what the tangent costs -----------------------------------------------------------------------------
+def sums(monkeypatch) -> list[bool]:
+    """Notes each sum of the boxes' tangent: for prescribed increments alone, or all of it."""
+    found: list[bool] = []
+    add = PointBoxes.add_moduli
+
+    def noted(self, *args, lift_only=False, **options):
+        found.append(lift_only)
+        add(self, *args, lift_only=lift_only, **options)
+
+    monkeypatch.setattr(PointBoxes, "add_moduli", noted)
+    return found
+
+
+def bar(moved: float = 0.0, **options) -> pm.QuasiStatic:
+    """Two cells thick, under its own weight; its other end moved along."""
+    grid = pm.Grid.box((0, -3), (6 if moved else 8, 3), 1.0)
+    points = pm.seed(grid, bounds=((0, 0), (6, 2)), material=NEO_HOOKEAN)
+    problem = pm.QuasiStatic(grid, points, **({"reset": None} | options))
+    problem.fix(pm.plane(x=0.0), u=0)
+    if moved:
+        problem.fix(pm.plane(x=6.0), u=(moved, 0))
+    problem.body_load(force=(0, -2.0))
+    return problem
+
+
+@pytest.mark.parametrize("moved", [0.0, 0.05])
+def test_small_steps_share_a_tangent_of_the_boxes(moved, monkeypatch):
+    """It is summed again now and then, with hardly more iterations, and the same answer."""
+    found = sums(monkeypatch)
+    kept, renewed = bar(moved), bar(moved)
+    steps = list(kept.march(10, progress=False))
+    assert found.count(False) <= 7
+    assert (True in found) == bool(moved)
+    iterations = sum(step.iterations for step in steps)
+    monkeypatch.setattr(PointSystem, "keep_boxes", lambda self, first: None)
+    anew = sum(step.iterations for step in renewed.march(10, progress=False))
+    assert iterations <= 1.25 * anew
+    np.testing.assert_allclose(kept.points.x, renewed.points.x, atol=1e-8)
+
+
+@pytest.mark.parametrize("material", [NEO_HOOKEAN, MICROPOLAR], ids=["classical", "micropolar"])
+def test_prescribed_increments_meet_the_tangent_that_is_kept(material):
+    """What they add comes out as with a tangent that is summed at the same place."""
+    _, system = boxed(2, material, "bspline")
+    x, near = random_increment(system, 0.1), system.nodes.position[:, 0] < 1.0
+    system.prescribed.fixed[near, 0] = system._fixed[near, 0] = True
+    put(system, x)
+    found = []
+    for _ in range(2):  # first summed, then kept
+        system.step.tangents = 1
+        system.step.lift = np.where(system.prescribed.fixed, 0.1, 0.0)
+        system._find_pending()
+        system.evaluate(True)
+        found.append(system.step.lifted)
+    own = slice(0, system.nodes.owned)
+    assert np.abs(found[0][own]).max(initial=0.0) > 0 or not near[own].any()
+    free = ~system.prescribed.fixed[own]
+    np.testing.assert_allclose(found[1][own][free], found[0][own][free], atol=1e-12 * abs(found[0]).max())
+
+
+def test_a_failed_step_leaves_no_tangent_of_its_own():
+    problem = bar()
+    list(problem.march(4, to=0.4, progress=False))
+    before = problem.system.box_tangent
+    assert before is not None
+    problem.body_load(force=(0, -1e5))
+    problem.controls = pm.Controls(max_iterations=4)
+    with pytest.raises(pm.NotConverged):
+        list(problem.march(1, progress=False))
+    kept = problem.system.box_tangent
+    assert kept is None or np.array_equal(kept.x, before.x)
+
+
+def test_a_run_goes_on_with_the_same_tangent(folder):
+    """From a restart file, to the same digits."""
+    whole, again = bar(), bar()
+    list(whole.march(4, to=0.4, progress=False))
+    assert whole.system.box_tangent is not None
+    pm.save_restart(whole, folder / "run.h5")
+    pm.load_restart(again, folder / "run.h5")
+    for problem in (whole, again):
+        list(problem.march(3, to=0.7, progress=False))
+    assert [s.history for s in again.steps] == [s.history for s in whole.steps] or COMM.size > 1
+    assert_repeated(again.points.x, whole.points.x)
 
 
 # the measure of trust ---------------------------------------------------------------------------------------

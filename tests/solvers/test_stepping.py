@@ -392,6 +392,9 @@ class Local:
     def convergence_measures(self) -> tuple[float, float]:
         return 1.0, 1.0
 
+    def waits(self) -> bool:
+        return False
+
     def pending(self) -> bool:
         return False
 

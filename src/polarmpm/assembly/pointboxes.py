@@ -15,6 +15,7 @@ grows.
 from __future__ import annotations
 
 import ctypes
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,6 +35,23 @@ FLOWED = 0.003  # share of points that have flowed: what keeps cells from deform
 def has_boxes(points: Points) -> bool:
     """Whether some point stands for more than itself. Collective."""
     return bool(points.comm.allreduce(int(np.any(points.half_axes0))))
+
+
+@dataclass
+class BoxTangent:
+    """What the points' boxes add to a tangent, and where that has been summed.
+
+    Attributes:
+        x: increments (nodes, block) at which it was.
+        before: those before the correction that led there.
+        solutions: linear ones of the first step that has begun with it; 0: none has yet.
+        values: of the matrix; None: to be summed.
+    """
+
+    x: np.ndarray
+    before: np.ndarray
+    solutions: int = 0
+    values: np.ndarray | None = None
 
 
 class PointBoxes:
@@ -56,14 +74,15 @@ class PointBoxes:
             hoop = axes[:, :, 0] / reference.x[rows, :1]
             shorter = _INSIDE / np.maximum(np.abs(hoop), _INSIDE)
             axes, hoop = axes * shorter[:, :, None], np.ascontiguousarray(hoop * shorter)
-        self._arrays: dict[str, np.ndarray] = {"box_axes": np.ascontiguousarray(axes)}
-        if hoop is not None:
-            self._arrays["box_hoop"] = hoop
+        self._axes, self._hoop = np.ascontiguousarray(axes), hoop
+        self._arrays: dict[str, np.ndarray | None] = {"box_axes": self._axes, "box_hoop": hoop}
 
     @property
     def share(self) -> np.ndarray:
         """What counts of the boxes' energy at each point (n,)."""
-        return self._arrays["box_share"]
+        share = self._arrays["box_share"]
+        assert share is not None
+        return share
 
     def flow(self, rows: np.ndarray) -> bool:
         """Let points (of the batch) count as ones that have flowed until the state is packed anew; whether
@@ -84,8 +103,12 @@ class PointBoxes:
         `rebase_rotations`.
         """
         r, d, rows = self.layout.rotations, self.layout.dim, self.rows
-        turns: np.ndarray = np.zeros((len(rows), d, r * (1 + d)))
+        turns, lean = None, None
+        if r or self.layout.axial:  # there are values in z
+            lean = np.linalg.solve(self.batch.frames, np.swapaxes(self._axes, 1, 2))
+            lean = np.ascontiguousarray(np.swapaxes(lean, 1, 2))
         if r:
+            turns = np.zeros((len(rows), d, r * (1 + d)))
             grown = (reference.wryness - reference.reset_wryness)[rows]
             along = np.einsum("pij,pkj->pki", grown[:, :, :d], self._half_axes0)
             turns[:, :, :r] = (along @ np.swapaxes(rotations.to_tensor(reference.q[rows]), 1, 2))[
@@ -93,7 +116,9 @@ class PointBoxes:
             ]
             framed = reference.side_gradients[rows] @ self._to_frame(reference)[:, None]
             turns[:, :, r:] = framed.reshape(len(rows), d, r * d)
-        self._arrays["box_turns"] = turns
+            if not turns.any():
+                turns = None
+        self._arrays |= {"box_turns": turns, "box_lean": lean}
         self.pack_shares()
 
     def pack_shares(self) -> None:
@@ -145,7 +170,7 @@ class PointBoxes:
         before: np.ndarray | None,
         lifted: np.ndarray | None,
         *,
-        whole: bool,
+        lift_only: bool = False,
     ) -> None:
         """Add the boxes' tangent at nodal increments x (nodes, block) to a matrix.
 
@@ -153,13 +178,16 @@ class PointBoxes:
             kernel: residual and tangent of the points' elastic energy, see `PointForm.compile`.
             before: x before the last correction, where the kernel predicts stresses.
             lifted: takes what prescribed increments add through the tangent.
-            whole: the tangent itself; else what the sides' strains add with the moduli at the points.
+            lift_only: the matrix has it already: only what prescribed increments add is meant.
         """
+        # right after a reset the sides have the moduli of the points, but of rings at other radii
+        whole = bool(np.any(x)) or self.layout.axial
         kernels = native.PointKernels()
         native.fill(kernels, kernel=kernel.address, before=before)
         self.put(kernels, None)
         add = native.library().polarmpm_assemble_boxes
-        if add(ctypes.byref(self.batch), ctypes.byref(kernels), ctypes.byref(matrix), int(whole), x, lifted):
+        structures = map(ctypes.byref, (self.batch, kernels, matrix))
+        if add(*structures, int(whole), int(lift_only), x, lifted):
             raise MemoryError("no memory for the sums over the points' boxes")
 
     def gather(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
@@ -191,10 +219,10 @@ class PointBoxes:
         """z and states (n, ...) on a side of half axis k, of what `gather` gives; what the side counts."""
         state: np.ndarray = self.batch.kept["state"]
         there: np.ndarray = z + sign * zk[:, k]
-        if both is None:
+        if both is None or self._hoop is None:
             return there, state, 1.0
         state, first = state.copy(), self.layout.state(rotated=False).at_hoop.start + 1
-        weight = 1.0 + sign * self._arrays["box_hoop"][:, k, None]
+        weight = 1.0 + sign * self._hoop[:, k, None]
         state[:, first : first + 1 + self.layout.rotations] /= weight
         return there + both[:, k], state, weight
 
@@ -205,14 +233,62 @@ class PointBoxes:
             kernel: of the elastic energy, see `PointForm.compile_energy`.
         """
         z, zk, both = self.gather(x)
-        numbers = np.tile(self.batch.kept["param"], (len(z), 1))
-        energy = -2.0 * self.layout.dim * kernel(z, self.batch.kept["state"], numbers)
-        for k in range(self.layout.dim):
+        weight = self.share * self.batch.kept["volume"] / 6.0
+        _, even, *_ = self.means(kernel, z, zk, both, weight, with_odd=False)
+        energy: np.ndarray = even[:, 0]
+        return energy
+
+    def means(
+        self,
+        kernel: Kernel,
+        z: np.ndarray,
+        zk: np.ndarray,
+        both: np.ndarray | None,
+        weight: np.ndarray,
+        *,
+        with_odd: bool = True,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
+        """What a kernel of z, state and parameters gives at the points (n, k), and what their boxes add with
+        weights (n,): to it (n, k), times the derivatives along the half axes (n, d, k), and in bodies of
+        revolution times what is the same on both sides (n, d, k).
+
+        Args:
+            z, zk, both: from `gather`.
+        """
+        if both is not None:
+            return self._means_of_rings(kernel, z, zk, both, weight)
+        kept, (n, d, nz) = self.batch.kept, zk.shape
+        state, param = kept["state"], kept["param"]
+        if nz + state.shape[1] + len(param) != kernel.inputs:
+            raise ValueError(
+                f"kernel has {kernel.inputs} inputs, {nz + state.shape[1] + len(param)} are given"
+            )
+        here, even = np.empty((n, kernel.outputs)), np.empty((n, kernel.outputs))
+        odd = np.empty((n, d, kernel.outputs)) if with_odd else None
+        sizes, given = (n, d, nz, state.shape[1], len(param)), (z, zk, state, param)
+        if native.library().polarmpm_box_means(
+            kernel.address, *sizes, *given, weight, kernel.outputs, here, even, odd
+        ):
+            raise MemoryError("no memory for the points' boxes")
+        return here, even, odd, None
+
+    def _means_of_rings(
+        self, kernel: Kernel, z: np.ndarray, zk: np.ndarray, both: np.ndarray, weight: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """`means` of a body of revolution, whose sides count differently."""
+        n, d, numbers = len(z), zk.shape[1], np.tile(self.batch.kept["param"], (len(z), 1))
+        here = kernel(z, self.batch.kept["state"], numbers)
+        even, odd, same = -2.0 * d * here, *np.empty((2, n, d, here.shape[1]))
+        for k in range(d):
+            found = []
             for sign in (1.0, -1.0):
-                there, state, weight = self.side(k, sign, z, zk, both)
-                energy += weight * kernel(there, state, numbers)
-        total: np.ndarray = energy[:, 0] * self.share * self.batch.kept["volume"] / 6.0
-        return total
+                there, state, counts = self.side(k, sign, z, zk, both)
+                found.append(counts * kernel(there, state, numbers))
+            up, down = found
+            even += up + down
+            odd[:, k], same[:, k] = up - down, up + down
+        sides = weight[:, None, None]
+        return here, weight[:, None] * even, sides * odd, sides * same
 
     def work(self, kernel: Kernel, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Work (J) of the change of the elastic stresses on the change of the strains between nodal

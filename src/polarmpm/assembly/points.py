@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
@@ -28,6 +29,7 @@ from .inertia import MassSets, point_sets
 from .initialstress import InitialStress
 from .interpolation import Interpolation, PointBatch
 from .onpattern import OnPattern
+from .pointboxes import BoxTangent
 from .projectedpoints import ProjectedPoints
 from .system import Assembled
 
@@ -35,7 +37,6 @@ if TYPE_CHECKING:
     from ..forms.returnmapping import ReturnMapping
 
 
-_RENEWED = 3  # tangent of a step from which on that of the boxes is summed each time
 _UNFELT = 1e-12  # of a tangent's diagonal, added to it where there are fewer points than nodes
 _WEAK = 0.2  # share of a cell: nodes beyond edges of the body, and beyond faces that hardly enter a cell
 
@@ -45,10 +46,12 @@ class LoadedPoints(ProjectedPoints):
 
     Attributes:
         initial: initial stresses of the points; None: there are none.
+        box_tangent: of the last step, which serves in the next one; None: it is summed anew.
     """
 
     nodes: ActiveNodes
     initial: InitialStress | None = None
+    box_tangent: BoxTangent | None = None
 
     def __init__(
         self,
@@ -92,7 +95,7 @@ class LoadedPoints(ProjectedPoints):
 
     def changing(self) -> Iterator[tuple[Any, tuple[str, ...] | None]]:
         yield from super().changing()
-        yield self, ("initial", "_boxes", "_at_points", "_couples")
+        yield self, ("initial", "_boxes", "_at_points", "_couples", "box_tangent")
         yield self.interpolation, ("reference", "pieces")
         yield self.interpolation.reference, None
 
@@ -102,8 +105,12 @@ class LoadedPoints(ProjectedPoints):
         if self.initial is not None:
             self.initial.pack()
 
+    def keep_boxes(self, first: bool) -> None:
+        """A step has converged, maybe the first one since a reset: keep what serves the next one of its
+        tangent. Local."""
+
     def leave_out_boxes(self, on: bool) -> bool:
-        self._boxes = None if on else self.interpolation.boxes
+        self._boxes, self.box_tangent = None if on else self.interpolation.boxes, None
         return self.interpolation.boxes is not None
 
     def flow_in_boxes(self, on: bool) -> bool:
@@ -249,6 +256,7 @@ class LoadedPoints(ProjectedPoints):
             self.initial.pack()
         self.forget_rotations()
         self.go_on(before)
+        self.box_tangent = None
 
 
 class PointSystem(OnPattern, LoadedPoints):
@@ -294,6 +302,8 @@ class PointSystem(OnPattern, LoadedPoints):
             )
             self._dispose = dispose_with(self, self.comm, self.solver.destroy)
         self._few = interpolation.points.total < self.nodes.total
+        # flow and projection change the energy in boxes from step to step: no restart could repeat its sums
+        self._keeps_boxes = not plastic and not any(form.scalars for form in interpolation.forms)
 
     # assembly ---------------------------------------------------------------------------------------
     def mass_sets(self, mass: np.ndarray) -> Iterator[MassSets]:
@@ -335,20 +345,47 @@ class PointSystem(OnPattern, LoadedPoints):
         self.pattern.collect()
 
     def _begin_tangent(self, lifted: np.ndarray | None) -> None:
-        """Begin the tangent's sums with what the points' boxes add; where that is at hand from an earlier
-        iteration, it is good enough. Nothing is kept from step to step: a restart couldn't repeat it."""
+        """Begin the tangent's sums with what the points' boxes add, or have added before: that is good enough
+        unless iterations have gone on for a while. Where it was summed is kept for a restart."""
         values, boxes, step = self.pattern.values, self._boxes, self.step
         step.tangents += 1
-        due = step.boxes is None or lifted is not None or step.tangents >= _RENEWED
-        values[:] = 0.0 if boxes is None or due else step.boxes
-        if boxes is None or not due:
+        if boxes is None:
+            values[:] = 0.0
             return
-        # right after a reset the sides have the moduli of the points, but at other radii
-        whole = bool(np.any(self.x)) or self.layout.axial
+        of_boxes = self.box_tangent if step.tangents == 1 else step.boxes
+        if of_boxes is None or self._renews(step.tangents):
+            of_boxes = BoxTangent(self.x, self.before)
+            if self.box_tangent is not None:  # no more than one of them needs memory
+                self.box_tangent.values = None
+        step.boxes, known = of_boxes, of_boxes.values is not None
+        if step.tangents == 1:
+            step.began_with = of_boxes
+        values[:] = of_boxes.values if known else 0.0
+        if known and lifted is None:
+            return
         for own, form, (_, kernel) in zip(boxes, self.interpolation.forms, self.kernels, strict=True):
-            before = self.before if form.predicts else None
-            own.add_moduli(kernel, self.pattern.matrix, self.x, before, lifted, whole=whole)
-        step.boxes = values.copy()
+            before = of_boxes.before if form.predicts else None
+            own.add_moduli(kernel, self.pattern.matrix, of_boxes.x, before, lifted, lift_only=known)
+        if not known:
+            of_boxes.values = values.copy()
+
+    def keep_boxes(self, first: bool) -> None:
+        # what boxes add to a state without increments lacks much of what they add later, and where a step
+        # took more iterations than the first one with it, it has grown old
+        step, kept = self.step, self.step.boxes
+        if not self._keeps_boxes or kept is None:
+            return
+        if step.began_with is kept:
+            old = first or 0 < kept.solutions < step.solutions
+            kept = None if old else replace(kept, solutions=kept.solutions or step.solutions)
+        self.box_tangent = kept
+
+    def _renews(self, tangents: int) -> bool:
+        """Whether such a tangent of a step has the boxes' part summed anew."""
+        return tangents % 2 == 1 and (tangents > 1 or not self._keeps_boxes)
+
+    def waits(self) -> bool:
+        return self._boxes is not None and self._keeps_boxes and self._renews(self.step.tangents + 1)
 
     def _check_sides(self, internal: np.ndarray) -> None:
         """A correction may be too large for the sides of boxes before it is for the points: they have no
@@ -409,4 +446,4 @@ class PointSystem(OnPattern, LoadedPoints):
     def destroy(self) -> None:
         self._dispose()
         self.pattern.release()
-        self.step.boxes = None
+        self.step.boxes = self.box_tangent = None

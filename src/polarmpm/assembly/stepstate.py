@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from .pointboxes import BoxTangent
+
 
 @dataclass
 class StepState:
@@ -19,10 +21,12 @@ class StepState:
         lifted: of the last evaluation, see `Assembled`.
         correction: the last one, the share of it that was taken; None before the first.
         direction: all of it.
-        rounding: squares of the forces that rounding makes, see `NodalSystem._rounding_squares`; None before
+        rounding: squares of the forces that rounding makes, see `rounding.squares`; None before
             the first tangent.
         tangents: how many there have been.
-        boxes: values of the matrix that the points' boxes have given; None before the first tangent.
+        boxes: what the points' boxes have added to the last tangent; None before the first one.
+        began_with: the same of the first tangent.
+        solutions: how many linear ones there have been.
         projected: what the last tangent says of projected stresses, by batch; None before the first one.
         origin: from where the last correction was made: unknowns, residual, and `projected`; None where it
             put in prescribed values.
@@ -36,6 +40,8 @@ class StepState:
     direction: np.ndarray | None = None
     rounding: np.ndarray | None = None
     tangents: int = 0
-    boxes: np.ndarray | None = None
+    boxes: BoxTangent | None = None
+    began_with: BoxTangent | None = None
+    solutions: int = 0
     projected: list[Any] | None = None
     origin: tuple[np.ndarray, np.ndarray, list[Any] | None] | None = None

@@ -122,30 +122,10 @@ class StiffScalars:
     def _inputs(self, z: np.ndarray) -> tuple[np.ndarray, ...]:
         return z, self._state, self._parameters
 
-    def _on_side(self, kernel: Kernel, boxes: PointBoxes, k: int, sign: float) -> np.ndarray:
-        """What a kernel gives on a side of the boxes, times what the side counts."""
-        assert self._zk is not None
-        z, state, weight = boxes.side(k, sign, self._z, self._zk, self._both)
-        found: np.ndarray = weight * kernel(z, state, self._parameters)
-        return found
-
     def _mean(self, kernel: Kernel, boxes: PointBoxes | None) -> Mean:
-        here = kernel(*self._inputs(self._z))
         if boxes is None or self._zk is None:
-            return Mean(here)
-        d = self._zk.shape[1]
-        even, odd = -2.0 * d * here, np.empty((len(here), d, here.shape[1]))
-        both = None if self._both is None else np.empty_like(odd)
-        for k in range(d):
-            up, down = (self._on_side(kernel, boxes, k, s) for s in (1.0, -1.0))
-            even += up + down
-            odd[:, k] = up - down
-            if both is not None:
-                both[:, k] = up + down
-        weight = boxes.share / 6.0
-        if both is not None:
-            both *= weight[:, None, None]
-        return Mean(here, weight[:, None] * even, weight[:, None, None] * odd, both)
+            return Mean(kernel(*self._inputs(self._z)))
+        return Mean(*boxes.means(kernel, self._z, self._zk, self._both, boxes.share / 6.0))
 
     def place(self, x: np.ndarray, boxes: PointBoxes | None) -> Mean:
         """Put t at nodal values x (nodes, block) into the state; e and e_z at the points."""

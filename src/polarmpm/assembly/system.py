@@ -324,6 +324,9 @@ class NodalSystem(ABC):
     def pending(self) -> bool:
         return self.step.pending
 
+    def waits(self) -> bool:
+        return False
+
     def evaluate(self, tangent: bool) -> None:
         s = self.step
         self.terms.check_admitted(self.x)
@@ -367,6 +370,7 @@ class NodalSystem(ABC):
 
     def update(self, fresh: bool, accuracy: float = ACCURACY) -> None:
         fixed, s = self.prescribed.fixed, self.step
+        s.solutions += 1
         out_of_balance = self.residual if s.lifted is None else self.residual + s.lifted
         step = self.solve_free(-out_of_balance, fresh, accuracy)
         s.origin = None if s.pending else (self.x, self.residual, s.projected)

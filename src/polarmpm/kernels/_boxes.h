@@ -6,12 +6,14 @@
  *
  *     W(z) + share / 6 sum_k [W(z + z_k) + W(z - z_k) - 2 W(z)]     (docs/theory.md).
  *
- * With second gradients z_k has the derivatives of the gradients alone: third ones of the functions are left out, and
- * their rows in `sides` stay zero.
+ * All z_k of a point follow from the second derivatives of its functions, h, and for rotations from their gradients:
+ * d(du_i/dx_c) = sum_h along[k][c][h] h_i, d(w_i) = sum_c lean[k][c] dw_i/dx_c. So nodes are read, and forces go back to
+ * them, once for all sides. With second gradients z_k has the derivatives of the gradients alone: third ones of the
+ * functions are left out.
  *
  * A body of revolution has more volume outside: its sides count (1 + c) and (1 - c) times, with the share c of the radius
  * that d_k has along it. They are at other radii, and z_k isn't all of their change: the displacement itself and the
- * rotation are in z, of which the quadratic part, `bent`, is the same on both sides.
+ * rotation are in z, of which the quadratic part, `arched`, is the same on both sides.
  */
 #include "_points.h"
 
@@ -20,40 +22,50 @@ enum {
     BENT = 2                   /* values in z of a body of revolution: of the displacement and of the rotation */
 };
 
+typedef double lanes_t __attribute__((vector_size(8 * LANES), aligned(8 * LANES)));  /* a number of LANES points */
+
 /* Memory for LANES points and their boxes. */
 typedef struct {
-    vec *first, *second;       /* [SIDES][sv], [PAIRS][sv]: derivatives of a point's functions */
+    vec *curved;               /* [lane][PAIRS][sv]: second derivatives of a point's functions */
     vec *sides;                /* [side][lane][shapes_of(second)][sv]: a point's shapes differentiated along the half axes */
+    lanes_t *axes;             /* [side][dim] half axes */
+    lanes_t *along;            /* [side][dim][pair] see above */
+    lanes_t *lean;             /* [side][dim] half axes in the frame, where there are rotations */
+    lanes_t *h, *h_before;     /* [component][pair] second derivatives of the nodal values, of those before the last correction */
     double *zk, *before;       /* [side][nz][LANES]; of the nodal values before the last correction */
     double *sums;              /* [1 + side][nz][LANES]: sum_k [R(z + z_k) + R(z - z_k) - 2 R(z)], R(z + z_k) - R(z - z_k) */
+    lanes_t *bent;             /* [component][pair] what virtual second derivatives multiply */
     double *z, *up, *down;     /* inputs, and outputs on both sides */
     double *moduli;            /* [2 side + (0: up, 1: down)][outputs][LANES]: residuals and moduli on the sides */
     vec *moved;                /* [lane][shapes_of(second)][sv]: shapes on a side */
-    double *hoop;              /* [side][LANES]: `box_hoop` */
-    double *bent, *bent_before;  /* [side][BENT][LANES]: quadratic parts of the values in z; before the last correction */
-    double *both;              /* [side][BENT][LANES]: sum of what the values do work on, on both sides */
+    lanes_t *hoop;             /* [side]: `box_hoop` */
+    lanes_t *arched, *arched_before;  /* [side][BENT]: quadratic parts of the values in z; before the last correction */
+    lanes_t *both;             /* [side][BENT]: sum of what the values do work on, on both sides */
 } BoxWork;
 
-static int create_boxes(const Batch *b, int sv, int whole, BoxWork *w)
+/* With `shapes` for shapes along the half axes, with `whole` for the moduli at the sides, too. */
+static int create_boxes(const Batch *b, int sv, int shapes, int whole, BoxWork *w)
 {
     const int nz = unknowns_of(b->dim, b->rot, b->second), outputs = nz + nz * (nz + 1) / 2;
-    const size_t stride = (size_t)sv * WIDTH, inputs = 2 * nz + b->nstate + b->nparam;
-    *w = (BoxWork){.first = vectors(SIDES * stride), .second = vectors(PAIRS * stride),
-                   .sides = vectors(SIDES * LANES * shapes_of(b->second) * stride), .zk = vectors(SIDES * nz * LANES),
-                   .before = vectors(SIDES * nz * LANES), .moved = vectors(LANES * shapes_of(b->second) * stride),
-                   .moduli = vectors(whole ? (size_t)2 * SIDES * outputs * LANES : 1), .sums = vectors((1 + SIDES) * nz * LANES), .z = vectors(inputs * LANES),
+    const size_t stride = (size_t)sv * WIDTH, inputs = 2 * nz + b->nstate + b->nparam, rows = LANES * shapes_of(b->second);
+    const size_t bent = (size_t)block_size(b) * PAIRS * LANES;
+    *w = (BoxWork){.curved = vectors(LANES * PAIRS * stride), .sides = vectors(shapes ? SIDES * rows * stride : 1),
+                   .axes = vectors(SIDES * 3 * LANES), .along = vectors(SIDES * 3 * PAIRS * LANES), .lean = vectors(SIDES * 3 * LANES), .h = vectors(bent),
+                   .h_before = vectors(bent), .zk = vectors(SIDES * nz * LANES), .before = vectors(SIDES * nz * LANES),
+                   .sums = vectors((1 + SIDES) * nz * LANES), .bent = vectors(bent), .z = vectors(inputs * LANES),
                    .up = vectors(nz * LANES), .down = vectors(nz * LANES),
-                   .hoop = vectors(SIDES * LANES), .bent = vectors(SIDES * BENT * LANES),
-                   .bent_before = vectors(SIDES * BENT * LANES), .both = vectors(SIDES * BENT * LANES)};
-    return !(w->first && w->second && w->sides && w->zk && w->before && w->sums && w->z && w->up && w->down && w->moduli &&
-             w->moved && w->hoop && w->bent && w->bent_before && w->both);
+                   .moduli = vectors(whole ? (size_t)2 * SIDES * outputs * LANES : 1), .moved = vectors(shapes ? rows * stride : 1),
+                   .hoop = vectors(SIDES * LANES), .arched = vectors(SIDES * BENT * LANES),
+                   .arched_before = vectors(SIDES * BENT * LANES), .both = vectors(SIDES * BENT * LANES)};
+    return !(w->curved && w->sides && w->axes && w->along && w->lean && w->h && w->h_before && w->zk && w->before && w->sums && w->bent &&
+             w->z && w->up && w->down && w->moduli && w->moved && w->hoop && w->arched && w->arched_before && w->both);
 }
 
 static void free_boxes(BoxWork *w)
 {
-    free(w->first), free(w->second), free(w->sides), free(w->zk);
-    free(w->sums), free(w->z), free(w->up), free(w->down), free(w->before), free(w->moduli), free(w->moved), free(w->hoop);
-    free(w->bent), free(w->bent_before), free(w->both);
+    free(w->curved), free(w->sides), free(w->axes), free(w->along), free(w->lean), free(w->h), free(w->h_before), free(w->zk), free(w->before);
+    free(w->sums), free(w->bent), free(w->z), free(w->up), free(w->down), free(w->moduli), free(w->moved);
+    free(w->hoop), free(w->arched), free(w->arched_before), free(w->both);
 }
 
 /* How many values z has in a body of revolution, their unknown of a node, and their slot. */
@@ -61,86 +73,110 @@ INLINE int values_of(int rot, int second) { return second == AXIAL ? 1 + rot : 0
 INLINE int value_component(int dim, int value) { return value ? dim : 0; }
 INLINE int bent_slot(int dim, int rot, int value) { return value_slot(dim, rot, value_component(dim, value)); }
 
-/* A point's shapes differentiated along a half axis, in the layout and frame of `shape`; in a body of revolution, behind
- * them, half the functions' second derivatives along it. */
-INLINE void side_shapes(const int dim, const int second, int n, int nv, int sv, const double *axis, const double *frame, const BoxWork *w,
-                        vec *s)
+/* Of lane l, point p: second derivatives of its n functions, and its half axes. */
+INLINE void find_curved(const int dim, const int rot, const Batch *b, const PointKernels *kernels, int64_t p,
+                        const int32_t *count, int n, int sv, int l, const BoxWork *w)
 {
-    for (int v = 0; v < nv; ++v) {
-        vec along[SIDES], value = {0};
-        for (int j = 0; j < dim; ++j) {
-            value += axis[j] * w->first[j * sv + v];
-            along[j] = (vec){0};
-            for (int l = 0; l < dim; ++l) along[j] += axis[l] * w->second[pair_of(dim, j, l) * sv + v];
-        }
-        s[v] = value;
-        if (second == AXIAL) {
-            vec bent = {0};
-            for (int j = 0; j < dim; ++j)
-                for (int l = 0; l < dim; ++l) bent += 0.5 * axis[j] * axis[l] * w->second[pair_of(dim, j, l) * sv + v];
-            s[(1 + dim) * sv + v] = bent;
-        }
-        for (int c = 0; c < dim; ++c) {
-            vec sum = {0};
-            for (int j = 0; j < dim; ++j) sum += frame[j * dim + c] * along[j];
-            s[(1 + c) * sv + v] = sum;
-        }
-        for (int q = 0; v == nv - 1 && q < WIDTH; ++q)  /* what an earlier point has left beyond its nodes */
-            for (int c = 0; c <= dim + (second == AXIAL) && v * WIDTH + q >= n; ++c) s[c * sv + v][q] = 0.0;
+    second_rows(dim, b, p, count, n, sv * WIDTH, (double *)(w->curved + (int64_t)l * PAIRS * sv));
+    for (int k = 0; k < dim * dim; ++k) {
+        w->axes[k][l] = kernels->box_axes[p * dim * dim + k];
+        if (kernels->box_lean) w->lean[k][l] = kernels->box_lean[p * dim * dim + k];
     }
+    for (int k = 0; kernels->box_hoop && k < dim; ++k) w->hoop[k][l] = kernels->box_hoop[p * dim + k];
 }
 
-/* Shapes of lane l, point p, differentiated along its half axes. */
-INLINE void find_sides(const int dim, const int second, const Batch *b, const PointKernels *kernels, int64_t p, const int32_t *count, int n,
-                       int sv, int l, BoxWork *w)
+/* What second derivatives make of gradients along the half axes, with LANES frames. */
+INLINE void find_along(const int dim, const double *frames, const BoxWork *w)
 {
-    const int nv = (n + WIDTH - 1) / WIDTH;
-    curved_shape(dim, b, p, count, sv * WIDTH, (double *)w->first, (double *)w->second);
-    for (int k = 0; kernels->box_hoop && k < dim; ++k) w->hoop[k * LANES + l] = kernels->box_hoop[p * dim + k];
+    const lanes_t *frame = (const lanes_t *)frames;
     for (int k = 0; k < dim; ++k)
-        side_shapes(dim, second, n, nv, sv, kernels->box_axes + (p * dim + k) * dim, b->state + p * b->nstate, w,
-                    w->sides + ((int64_t)k * LANES + l) * shapes_of(second) * sv);
+        for (int c = 0; c < dim; ++c)
+            for (int i = 0; i < dim; ++i)
+                for (int j = i; j < dim; ++j) {
+                    lanes_t sum = frame[i * dim + c] * w->axes[k * dim + j];
+                    if (j > i) sum += frame[j * dim + c] * w->axes[k * dim + i];
+                    w->along[(k * dim + c) * pairs_of(dim) + pair_of(dim, i, j)] = sum;
+                }
 }
 
-/* z_k of lane l, point p, from its group's nodal values, written with a step; in a body of revolution also `bent`. */
-INLINE void gather_sides(const int dim, const int rot, const int second, const PointKernels *kernels, int64_t p, int nv, int sv, const vec *x,
-                         int l, const BoxWork *w, double *zk, double *bent, const int step)
+/* The sums of the entries of s[0] .. s[3]. */
+INLINE void add_up(const vec *s, vec *out)
 {
-    const int nz = unknowns_of(dim, rot, second), plain = second == SECOND ? 0 : second;
-    for (int k = 0; k < dim; ++k) {
-        double *own = zk + k * nz * step;
-        for (int i = unknowns_of(dim, rot, plain); i < nz; ++i) own[i * step] = 0.0;
-        interpolate(dim, rot, plain, nv, sv, w->sides + ((int64_t)k * LANES + l) * shapes_of(second) * sv, x, own, step);
-        const vec *half = w->sides + (((int64_t)k * LANES + l) * shapes_of(second) + 1 + dim) * sv;
-        for (int v = 0; v < values_of(rot, second); ++v)
-            bent[(k * BENT + v) * step] = dot(nv, x + value_component(dim, v) * sv, half);
-        const int turning = rot * (1 + dim);  /* rotations, then their gradients */
-        for (int i = 0; i < turning; ++i)
-            own[(value_slot(dim, rot, dim) + i) * step] += kernels->box_turns[(p * dim + k) * turning + i];
+    typedef int64_t places __attribute__((vector_size(8 * WIDTH)));
+    const places even = {0, 4, 2, 6}, odd = {1, 5, 3, 7}, low = {0, 1, 4, 5}, high = {2, 3, 6, 7};
+    const vec a = __builtin_shuffle(s[0], s[1], even) + __builtin_shuffle(s[0], s[1], odd);
+    const vec b = __builtin_shuffle(s[2], s[3], even) + __builtin_shuffle(s[2], s[3], odd);
+    *out = __builtin_shuffle(a, b, low) + __builtin_shuffle(a, b, high);
+}
+
+/* Second derivatives of a group's nodal values at lane l. */
+INLINE void gather_curved(const int dim, const int rot, int nv, int sv, const vec *x, int l, const BoxWork *w, lanes_t *h)
+{
+    const vec *curved = w->curved + (int64_t)l * PAIRS * sv;
+    const int pairs = pairs_of(dim);
+    for (int i = 0; i < dim + rot; ++i) {
+        vec sum[2 * WIDTH] = {{0}}, out[2];
+        for (int v = 0; v < nv; ++v)
+            for (int k = 0; k < pairs; ++k) sum[k] += x[i * sv + v] * curved[k * sv + v];
+        for (int k = 0; k * WIDTH < pairs; ++k) add_up(sum + k * WIDTH, out + k);
+        for (int k = 0; k < pairs; ++k) h[i * pairs + k][l] = out[k / WIDTH][k % WIDTH];
     }
 }
 
-/* In a body of revolution, how much the side `sign` of half axis k counts on a lane. */
-INLINE double side_weight(const int second, const BoxWork *w, int k, double sign, int lane)
+/* In a body of revolution, the quadratic parts of the values at the sides, from second derivatives. */
+INLINE void find_arched(const int dim, const int rot, const int second, const lanes_t *h, const BoxWork *w, lanes_t *arched)
 {
-    return second == AXIAL ? 1.0 + sign * w->hoop[k * LANES + lane] : 1.0;
+    for (int k = 0; k < dim; ++k)
+        for (int v = 0; v < values_of(rot, second); ++v) {
+            lanes_t sum = {0};
+            for (int i = 0; i < dim; ++i)
+                for (int j = 0; j < dim; ++j)
+                    sum += 0.5 * w->axes[k * dim + i] * w->axes[k * dim + j] * h[value_component(dim, v) * pairs_of(dim) + pair_of(dim, i, j)];
+            arched[k * BENT + v] = sum;
+        }
 }
+
+/* All z_k of LANES points from `start` on, the last of them that of the last lane, from z and the second derivatives. */
+INLINE void find_zk(const int dim, const int rot, const int second, const PointKernels *kernels, int64_t start, int count,
+                    const double *z, const lanes_t *h, const BoxWork *w, double *zk)
+{
+    const int nz = unknowns_of(dim, rot, second), pairs = pairs_of(dim), turning = rot * (1 + dim);
+    const lanes_t *at = (const lanes_t *)z;
+    for (int k = 0; k < dim; ++k) {
+        lanes_t *own = (lanes_t *)zk + k * nz;
+        for (int i = unknowns_of(dim, rot, 0); i < nz; ++i) own[i] = (lanes_t){0};
+        for (int i = 0; i < dim + rot; ++i)
+            for (int c = 0; c < dim; ++c) {
+                const lanes_t *along = w->along + (k * dim + c) * pairs;
+                lanes_t sum = along[0] * h[i * pairs];
+                for (int j = 1; j < pairs; ++j) sum += along[j] * h[i * pairs + j];
+                own[gradient_slot(dim, rot, i) + c] = sum;
+            }
+        for (int i = 0; i < dim + rot; ++i) {
+            if (!has_value(dim, second, i)) continue;
+            lanes_t sum = w->lean[k * dim] * at[gradient_slot(dim, rot, i)];
+            for (int c = 1; c < dim; ++c) sum += w->lean[k * dim + c] * at[gradient_slot(dim, rot, i) + c];
+            own[value_slot(dim, rot, i)] = sum;
+        }
+        for (int l = 0; rot && kernels->box_turns && l < LANES; ++l) {  /* rotations, then their gradients */
+            const double *turns = kernels->box_turns + ((start + (l < count ? l : count - 1)) * dim + k) * turning;
+            for (int i = 0; i < turning; ++i) own[value_slot(dim, rot, dim) + i][l] += turns[i];
+        }
+    }
+}
+
+/* In a body of revolution, how much the side `sign` of half axis k counts. */
+#define SIDE_WEIGHT(w, k, sign) (1.0 + (sign) * (w)->hoop[k])
 
 /* In a body of revolution: the radius that a point's state has over, and the quadratic part of the values, on the side
  * `sign` of half axis k. */
 INLINE void put_side(const int dim, const int rot, const int second, const double *in, double sign, int k, BoxWork *w)
 {
-    for (int v = 0; v < values_of(rot, second); ++v)
-        for (int l = 0; l < LANES; ++l) w->z[bent_slot(dim, rot, v) * LANES + l] += w->bent[(k * BENT + v) * LANES + l];
-    const int first = (unknowns_of(dim, rot, second) + dim * dim + AT_HOOP) * LANES;
-    for (int i = 0; second == AXIAL && i < (1 + rot) * LANES; ++i)
-        w->z[first + i] = in[first + i] / side_weight(second, w, k, sign, i % LANES);
-}
-
-/* What the residual of a side counts. */
-INLINE void weigh_side(const int second, double sign, int k, int block, const BoxWork *w, double *out)
-{
-    for (int i = 0; second == AXIAL && i < block; ++i) out[i] *= side_weight(second, w, k, sign, i % LANES);
+    if (second != AXIAL) return;
+    lanes_t *z = (lanes_t *)w->z;
+    const int first = unknowns_of(dim, rot, second) + dim * dim + AT_HOOP;
+    for (int v = 0; v < values_of(rot, second); ++v) z[bent_slot(dim, rot, v)] += w->arched[k * BENT + v];
+    for (int i = first; i < first + 1 + rot; ++i) z[i] = ((const lanes_t *)in)[i] / SIDE_WEIGHT(w, k, sign);
 }
 
 /* What the boxes' virtual work multiplies, from the kernel's inputs and its residual at z. */
@@ -148,52 +184,108 @@ INLINE void evaluate_boxes(const int dim, const int rot, const int second, const
                            const double *residual, BoxWork *w)
 {
     const int nz = unknowns_of(dim, rot, second), block = nz * LANES;
+    const lanes_t *at = (const lanes_t *)in, *r = (const lanes_t *)residual;
+    lanes_t *up = (lanes_t *)w->up, *down = (lanes_t *)w->down;
+    lanes_t *z = (lanes_t *)w->z, *sums = (lanes_t *)w->sums;
     memcpy(w->z + block, in + block, sizeof(double) * (b->nstate + b->nparam) * LANES);
-    for (int i = 0; i < block; ++i) w->sums[i] = -2.0 * dim * residual[i];
+    for (int i = 0; i < nz; ++i) sums[i] = -2.0 * dim * r[i];
     for (int k = 0; k < dim; ++k) {
-        const double *zk = w->zk + k * block;
-        double *odd = w->sums + (1 + k) * block;
-        for (int i = 0; i < block; ++i) w->z[i] = in[i] + zk[i];
+        const lanes_t *zk = (const lanes_t *)w->zk + k * nz;
+        for (int i = 0; i < nz; ++i) z[i] = at[i] + zk[i];
         put_side(dim, rot, second, in, 1.0, k, w);
         kernel(w->z, w->up);
-        weigh_side(second, 1.0, k, block, w, w->up);
-        for (int i = 0; i < block; ++i) w->z[i] = in[i] - zk[i];
+        for (int i = 0; i < nz; ++i) z[i] = at[i] - zk[i];
         put_side(dim, rot, second, in, -1.0, k, w);
         kernel(w->z, w->down);
-        weigh_side(second, -1.0, k, block, w, w->down);
+        for (int i = 0; second == AXIAL && i < nz; ++i) {
+            up[i] *= SIDE_WEIGHT(w, k, 1.0);
+            down[i] *= SIDE_WEIGHT(w, k, -1.0);
+        }
         for (int v = 0; v < values_of(rot, second); ++v)
-            for (int l = 0; l < LANES; ++l) {
-                const int slot = bent_slot(dim, rot, v) * LANES + l;
-                w->both[(k * BENT + v) * LANES + l] = w->up[slot] + w->down[slot];
-            }
-        for (int i = 0; i < block; ++i) {
-            w->sums[i] += w->up[i] + w->down[i];
-            odd[i] = w->up[i] - w->down[i];
+            w->both[k * BENT + v] = up[bent_slot(dim, rot, v)] + down[bent_slot(dim, rot, v)];
+        for (int i = 0; i < nz; ++i) {
+            sums[i] += up[i] + down[i];
+            sums[(1 + k) * nz + i] = up[i] - down[i];
         }
     }
 }
 
-/* What the values' quadratic parts do work on, into nodal forces; `both` of a side, with a step. */
-INLINE void add_bent(const int dim, const int rot, const int second, int nv, int sv, const vec *side, const double *both,
-                     const int step, double weight, vec *f)
+/* What virtual values and derivatives multiply in place of virtual z and z_k: the first `sums`, and `bent`. */
+INLINE void collect_sides(const int dim, const int rot, const int second, const BoxWork *w)
 {
-    for (int value = 0; value < values_of(rot, second); ++value)
-        for (int v = 0; v < nv; ++v)
-            f[value_component(dim, value) * sv + v] += weight * both[value * step] * side[(1 + dim) * sv + v];
+    const int nz = unknowns_of(dim, rot, second), pairs = pairs_of(dim);
+    lanes_t *sums = (lanes_t *)w->sums;
+    for (int i = 0; i < dim + rot; ++i) {
+        const int gradient = gradient_slot(dim, rot, i);
+        for (int j = 0; j < pairs; ++j) {
+            lanes_t sum = {0};
+            for (int k = 0; k < dim; ++k)
+                for (int c = 0; c < dim; ++c) sum += w->along[(k * dim + c) * pairs + j] * sums[(1 + k) * nz + gradient + c];
+            w->bent[i * pairs + j] = sum;
+        }
+        for (int k = 0; has_value(dim, second, i) && k < dim; ++k)
+            for (int c = 0; c < dim; ++c)
+                sums[gradient + c] += w->lean[k * dim + c] * sums[(1 + k) * nz + value_slot(dim, rot, i)];
+    }
+    for (int v = 0; v < values_of(rot, second); ++v)
+        for (int k = 0; k < dim; ++k)
+            for (int i = 0; i < dim; ++i)
+                for (int j = 0; j < dim; ++j)
+                    w->bent[value_component(dim, v) * pairs + pair_of(dim, i, j)] +=
+                        0.5 * w->axes[k * dim + i] * w->axes[k * dim + j] * w->both[k * BENT + v];
 }
 
-/* The boxes' share in the residual r of a point on lane l, and what its sides add to the group's nodal forces. */
+/* The boxes' share in the residual r of a point on lane l, and what its second derivatives add to the group's nodal
+ * forces. */
 INLINE void add_sides(const int dim, const int rot, const int second, int nv, int sv, const BoxWork *w, double weight, int l, double *r,
                       vec *f)
 {
-    const int nz = unknowns_of(dim, rot, second);
-    double side[UNKNOWNS_MAX];
+    const int nz = unknowns_of(dim, rot, second), pairs = pairs_of(dim);
+    const vec *curved = w->curved + (int64_t)l * PAIRS * sv;
     for (int i = 0; i < nz; ++i) r[i] += weight * w->sums[i * LANES + l];
+    for (int i = 0; i < dim + rot; ++i) {
+        double bent[PAIRS];
+        for (int j = 0; j < pairs; ++j) bent[j] = weight * w->bent[i * pairs + j][l];
+        for (int v = 0; v < nv; ++v) {
+            vec sum = f[i * sv + v];
+            for (int j = 0; j < pairs; ++j) sum += bent[j] * curved[j * sv + v];
+            f[i * sv + v] = sum;
+        }
+    }
+}
+
+/* What the values' quadratic parts do work on, into nodal forces, with the shapes on a side. */
+INLINE void add_arched(const int dim, const int rot, const int second, int nv, int sv, const vec *side, const double *both, vec *f)
+{
+    for (int value = 0; value < values_of(rot, second); ++value)
+        for (int v = 0; v < nv; ++v)
+            f[value_component(dim, value) * sv + v] += both[value] * side[(1 + dim) * sv + v];
+}
+
+/* Shapes s of lane l, differentiated along its half axes; in a body of revolution, behind them, half the functions' second
+ * derivatives along these. */
+INLINE void side_shapes(const int dim, const int rot, const int second, int nv, int sv, const vec *s, int l, const BoxWork *w)
+{
+    const vec *curved = w->curved + (int64_t)l * PAIRS * sv;
     for (int k = 0; k < dim; ++k) {
-        for (int i = 0; i < nz; ++i) side[i] = weight * w->sums[((1 + k) * nz + i) * LANES + l];
-        add_residual(dim, rot, second == SECOND ? 0 : second, nv, sv, w->sides + (k * LANES + l) * shapes_of(second) * sv, side, f);
-        add_bent(dim, rot, second, nv, sv, w->sides + (k * LANES + l) * shapes_of(second) * sv,
-                 w->both + k * BENT * LANES + l, LANES, weight, f);
+        vec *out = w->sides + ((int64_t)k * LANES + l) * shapes_of(second) * sv;
+        for (int c = 0; c < dim; ++c) {
+            const lanes_t *along = w->along + (k * dim + c) * pairs_of(dim);
+            const double lean = w->lean[k * dim + c][l];
+            for (int v = 0; v < nv; ++v) {
+                vec sum = along[0][l] * curved[v];
+                for (int j = 1; j < pairs_of(dim); ++j) sum += along[j][l] * curved[j * sv + v];
+                out[(1 + c) * sv + v] = sum;
+                if (rot || second == AXIAL) out[v] = (c ? out[v] : (vec){0}) + lean * s[(1 + c) * sv + v];
+            }
+        }
+        for (int v = 0; second == AXIAL && v < nv; ++v) {
+            vec sum = {0};
+            for (int i = 0; i < dim; ++i)
+                for (int j = 0; j < dim; ++j)
+                    sum += 0.5 * w->axes[k * dim + i][l] * w->axes[k * dim + j][l] * curved[pair_of(dim, i, j) * sv + v];
+            out[(1 + dim) * sv + v] = sum;
+        }
     }
 }
 
@@ -210,9 +302,8 @@ INLINE void evaluate_sides(const int dim, const int rot, const int second, const
                 w->z[i] = in[i] + sign * w->zk[k * block + i];
                 w->z[block + known + i] = in[block + known + i] + sign * w->before[k * block + i];
             }
-            for (int v = 0; v < values_of(rot, second); ++v)
-                for (int l = 0; l < LANES; ++l)
-                    w->z[block + known + bent_slot(dim, rot, v) * LANES + l] += w->bent_before[(k * BENT + v) * LANES + l];
+            lanes_t *values_before = (lanes_t *)(w->z + block + known);
+            for (int v = 0; v < values_of(rot, second); ++v) values_before[bent_slot(dim, rot, v)] += w->arched_before[k * BENT + v];
             put_side(dim, rot, second, in, sign, k, w);
             kernel(w->z, w->moduli + (2 * k + down) * outputs * LANES);
         }
@@ -226,4 +317,48 @@ INLINE void move_shapes(const int second, int sv, const vec *shapes, const vec *
         const int64_t first = (int64_t)q * SHAPES * sv;
         for (int v = 0; v < sv; ++v) out[first + v] += side[first + 3 * sv + v];
     }
+}
+
+/* What a kernel (z, state, param) -> outputs gives at the points, and what their boxes add: to it, weight (sum_k [R(z + z_k)
+ * + R(z - z_k)] - 2 dim R(z)), and times the derivatives along the half axes, weight [R(z + z_k) - R(z - z_k)].
+ * here, even [row][nout], odd [row][dim][nout] or NULL. Returns nonzero when memory ran out. */
+FAST int polarmpm_box_means(kernel_t kernel, int64_t rows, int32_t dim, int32_t nz, int32_t nstate, int32_t nparam,
+                            const double *z, const double *zk, const double *state, const double *param,
+                            const double *weight, int32_t nout, double *here, double *even, double *odd)
+{
+    double *in = vectors((size_t)(nz + nstate + nparam) * LANES), *out = vectors((size_t)nout * LANES);
+    double *up = vectors((size_t)nout * LANES), *down = vectors((size_t)nout * LANES), *sums = vectors((size_t)nout * LANES);
+    const int failed = !(in && out && up && down && sums);
+    for (int k = 0; k < nparam && !failed; ++k)
+        for (int l = 0; l < LANES; ++l) in[(nz + nstate + k) * LANES + l] = param[k];
+    for (int64_t start = 0; start < rows && !failed; start += LANES) {
+        const int lanes = (int)(rows - start < LANES ? rows - start : LANES);
+        int64_t of[LANES];
+        for (int l = 0; l < LANES; ++l) {
+            of[l] = start + (l < lanes ? l : lanes - 1);
+            for (int k = 0; k < nz; ++k) in[k * LANES + l] = z[of[l] * nz + k];
+            for (int k = 0; k < nstate; ++k) in[(nz + k) * LANES + l] = state[of[l] * nstate + k];
+        }
+        kernel(in, out);
+        for (int k = 0; k < nout * LANES; ++k) sums[k] = -2.0 * dim * out[k];
+        for (int s = 0; s < dim; ++s) {
+            for (int sign = 1; sign > -2; sign -= 2) {
+                for (int l = 0; l < LANES; ++l)
+                    for (int k = 0; k < nz; ++k)
+                        in[k * LANES + l] = z[of[l] * nz + k] + sign * zk[(of[l] * dim + s) * nz + k];
+                kernel(in, sign > 0 ? up : down);
+            }
+            for (int k = 0; k < nout * LANES; ++k) sums[k] += up[k] + down[k];
+            for (int l = 0; odd && l < lanes; ++l)
+                for (int k = 0; k < nout; ++k)
+                    odd[(of[l] * dim + s) * nout + k] = weight[of[l]] * (up[k * LANES + l] - down[k * LANES + l]);
+        }
+        for (int l = 0; l < lanes; ++l)
+            for (int k = 0; k < nout; ++k) {
+                here[of[l] * nout + k] = out[k * LANES + l];
+                even[of[l] * nout + k] = weight[of[l]] * sums[k * LANES + l];
+            }
+    }
+    free(in), free(out), free(up), free(down), free(sums);
+    return failed;
 }

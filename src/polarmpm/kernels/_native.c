@@ -137,9 +137,9 @@ INLINE void evaluate(const int dim, const int rot, const int second, const Batch
             interpolate(dim, rot, second, nv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l, LANES);
         if (kernels->box_axes) {
             BoxWork *boxes = &w->boxes;
-            find_sides(dim, second, b, kernels, p, b->count + *group * dim, n, sv, l, boxes);
-            gather_sides(dim, rot, second, kernels, p, nv, sv, w->x, l, boxes, boxes->zk + l, boxes->bent + l, LANES);
-            if (kernels->before) gather_sides(dim, rot, second, kernels, p, nv, sv, w->before, l, boxes, boxes->before + l, boxes->bent_before + l, LANES);
+            find_curved(dim, rot, b, kernels, p, b->count + *group * dim, n, sv, l, boxes);
+            gather_curved(dim, rot, nv, sv, w->x, l, boxes, boxes->h);
+            if (kernels->before) gather_curved(dim, rot, nv, sv, w->before, l, boxes, boxes->h_before);
         }
         for (int k = 0; k < ns; ++k) w->in[(nz + k) * LANES + l] = b->state[p * ns + k];
         if (kernels->couple) {
@@ -156,15 +156,17 @@ INLINE void evaluate(const int dim, const int rot, const int second, const Batch
         for (int k = nz + ns + np; kernels->before && k < 2 * nz + ns + np; ++k)
             w->in[k * LANES + l] = w->in[k * LANES + lanes - 1];
         for (int k = 0; k < 2 * SPIN; ++k) w->cin[k * LANES + l] = w->cin[k * LANES + lanes - 1];
-        for (int k = 0; kernels->box_hoop && k < dim; ++k) w->boxes.hoop[k * LANES + l] = w->boxes.hoop[k * LANES + lanes - 1];
-        for (int k = 0; kernels->box_hoop && k < dim * BENT; ++k) {
-            w->boxes.bent[k * LANES + l] = w->boxes.bent[k * LANES + lanes - 1];
-            w->boxes.bent_before[k * LANES + l] = w->boxes.bent_before[k * LANES + lanes - 1];
-        }
-        for (int k = 0; kernels->box_axes && k < dim * nz; ++k) {
-            w->boxes.zk[k * LANES + l] = w->boxes.zk[k * LANES + lanes - 1];
-            w->boxes.before[k * LANES + l] = w->boxes.before[k * LANES + lanes - 1];
-        }
+    }
+    for (int l = lanes; kernels->box_hoop && l < LANES; ++l)
+        for (int k = 0; k < dim; ++k) w->boxes.hoop[k][l] = w->boxes.hoop[k][lanes - 1];
+    if (kernels->box_axes) {
+        BoxWork *boxes = &w->boxes;
+        find_along(dim, w->in + nz * LANES, boxes);
+        find_zk(dim, rot, second, kernels, start, lanes, w->in, boxes->h, boxes, boxes->zk);
+        find_arched(dim, rot, second, boxes->h, boxes, boxes->arched);
+        const double *before = w->in + (nz + ns + np) * LANES;
+        if (kernels->before) find_zk(dim, rot, second, kernels, start, lanes, before, boxes->h_before, boxes, boxes->before);
+        if (kernels->before) find_arched(dim, rot, second, boxes->h_before, boxes, boxes->arched_before);
     }
     if (open || kernels->box_axes) kernels->kernel(w->in, w->out);
     if (kernels->box_kernel) evaluate_boxes(dim, rot, second, b, kernels->box_kernel, w->in, w->out, &w->boxes);
@@ -225,7 +227,7 @@ static int create_work(const Batch *b, int tangent, int scatter, int boxes, Work
         return 1;
     for (int k = 0; k < b->nparam; ++k)
         for (int l = 0; l < LANES; ++l) w->in[(nz + b->nstate + k) * LANES + l] = b->param[k];
-    return boxes && create_boxes(b, w->sv, boxes > 1, &w->boxes);
+    return boxes && create_boxes(b, w->sv, scatter, boxes > 1, &w->boxes);
 }
 
 static void free_work(Work *w)
@@ -297,6 +299,7 @@ INLINE void assemble(const int dim, const int rot, const int second, const Batch
         int coupled;
         const int lanes = lanes_from(b, start);
         evaluate_sized(b, kernels, x, start, &group, group_of, w, &coupled);
+        if (kernels->box_kernel) collect_sides(dim, rot, second, &w->boxes);
         for (int l = 0, end; l < lanes; l = end) {
             const int64_t g = group_of[l];
             for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
@@ -337,7 +340,7 @@ INLINE void add_box_moduli(const int dim, const int rot, const int second, const
 {
     const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot, second), sv = w->sv;
     for (int q = l; q < end; ++q) {
-        const double on_side = sign != 0.0 ? side_weight(second, &w->boxes, k, sign, q) : 1.0;
+        const double on_side = second == AXIAL && sign != 0.0 ? SIDE_WEIGHT(&w->boxes, k, sign)[q] : 1.0;
         const double weight = scale * on_side * b->volume[start + q] * kernels->box_share[start + q];
         const double *upper = out + nz * LANES + q;
         double *A = w->A + q * nz * nz;
@@ -356,7 +359,9 @@ INLINE void add_boxes(const int dim, const int rot, const int second, const Batc
                       int32_t whole, const Work *w, int64_t start, int64_t g, int l, int end)
 {
     const BoxWork *boxes = &w->boxes;
-    const int sv = w->sv, nz = unknowns_of(dim, rot, second), outputs = nz + nz * (nz + 1) / 2;
+    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, sv = w->sv, nz = unknowns_of(dim, rot, second);
+    const int outputs = nz + nz * (nz + 1) / 2;
+    for (int q = l; q < end; ++q) side_shapes(dim, rot, second, nv, sv, w->shapes + (int64_t)q * shapes_of(second) * sv, q, boxes);
     if (whole)
         add_box_moduli(dim, rot, second, b, kernels, M, w, w->out, w->shapes, -dim / 3.0, 0, 0.0, 1, start, g, l, end);
     for (int k = 0; k < dim; ++k) {
@@ -373,38 +378,63 @@ INLINE void add_boxes(const int dim, const int rot, const int second, const Batc
     }
 }
 
+/* Whether a group has nodes that are still to be moved as prescribed. */
+static int is_lifted(const Batch *b, const Matrix *M, int64_t g, int nb)
+{
+    const int32_t *nodes = b->nodes + b->node_offsets[g];
+    for (int a = 0; a < nodes_of(b, g); ++a)
+        for (int i = 0; i < nb; ++i)
+            if (M->lift[(int64_t)nodes[a] * nb + i] != 0.0) return 1;
+    return 0;
+}
+
 INLINE void assemble_boxes(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Matrix *M,
-                           int32_t whole, const double *x, double *rhs, Work *w)
+                           int32_t whole, int32_t lift_only, const double *x, double *rhs, Work *w)
 {
     int64_t group = 0, group_of[LANES];
+    int lifted[LANES];
     for (int64_t start = 0; start < b->npoints; start += LANES) {
         int coupled;
         const int lanes = lanes_from(b, start);
+        if (lift_only) {
+            int some = 0;
+            int64_t g = group;
+            for (int l = 0; l < lanes; ++l) {
+                const int64_t before = g;
+                while (start + l >= b->offsets[g + 1]) ++g;
+                if (!l || g > before) some |= lifted[l] = is_lifted(b, M, g, dim + rot);
+                else lifted[l] = lifted[l - 1];
+            }
+            if (!some) continue;
+        }
         evaluate_sized(b, kernels, x, start, &group, group_of, w, &coupled);
         if (whole) evaluate_sides(dim, rot, second, b, kernels->kernel, w->in, &w->boxes);
         for (int l = 0, end; l < lanes; l = end) {
             const int64_t g = group_of[l];
             for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
+            if (lift_only && !lifted[l]) continue;
             add_boxes(dim, rot, second, b, kernels, M, whole, w, start, g, l, end);
             if (start + end < b->offsets[g + 1]) continue;
             const int n = nodes_of(b, g);
-            flush_matrix(b, M, g, dim + rot, n, (n + WIDTH - 1) / WIDTH, (double *)w->K, w->at, rhs);
+            if (lift_only) add_lifted(b, M, g, dim + rot, n, (n + WIDTH - 1) / WIDTH, (double *)w->K, rhs);
+            else flush_matrix(b, M, g, dim + rot, n, (n + WIDTH - 1) / WIDTH, (double *)w->K, w->at, rhs);
         }
     }
 }
 
 SPECIALISED(assemble_boxes, (const Batch *b, const PointKernels *kernels, const Matrix *M, int32_t whole,
-            const double *x, double *rhs, Work *w), b, kernels, M, whole, x, rhs, w)
+            int32_t lift_only, const double *x, double *rhs, Work *w), b, kernels, M, whole, lift_only, x, rhs, w)
 
 /* The tangent of the boxes to M: `whole`, or what their sides' strains add while the moduli are those of the points. The
- * kernel is that of the elastic energy. `rhs` as in polarmpm_assemble. Returns nonzero when memory ran out. */
+ * kernel is that of the elastic energy. `rhs` as in polarmpm_assemble; with `lift_only` nothing else is summed. Returns
+ * nonzero when memory ran out. */
 int polarmpm_assemble_boxes(const Batch *b, const PointKernels *kernels, const Matrix *M, int32_t whole,
-                            const double *x, double *rhs)
+                            int32_t lift_only, const double *x, double *rhs)
 {
     if (b->npoints == 0) return 0;
     Work w;
     const int failed = create_work(b, 1, 1, 1 + whole, &w);
-    if (!failed) assemble_boxes_sized(b, kernels, M, whole, x, rhs, &w);
+    if (!failed) assemble_boxes_sized(b, kernels, M, whole, lift_only, x, rhs, &w);
     free_work(&w);
     return failed;
 }
@@ -420,9 +450,17 @@ INLINE void gather_boxes(const int dim, const int rot, const int second, const B
         for (int64_t p = b->offsets[g]; p < b->offsets[g + 1]; ++p) {
             shape(dim, b, p, count, b->state + p * b->nstate, sv * WIDTH, (double *)w->shapes);
             if (second == SECOND) second_shape(dim, b, p, count, b->state + p * b->nstate, n, sv, w->raw, w->shapes);
-            interpolate(dim, rot, second, nv, sv, w->shapes, w->x, z + p * nz, 1);
-            find_sides(dim, second, b, kernels, p, count, n, sv, 0, &w->boxes);
-            gather_sides(dim, rot, second, kernels, p, nv, sv, w->x, 0, &w->boxes, zk + p * dim * nz, bent ? bent + p * dim * BENT : NULL, 1);
+            interpolate(dim, rot, second, nv, sv, w->shapes, w->x, w->in, LANES);
+            find_curved(dim, rot, b, kernels, p, count, n, sv, 0, &w->boxes);
+            gather_curved(dim, rot, nv, sv, w->x, 0, &w->boxes, w->boxes.h);
+            for (int k = 0; k < dim * dim; ++k) w->in[(nz + k) * LANES] = b->state[p * b->nstate + k];
+            find_along(dim, w->in + nz * LANES, &w->boxes);
+            find_zk(dim, rot, second, kernels, p, 1, w->in, w->boxes.h, &w->boxes, w->boxes.zk);
+            for (int i = 0; i < nz; ++i) z[p * nz + i] = w->in[i * LANES];
+            for (int i = 0; i < dim * nz; ++i) zk[p * dim * nz + i] = w->boxes.zk[i * LANES];
+            find_arched(dim, rot, second, w->boxes.h, &w->boxes, w->boxes.arched);
+            for (int k = 0; bent && k < dim; ++k)
+                for (int v = 0; v < values_of(rot, second); ++v) bent[(p * dim + k) * BENT + v] = w->boxes.arched[k * BENT + v][0];
         }
     }
 }
@@ -455,12 +493,13 @@ INLINE void box_work(const int dim, const int rot, const int second, const Batch
         evaluate_sized(b, kernels, from, start, &first, group_of, w, &coupled);
         memcpy(z, w->in, sizeof(double) * block), memcpy(r, w->out, sizeof(double) * block);
         memcpy(zk, boxes->zk, sizeof(double) * dim * block), memcpy(sums, boxes->sums, sizeof(double) * sides);
-        memcpy(bent, boxes->bent, sizeof(double) * SIDES * BENT * LANES);
+        memcpy(bent, boxes->arched, sizeof(double) * SIDES * BENT * LANES);
         memcpy(both, boxes->both, sizeof(double) * SIDES * BENT * LANES);
         w->gathered = -1;  /* the same group at other nodal values */
         const int lanes = lanes_from(b, start);
         evaluate_sized(b, kernels, to, start, &group, group_of, w, &coupled);
         w->gathered = -1;
+        const double *arched = (const double *)boxes->arched, *on_both = (const double *)boxes->both;
         for (int l = 0; l < lanes; ++l) {
             const double volume = b->volume[start + l], weight = volume * kernels->box_share[start + l] / 6.0;
             double at_point = 0.0, in_box = 0.0;
@@ -471,7 +510,7 @@ INLINE void box_work(const int dim, const int rot, const int second, const Batch
             for (int i = l; i < dim * block; i += LANES)
                 in_box += (boxes->zk[i] - zk[i]) * (boxes->sums[block + i] - sums[block + i]);
             for (int i = l; second == AXIAL && i < dim * BENT * LANES; i += LANES)
-                in_box += (boxes->bent[i] - bent[i]) * (boxes->both[i] - both[i]);
+                in_box += (arched[i] - bent[i]) * (on_both[i] - both[i]);
             inside[start + l] = weight * in_box;
             whole[start + l] = volume * at_point + weight * in_box;
         }

@@ -20,14 +20,19 @@ INLINE void sum_patches(const int dim, const int rot, const int second, const Ba
             const int32_t *map = P->maps + P->map_of[p];
             double *own = out + first * nb * P->modes;
             shape(dim, b, p, count, b->state + p * b->nstate, stride, (double *)w->shapes);
-            if (sides) find_sides(dim, second, b, kernels, p, count, n, sv, 0, &w->boxes);
+            if (sides) {
+                find_curved(dim, rot, b, kernels, p, count, n, sv, 0, &w->boxes);
+                for (int k = 0; k < dim * dim; ++k) w->in[k * LANES] = b->state[p * b->nstate + k];
+                find_along(dim, w->in, &w->boxes);
+                side_shapes(dim, rot, second, nv, sv, w->shapes, 0, &w->boxes);
+            }
             for (int c = 0; c < P->scalars; ++c) {
                 memset(w->f, 0, sizeof(vec) * nb * sv);
                 add_residual(dim, rot, second, nv, sv, w->shapes, work + (p * P->scalars + c) * nz, w->f);
                 for (int k = 0; sides && k < dim; ++k) {
                     const vec *side = w->boxes.sides + (int64_t)k * LANES * SHAPES * sv;
                     add_residual(dim, rot, second, nv, sv, side, sides + ((p * dim + k) * P->scalars + c) * nz, w->f);
-                    add_bent(dim, rot, second, nv, sv, side, bent + ((p * dim + k) * P->scalars + c) * BENT, 1, 1.0, w->f);
+                    add_arched(dim, rot, second, nv, sv, side, bent + ((p * dim + k) * P->scalars + c) * BENT, w->f);
                 }
                 const double *f = (const double *)w->f;
                 for (int a = 0; a < P->functions; ++a) {

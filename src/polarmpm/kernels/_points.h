@@ -11,7 +11,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 18,            /* raised with every change of a structure or signature; native.py reads it here */
+    INTERFACE = 20,            /* raised with every change of a structure or signature; native.py reads it here */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */
@@ -69,7 +69,8 @@ typedef struct {
     int32_t ninitial;          /* at most INITIAL_MAX */
     kernel_t box_kernel;       /* residual of the elastic energy, for the points' boxes; NULL without boxes */
     const double *box_axes;    /* [point][dim][dim] half axes, one a row */
-    const double *box_turns;   /* [point][dim][rot (1 + dim)] what z_k begins with, of rotations and their gradients */
+    const double *box_lean;    /* [point][dim][dim] the same in the frame, for values in z; NULL: there are none */
+    const double *box_turns;   /* [point][dim][rot (1 + dim)] what z_k begins with, of rotations and their gradients; NULL: zero */
     const double *box_hoop;    /* [point][dim] of bodies of revolution: what the half axes have along the radius, over it */
     const double *box_share;   /* [point] share of the boxes' energy */
 } PointKernels;
@@ -177,6 +178,45 @@ INLINE void curved_shape(const int dim, const Batch *b, int64_t p, const int32_t
                 }
             }
         }
+}
+
+/* Writes factor times WIDTH numbers of which the first `count` are meant; what stands behind them is written later, or no
+ * matter. */
+INLINE void put_some(double factor, const vec *v, int count, double *out, int room)
+{
+    const vec value = factor * *v;
+    if (room >= WIDTH) memcpy(out, &value, sizeof(vec));
+    else for (int q = 0; q < count; ++q) out[q] = value[q];
+}
+
+/* Second derivatives of a point's n functions alone, [pair][stride], zero behind them: `curved_shape` with vectors. */
+INLINE void second_rows(const int dim, const Batch *b, int64_t p, const int32_t *count, int n, int stride, double *out)
+{
+    const int m = b->slots, next = b->orders * m, last = count[dim - 1];
+    const double *w = b->weights + p * dim * next, *wy = w + next, *along = w + (dim - 1) * next;
+    for (int from = 0; from < last; from += WIDTH) {
+        const int some = last - from < WIDTH ? last - from : WIDTH;
+        vec v = {0}, g = {0}, h = {0};  /* functions of the last direction, their derivatives */
+        for (int q = 0; q < some; ++q) v[q] = along[from + q], g[q] = along[m + from + q], h[q] = along[2 * m + from + q];
+        for (int i = 0; i < count[0]; ++i)
+            for (int j = 0; j < (dim == 3 ? count[1] : 1); ++j) {
+                const int a = (dim == 3 ? i * count[1] + j : i) * last + from, room = stride - a;
+                if (dim == 3) {
+                    put_some(w[2 * m + i] * wy[j], &v, some, out + a, room);
+                    put_some(w[m + i] * wy[m + j], &v, some, out + stride + a, room);
+                    put_some(w[m + i] * wy[j], &g, some, out + 2 * stride + a, room);
+                    put_some(w[i] * wy[2 * m + j], &v, some, out + 3 * stride + a, room);
+                    put_some(w[i] * wy[m + j], &g, some, out + 4 * stride + a, room);
+                    put_some(w[i] * wy[j], &h, some, out + 5 * stride + a, room);
+                } else {
+                    put_some(w[2 * m + i], &v, some, out + a, room);
+                    put_some(w[m + i], &g, some, out + stride + a, room);
+                    put_some(w[i], &h, some, out + 2 * stride + a, room);
+                }
+            }
+    }
+    for (int q = n; q % WIDTH; ++q)
+        for (int k = 0; k < pairs_of(dim); ++k) out[k * stride + q] = 0.0;
 }
 
 /* Second derivatives of a point's weighting functions, behind those that `shape` has written to s, in the layout of

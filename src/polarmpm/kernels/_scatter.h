@@ -172,3 +172,23 @@ INLINE void flush_matrix(const Batch *b, const Matrix *M, int64_t g, const int n
     set_codes(b, M, b->count + g * b->dim, at);
     flush_nodes(b->dim, M, b->nodes + b->node_offsets[g], nb, n, nv, K, at, rhs);
 }
+
+/* What the dense matrix of a group's n nodes makes of prescribed increments, at free unknowns; the sparse rows stay. */
+INLINE void add_lifted(const Batch *b, const Matrix *M, int64_t g, const int nb, int n, int nv, double *K, double *rhs)
+{
+    const int64_t cols = (int64_t)nv * WIDTH;
+    const int32_t *nodes = b->nodes + b->node_offsets[g];
+    if (M->half) mirror(nb, n, cols, K);
+    for (int a = 0; a < n; ++a)
+        for (int i = 0; i < nb; ++i) {
+            const int64_t row = (int64_t)nodes[a] * nb + i;
+            for (int j = 0; j < nb; ++j)
+                for (int q = M->half ? a : 0; q < n; ++q) {
+                    const int64_t col = (int64_t)nodes[q] * nb + j;
+                    const double value = K[((a * nb + i) * nb + j) * cols + q];
+                    if ((M->half && q == a && j < i) || M->fixed[row] == M->fixed[col]) continue;
+                    if (M->fixed[col]) rhs[row] += value * M->lift[col];
+                    else if (M->half) rhs[col] += value * M->lift[row];
+                }
+        }
+}

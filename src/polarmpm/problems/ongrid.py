@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -111,6 +111,8 @@ class OnGrid(Problem):
             self._drop_pieces(old.interpolation)
             self._system = self._build(old.interpolation, old.x)
             self._system.carried[:] = old.carried
+            if old.box_tangent is not None:
+                self._system.box_tangent = replace(old.box_tangent, values=None)
         if old is not None:
             old.destroy()
         self._stale = False

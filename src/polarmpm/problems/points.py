@@ -9,6 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..assembly.pointboxes import BoxTangent
 from ..assembly.points import LoadedPoints
 from ..basis.base import Basis
 from ..basis.registry import basis_of
@@ -331,11 +332,13 @@ class QuasiStatic(Staged):
         self._size = float(np.abs(increments.gradient).max(initial=0.0))
         system.interpolation.update_points(increments, self._compiled.motion)
         system.put_projected()
+        system.keep_boxes(first=self.progress.since_reset == 0)
         self._conservation.check(system.interpolation, system.x)
         if self.points.plastic:
             self._with_boxes(lambda: self._flow(system))
         self._converged_loads = self._attempted
-        p = self.progress
+        p, kept = self.progress, system.box_tangent
+        p.box_solutions = 0 if kept is None else kept.solutions
         p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
         with errors_on_all_ranks(self.comm, "the reset policy") as answer:
             due = answer.alike = bool(self.policy.due(p.since_reset, increments.gradient, self.comm))
@@ -370,13 +373,16 @@ class QuasiStatic(Staged):
     # restart --------------------------------------------------------------------------------------
     def increments(self) -> tuple[Reference, np.ndarray, np.ndarray] | None:
         """What a restart needs between two resets: reference state, lattice numbers of the owned nodes, and
-        their increments and carried forces (n, 2 block); None when the grid is to be reset before the next
-        step."""
+        their increments and carried forces (n, 2 block), then those of `BoxTangent` where one is kept
+        (n, 4 block); None when the grid is to be reset before the next step."""
         s = self._system
         if s is None or self.progress.reset_due:
             return None
-        own = s.nodes.owned
-        return s.interpolation.reference, s.nodes.lattice[:own], np.hstack([s.x[:own], s.carried[:own]])
+        values, boxes = [s.x, s.carried], s.box_tangent
+        if boxes is not None:
+            values += [boxes.x, boxes.before]
+        rows = np.hstack([v[: s.nodes.owned] for v in values])
+        return s.interpolation.reference, s.nodes.lattice[: s.nodes.owned], rows
 
     def kept(self) -> dict[str, np.ndarray]:
         out = super().kept()
@@ -428,9 +434,12 @@ class QuasiStatic(Staged):
         self._compile()
         interpolation = self._interpolate(reference)
         here = values_by_number(self.comm, lattice, values, interpolation.nodes.lattice)
-        x, carried = np.hsplit(here, 2)
+        x, carried, *of_boxes = np.hsplit(here, here.shape[1] // self.layout.block)
         self._system, self._stale = self._build(interpolation, x), False
         self._system.carried[:] = carried
+        if of_boxes:
+            x, before = map(np.ascontiguousarray, of_boxes)
+            self._system.box_tangent = BoxTangent(x, before, progress.box_solutions)
 
     # results --------------------------------------------------------------------------------------
     @collective("fields")

@@ -31,6 +31,7 @@ class Progress:
         factor_change: of the last step.
         external_work, carried_work, ghost_work, patch_work, term_work, damped_work: work (J) so far, see
             `Problem.energies`.
+        box_solutions: see `BoxTangent`.
     """
 
     factor: float = 0.0
@@ -46,6 +47,7 @@ class Progress:
     patch_work: float = 0.0
     term_work: float = 0.0
     damped_work: float = 0.0
+    box_solutions: int = 0
 
 
 class Fields(Mapping[str, np.ndarray]):

@@ -26,6 +26,9 @@ class System(Searched, Protocol):
     def convergence_measures(self) -> tuple[float, float]:
         """Normalised out-of-balance force and energy; NaN or infinite when the iteration has diverged."""
 
+    def waits(self) -> bool:
+        """Whether the next tangent costs more than others: it is asked for when it is known to be needed."""
+
     def pending(self) -> bool:
         """Whether prescribed values are still to be put in."""
 
@@ -162,6 +165,7 @@ def _iterate(system: System, controls: Controls, outcome: Outcome, search: bool)
         # the next residual and ratio if both fall quadratically: is a tangent needed for what then comes?
         following = ratio**2 * force
         tangent = not chord and _SAFETY * ratio**2 * following > controls.force_tolerance
+        tangent = tangent and not system.waits()
 
 
 def evaluate(system: System, tangent: bool, backtrack: Callable[[], bool]) -> None:
