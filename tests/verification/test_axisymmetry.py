@@ -130,3 +130,23 @@ def test_a_micropolar_ring_is_that_of_space():
         found.append(4 * weigh(problem, (0.0, 0.0, -30.0)))
     assert found[1] == pytest.approx(flat, rel=0.02)
     assert found[1] + (found[1] - found[0]) / 3 == pytest.approx(flat, rel=1e-3)
+
+
+@pytest.mark.parametrize(("rough", "limit"), [(True, 6.05), (False, 5.69)])
+def test_a_circular_footing_bears_its_limit_load(rough, limit):
+    """On Tresca's soil, elements of degree 1, eight under the radius; the load counts over the circle that
+    ends between the last node that is held and the first that is free."""
+    radius, width, depth, settlement = 1.0, 4.0, 2.5, 0.02
+    body = mesh.create_rectangle(COMM, [(0, 0), (width, depth)], [32, 20], mesh.CellType.quadrilateral)
+    soil = pm.Tresca(pm.Hencky.from_engineering(E=1e4, nu=0.3), c=1.0)
+    problem = pm.QuasiStaticFEM(pm.Elements(body, material=soil, axisymmetric=True), locking="always")
+    problem.fix(pm.plane(x=width), ux=0)
+    problem.fix(pm.plane(y=0.0), u=0)
+
+    def under(x):
+        return (x[:, 0] < radius + 1e-6) & (x[:, 1] > depth - 1e-6)
+
+    footing = problem.fix(under, uy=-settlement, **({"ux": 0} if rough else {}))
+    list(problem.march(30, adaptive=True, progress=False))
+    load = -problem.reaction(footing).force[1] / (np.pi * (radius + 1 / 16) ** 2)
+    assert load == pytest.approx(limit, rel=0.03)

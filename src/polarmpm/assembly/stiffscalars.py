@@ -144,10 +144,10 @@ class StiffScalars:
     # sums -----------------------------------------------------------------------------------------
     def _vectors(self, mean: Mean, kernels: native.PointKernels) -> np.ndarray:
         m, nz, n = self.form.scalars, self.form.layout.unknowns, len(self._z)
-        sides = None if mean.odd is None else mean.odd.reshape(n, self.form.layout.dim, m, nz)
+        sides = None if mean.odd is None else mean.odd.reshape(n, mean.odd.shape[1], m, nz)
         both = None
         if mean.both is not None:
-            both = mean.both.reshape(n, self.form.layout.dim, m, nz)[..., self._value_slots]
+            both = mean.both.reshape(n, mean.both.shape[1], m, nz)[..., self._value_slots]
         return self.patches.vectors(kernels, mean.whole.reshape(n, m, nz), sides, both)
 
     def evaluate(
