@@ -22,8 +22,8 @@ CHOICES = (None, "auto", "always")
 YOUNG = 1e4
 
 
-def cook(basis, nu, cell, locking, number=4, reset=None):
-    """u_y of the upper corner of Cook's membrane, and iterations in ten steps."""
+def cook(basis, nu, cell, locking, number=4, reset=None, steps=10):
+    """u_y of the upper corner of Cook's membrane, and iterations in all steps."""
 
     def inside(x):
         low, high = 44 / 48 * x[:, 0], 44 + 16 / 48 * x[:, 0]
@@ -39,7 +39,7 @@ def cook(basis, nu, cell, locking, number=4, reset=None):
     problem.traction(pm.Surface.line((48, 44), (48, 60), 64), force=(0, 100 / 16))
     corner = np.array((48.0, 60.0))
     near = points.nearest(corner)
-    iterations = sum(step.iterations for step in problem.march(10))
+    iterations = sum(step.iterations for step in problem.march(steps))
     found = 0.0
     for row in points.rows(near)[:1]:
         turn = points.F[row, :2, :2] - np.eye(2)

@@ -78,7 +78,7 @@ def test_locking_is_as_before_without_a_cure():
     assert problem.energies()["patches"] == 0.0
 
 
-def footing(basis, material, cells=4, **options):
+def footing(basis, material, cells=4, steps=40, **options):
     """Half a rough footing of half the width 1 m, pushed in by 0.02 m."""
     grid = pm.Grid.box((0, 0), (4, 2), 1 / cells)
     points = pm.seed(grid, material=material, points_per_cell=3)
@@ -87,8 +87,23 @@ def footing(basis, material, cells=4, **options):
     problem.fix(pm.plane(x=4.0), ux=0)
     problem.fix(pm.plane(y=0.0), u=0)
     pressed = problem.fix(lambda x: (x[:, 0] < 1 + 1e-6) & (x[:, 1] > 2 - 1e-6), ux=0, uy=-0.02)
-    loads = [-problem.reaction(pressed).force[1] for _ in problem.march(40)]
+    loads = [-problem.reaction(pressed).force[1] for _ in problem.march(steps)]
     return np.array(loads)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("basis", ["mpm", "bspline"])
+def test_a_micropolar_footing_tends_to_the_classical_one_and_grows_with_the_length(basis):
+    """Within 3 % at l = b/50, and stronger the larger l / B is; else twice as strong with tents."""
+
+    def soil(length):
+        elastic = pm.MicropolarElastic.bounded_stiffness(lam=5.77e3, mu=3.85e3, kappa=3.85e3, l_b=length)
+        return pm.VonMises(elastic, k=np.sqrt(3), l_p=length)
+
+    classical = footing(basis, pm.VonMises(HENCKY, k=np.sqrt(3)), steps=4)[-1]
+    loads = [footing(basis, soil(length), steps=4)[-1] / classical for length in (0.02, 0.1, 0.3)]
+    assert loads[0] == pytest.approx(1.0, rel=0.03)
+    assert loads[0] < loads[1] < loads[2] < 1.3
 
 
 @pytest.mark.slow
