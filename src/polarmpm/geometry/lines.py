@@ -14,7 +14,8 @@ from ..tools import checks
 
 GROWTH = 1.15  # sizes of neighbours, by default: what a smooth solution hardly feels (docs/grids.md)
 _MOST = 1_000_000  # cells along an axis
-_STEEPNESS = (0.97, 0.9, 0.8, 0.65, 0.5, 0.35)  # shares of the growth to try, as numbers of cells are whole
+STEEPNESS = (0.97, 0.85, 0.65, 0.4)  # shares of the growth to try, as numbers of cells are whole
+_SMALLER = 0.6  # by which the largest cells are made smaller until they fit between kept lines
 _SAME = 1e-9  # of a cell
 _SHORT = 3  # cells between kept lines up to which these tell the size of the cells around
 
@@ -56,18 +57,36 @@ def lines(
     coarse = min(coarse, stop - start)
     while True:  # kept lines divide fine zones, and pieces between, into cells that may not go together
         ends, pieces = _pieces(start, stop, kept, zones, fine)
-        if _even(pieces, growth):
-            even = [(a, b, size) for a, b, size in pieces if size is not None]
-            for steepness in _STEEPNESS:
-                slope = steepness * math.log(growth)
-                at_places = fine * slope / math.expm1(slope)  # of which cells grow at once
-                sources = even + [(a, b, at_places) for a, b in zones if a == b]
-                short = _short(ends, sources, slope, coarse)
-                x, size = size_function(start, stop, [*sources, *short], slope, coarse)
-                made = spread(ends, [size for *_, size in pieces], x, size, growth)
-                if made is not None:
-                    return made
-        fine, coarse = 0.93 * fine, 0.93 * coarse  # the smaller they are, the better they fit
+        most = coarse if _even(pieces, growth) else 0.0
+        while most >= fine:
+            made = _grown(ends, pieces, [a for a, b in zones if a == b], fine, growth, most)
+            if made is not None:
+                return made
+            most *= _SMALLER
+        fine *= 0.93  # the smaller they are, the better they fit
+        coarse = max(coarse, fine)
+
+
+def _grown(
+    ends: np.ndarray,
+    pieces: list[tuple[float, float, float | None]],
+    places: list[float],
+    fine: float,
+    growth: float,
+    coarse: float,
+) -> np.ndarray | None:
+    """Lines through all ends of pieces; None where none grow slowly enough."""
+    even = [(a, b, size) for a, b, size in pieces if size is not None]
+    for steepness in STEEPNESS:
+        slope = steepness * math.log(growth)
+        at_places = fine * slope / math.expm1(slope)  # of which cells grow at once
+        sources = even + [(a, a, at_places) for a in places]
+        short = _short(ends, sources, slope, coarse)
+        x, size = size_function(ends[0], ends[-1], [*sources, *short], slope, coarse)
+        made = spread(ends, [size for *_, size in pieces], x, size, growth)
+        if made is not None:
+            return made
+    return None
 
 
 # sizes ----------------------------------------------------------------------------------------------
@@ -229,17 +248,18 @@ def _cells(
 
 
 def _fitted(plain: np.ndarray, free: np.ndarray, length: float) -> np.ndarray:
-    """plain exp(s free), where s makes the sum a length."""
-    below, above = -20.0, 20.0
-    for _ in range(80):
-        s = 0.5 * (below + above)
-        if float((plain * np.exp(s * free)).sum()) < length:
-            below = s
-        else:
-            above = s
-    made: np.ndarray = plain * np.exp(s * free)
-    made *= length / made.sum()
-    return made
+    """plain exp(s free), where s makes the sum a length: by Newton's method for the logarithm of the sum,
+    which is convex and grows with s."""
+    s, made = 0.0, plain
+    for _ in range(50):
+        total = float(made.sum())
+        step = math.log(length / total) * total / float(made @ free)
+        s += max(-2.0, min(2.0, step))
+        made = plain * np.exp(s * free)
+        if abs(step) < 1e-14:
+            break
+    fitted: np.ndarray = made * (length / made.sum())
+    return fitted
 
 
 # arguments ------------------------------------------------------------------------------------------

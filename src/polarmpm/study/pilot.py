@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.grid import Grid
-from ..geometry.lines import GROWTH, number_between, spread
+from ..geometry.lines import GROWTH, STEEPNESS, number_between, spread
 from ..geometry.planes import Plane
 from ..problems.points import QuasiStatic
 from ..tools import checks
@@ -18,7 +18,6 @@ from ..tools.meetings import collective
 
 _PARTS = 8  # of the pilot's cells between which sizes are linear
 _FLAT = 1e-6  # of the largest indicator: nothing changes there
-_STEEPNESS = (0.97, 0.9, 0.8, 0.65, 0.5, 0.35)  # shares of the growth to try
 
 
 def _comm(pilot: Any, *args: Any, **options: Any) -> Any:
@@ -157,7 +156,7 @@ def _lines_along(
     )
     x[-1] = coordinates[-1]
     for shrink in range(200):
-        for steepness in _STEEPNESS:
+        for steepness in STEEPNESS:
             slope = steepness * math.log(growth)
             h = _sizes(x, root, cells, fine, slope, length) * 0.95**shrink
             made = spread(np.sort(ends), [None] * (len(ends) - 1), x, h, growth)
