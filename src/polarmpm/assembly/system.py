@@ -23,6 +23,7 @@ from . import rounding
 from .inertia import Inertia
 from .nodalterms import NodalTerms
 from .stepstate import StepState
+from .viscosity import Viscosity
 
 
 @dataclass
@@ -58,10 +59,11 @@ class NodalSystem(ABC):
         sizes: of the cells around the nodes (nodes, d), or of all (d,), which tells what a displacement means
             as a strain.
         as_force: factors (block,) by which forces and couples count as forces.
-        inertia: of the points; None where loads are slow.
+        inertia, viscosity: of the points; None where loads are slow, or without any.
     """
 
     inertia: Inertia | None = None
+    viscosity: Viscosity | None = None
 
     def __init__(
         self,
@@ -165,9 +167,13 @@ class NodalSystem(ABC):
 
     def changing(self) -> Iterator[tuple[Any, tuple[str, ...] | None]]:
         """What a load step changes: objects, and which of their attributes; None: all."""
-        yield self, ("x", "before", "residual", "loads", "external", "carried", "terms", "inertia")
-        if self.inertia is not None:
-            yield self.inertia, None
+        yield (
+            self,
+            ("x", "before", "residual", "loads", "external", "carried", "terms", "inertia", "viscosity"),
+        )
+        for of_motion in (self.inertia, self.viscosity):
+            if of_motion is not None:
+                yield of_motion, None
         yield self.prescribed, None
         for piece in self.terms.pieces:
             yield piece, None
@@ -268,6 +274,10 @@ class NodalSystem(ABC):
     def initial_energy(self, x: np.ndarray) -> float:
         """Energy (J) of initial stresses at increments (nodes, block), on this rank."""
         return 0.0
+
+    def viscous_forces(self) -> np.ndarray:
+        """Forces (nodes, block) of the viscosity, complete on owned rows. Collective."""
+        return np.zeros_like(self.x)
 
     def holding_energy(self, x: np.ndarray) -> float:
         """Energy (J) that holds points to patches at increments (nodes, block), on this rank."""

@@ -17,6 +17,7 @@ import numpy as np
 
 from ..assembly.inertia import Inertia
 from ..assembly.system import NodalSystem
+from ..assembly.viscosity import Viscosity
 from ..bodies.reference import Increments
 from ..errors import InputError, LocalFailure
 from ..kinematics.timesteps import TimeStep
@@ -128,6 +129,7 @@ class Moving(WithInertia):
         """Give a new system the points' masses."""
         if system.inertia is None:
             system.inertia = Inertia(self._masses())
+            system.viscosity = Viscosity(self.viscosity) if self.viscosity else None
 
     def _set_step(self, system: NodalSystem, time: float) -> float:
         """Set inertia and history of the step from the present time to another one, and give the time at
@@ -142,6 +144,8 @@ class Moving(WithInertia):
             with errors_on_all_ranks(self.comm):
                 for term in self.terms:
                     term.begin_step(step.theta * step.dt)
+        if system.viscosity is not None:
+            system.viscosity.begin(system, step.theta * step.dt)
         v, a = self._rates()
         inertia.begin(system, step.acceleration + self.drag * step.rate)
         pushed = inertia.mass * (step.history(v, a) - self.drag * step.rate_history(v, a))
@@ -249,6 +253,8 @@ class Moving(WithInertia):
                 self.drag * np.sum(inertia.mass * slow * at_points),
             ]
         )
+        if system.viscosity is not None:
+            sums[3] += np.sum(system.viscous_forces()[own] * moved)
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         return float(sums[0] + sums[1]), float(sums[2]), float(sums[3])
 
