@@ -268,3 +268,16 @@ def test_microrotations_in_space_are_of_second_order(kind: type):
     assert np.log2(errors[0] / errors[1]) == pytest.approx(
         np.log2((1 / 20**2 - 1 / 100**2) / (1 / 40**2 - 1 / 100**2)), abs=0.1
     )
+
+
+@pytest.mark.parametrize("make", [bar, bar_of_elements])
+def test_viscosity_damps_by_the_square_of_the_frequency(make: Any):
+    """Half a period of u'' + tau w^2 u' + w^2 u = 0 from u = 0."""
+    problem, tau = make(rho_inf=1.0, viscosity=0.3), 0.3
+    begin, w = problem.energies()["kinetic"], 2 * np.pi / PERIOD
+    damped = np.sqrt(w**2 - (0.5 * tau * w**2) ** 2)
+    for _ in problem.march(np.pi / damped, steps=100):
+        pass
+    e = problem.energies()
+    assert e["kinetic"] == pytest.approx(begin * np.exp(-tau * w**2 * np.pi / damped), rel=2e-3)
+    assert e["damped"] == pytest.approx(begin - e["kinetic"] - e["stored"], rel=1e-3)

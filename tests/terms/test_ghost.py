@@ -7,16 +7,20 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 import ufl
 
 import polarmpm as pm
 from polarmpm.assembly.nodalterms import NodalTerms
+from polarmpm.basis.registry import basis_of
 from polarmpm.geometry import cells as cellmesh
+from polarmpm.geometry.grid import box_indices
 from polarmpm.geometry.nodes import ActiveNodes
 from polarmpm.kinematics.layout import Layout
-from polarmpm.terms.ghost import Ghost, boundary_faces, face_size, penalty_form, stencil
+from polarmpm.terms.ghost import Ghost, boundary_faces, curvature_jumps, face_size, penalty_form, stencil
 from polarmpm.tools import compat
 from tests.assembly.test_system import collected, residual_at, stored_matrix, tangent_at
 from tests.conftest import (
@@ -445,3 +449,45 @@ def test_moduli_are_found_by_name():
 
 if __name__ == "__main__":
     Path(sys.argv[2], f"{COMM.rank}.json").write_text(json.dumps(answer()))
+
+
+# splines --------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("power", [1, 3])
+def test_jumps_of_second_derivatives(axis, power):
+    """Of a spline that begins at a plane: the penalty is the square of the jump, over the whole face. Linear
+    functions have none. The first face is at a wall."""
+    h, basis = 0.5, basis_of("bspline")
+    grid = pm.Grid.box((0.0, 0.0), (4.0, 3.0), h, MPI.COMM_SELF)
+    for index in (np.array([0, 0]), np.array([3, 2])):
+        cells = grid.node_number(index[None])
+        (matrix,) = curvature_jumps(grid, basis, axis, cells, power)
+        count = tuple(3 + (k == axis) for k in range(2))
+        nodes = box_indices(count) + index
+        straight = basis.positions(grid, grid.node_number(nodes)) @ (0.3, -0.7) + 2.0
+        assert straight @ matrix @ straight == pytest.approx(0.0, abs=1e-10)
+        # control values of max(0, t)^2, t the distance from the plane: of the last function alone
+        kink = np.where(nodes[:, axis] == index[axis] + 3, 1.0, 0.0)
+        side = grid.node_position(cells)[0] + (np.arange(2) == axis) * h
+        here = (index + (np.arange(2) == axis))[None]
+        second = basis.curvatures(grid, side[None], here)[0, axis, 2]
+        wanted = h ** (2 + power) * second**2 * h
+        assert kink @ matrix @ kink == pytest.approx(wanted, rel=1e-12)
+
+
+def test_splines_take_a_penalty():
+    """It holds a sliver's nodes, and a uniform strain feels nothing of it."""
+    answers = []
+    for ghost in (None, pm.GhostPenalty(1e2)):
+        grid = pm.Grid.box((0.0, 0.0), (5.0, 4.0), 1.0)
+        points = pm.seed(grid, bounds=((0.0, 0.3), (3.1, 2.3)), material=NEO_HOOKEAN)
+        problem = pm.QuasiStatic(grid, points, ghost=ghost, boxes=False, reset=None)
+        problem.fix(pm.plane(x=0.0), ux=0.0)
+        problem.fix(lambda x: (x[:, 0] > 2.9) & (x[:, 0] < 9.0), ux=lambda t: 0.0 * t)
+        problem.fix(lambda x: x[:, 1] < 0.1, uy=0.0)
+        problem.body_load(force=(0.0, 5.0))
+        list(problem.march(1, progress=False))
+        answers.append(problem.energies())
+    assert answers[0]["ghost"] == 0.0
+    assert 0.0 < answers[1]["ghost"] < 0.1 * answers[1]["stored"]
+    assert answers[1]["stored"] == pytest.approx(answers[0]["stored"], rel=0.1)

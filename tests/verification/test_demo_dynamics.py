@@ -1,4 +1,4 @@
-"""The demos of dynamics: waves in a micropolar solid, and the collapse of a granular column."""
+"""The demos of dynamics: waves in a micropolar solid, the collapse of a granular column, two discs."""
 
 from __future__ import annotations
 
@@ -33,3 +33,11 @@ def test_granular_column(folder):
     assert run["cuts"] == 0
     assert abs(run["ledger"]) < 0.02
     assert 0.0 < run["surface_error"] < run["surface_worst"] < 0.05
+
+
+def test_discs_rebound(folder):
+    """On coarse cells: they keep their momentum, and bounce."""
+    found = demo_result(folder, "discs", "--cells", "0.1", "--steps", "80", "--points-per-cell", "4")
+    assert found["momentum"] < 1e-12
+    assert found["energy_error"] < 0.05
+    assert 0.8 < found["restitution"] < 1.0

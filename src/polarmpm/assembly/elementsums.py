@@ -71,6 +71,31 @@ class SummedElements(OnPattern, ElementSystem):
         self._bind_terms()
 
     # assembly ---------------------------------------------------------------------------------------
+    @property
+    def batches(self) -> int:
+        return len(self.forms.parts)
+
+    def unknowns(self, k: int) -> np.ndarray:
+        return self.forms.unknowns(k, np.ascontiguousarray(self.x))
+
+    def elastic_tangent(self, k: int) -> tuple[np.ndarray, int]:
+        form = self.forms.parts[k].form
+        still = self.forms.unknowns(k, np.zeros_like(self.x))
+        inputs = self.forms.kernel_inputs(k, still)
+        found: np.ndarray = self._kernels[k][1](inputs, *((still,) if form.predicts else ()))
+        return found, form.layout.unknowns
+
+    def add_given(
+        self, k: int, blocks: np.ndarray, tangent: bool, internal: np.ndarray, lifted: np.ndarray | None
+    ) -> None:
+        elements, kernels = self.forms.bound(k), native.PointKernels()
+        native.fill(elements, columns=self._columns[k])
+        native.fill(kernels, returned_of=np.arange(len(blocks), dtype=np.int32), returned=blocks)
+        matrix = ctypes.byref(self.pattern.matrix) if tangent else None
+        arguments = ctypes.byref(elements), ctypes.byref(kernels), matrix, np.ascontiguousarray(self.x)
+        if native.library().polarmpm_assemble_elements(*arguments, internal, lifted):
+            raise MemoryError("no memory for the sums over elements")
+
     def mass_sets(self, mass: np.ndarray) -> Iterator[MassSets]:
         e, functions = self.forms.elements, self._functions
         rows = e.cell_nodes[: len(e.body.owned_cells)].astype(np.int64)
@@ -88,6 +113,7 @@ class SummedElements(OnPattern, ElementSystem):
         self._project(tangent)
         for k in range(len(self._kernels)):
             self._add_elements(k, tangent, internal, lifted)
+        self._add_viscosity(tangent, internal, lifted)
         self.nodes.add_to_owners(internal)
         self._put(self.x)
         loads = self.external = self._body_loads()

@@ -48,17 +48,28 @@ class Inertia:
         self.mass, self.scale = mass, 0.0
         self.start = np.zeros_like(mass)
         self._entries: np.ndarray | None = None
+        # at the last increments (nodes, block) that were asked for, which are never written to
+        self._moved: tuple[np.ndarray, np.ndarray] | None = None
+        self._forces: tuple[np.ndarray, np.ndarray] | None = None
 
     def begin(self, system: Any, scale: float) -> None:
         """A step begins at the system's increments."""
         self.scale, self.start = scale, system.at_points(system.x)
+        self._moved = system.x, np.zeros_like(self.mass)
+        self._forces = system.x, np.zeros_like(system.x)
+
+    def moved(self, system: Any) -> np.ndarray:
+        """What the points' increments (np, block) have gained since the start of the step."""
+        if self._moved is None or self._moved[0] is not system.x:
+            self._moved = system.x, system.at_points(system.x) - self.start
+        return self._moved[1]
 
     def forces(self, system: Any) -> np.ndarray:
         """Forces (nodes, block) in which the increments since the start of the step take part, complete on
         owned rows. Collective."""
-        moved = system.at_points(system.x) - self.start
-        found: np.ndarray = system.from_points(self.scale * self.mass * moved)
-        return found
+        if self._forces is None or self._forces[0] is not system.x:
+            self._forces = system.x, system.from_points(self.scale * self.mass * self.moved(system))
+        return self._forces[1]
 
     def products(self, system: Any, direction: np.ndarray) -> np.ndarray:
         """The matrix times a direction (nodes, block), complete on owned rows. Collective."""
@@ -77,19 +88,26 @@ def mass_entries(system: Any, mass: np.ndarray) -> np.ndarray:
     but for the diagonal. This rank's part: rows of ghosts are still to be collected."""
     pattern, d, block = system.pattern, system.layout.dim, system.layout.block
     fixed, number = system.prescribed.fixed, system.nodes.number
-    start, out = pattern.matrix.kept["row_start"], np.zeros(len(pattern.values))
-    two = mass[:, [0, block - 1]]
-    for rows, columns, matrices in system.mass_sets(two):
+    start, size = pattern.matrix.kept["row_start"], len(pattern.values)
+    first = np.asarray(start[::block])
+    # sums for displacements and rotations where a block begins, and the nodes of the block
+    sums, nodes = np.zeros((2, size)), np.zeros((2, size), dtype=np.int32)
+    for rows, columns, matrices in system.mass_sets(mass[:, [0, block - 1]]):
         row, column = np.broadcast_arrays(rows[:, :, None], rows[:, None, :])
         kept = columns >= 0
         if pattern.symmetric:
             kept &= number[row] <= number[column]
-        row, column, at = row[kept], column[kept], columns[kept].astype(np.int64)
-        of_two = [matrices[0][kept], matrices[1][kept]]
-        for i in range(block):
-            free = ~(fixed[row, i] | fixed[column, i]) | (row == column)
-            place = start[row[free] * block + i] + at[free] * block + i
-            out += np.bincount(place, of_two[int(i >= d)][free], minlength=len(out))
+        row, column = row[kept], column[kept]
+        at = first[row] + columns[kept].astype(np.int64) * block
+        for k in range(1 + (block > d)):
+            sums[k] += np.bincount(at, matrices[k][kept], minlength=size)
+        nodes[:, at] = row, column
+    at = np.flatnonzero(sums[0])
+    row, column = nodes[:, at]
+    out, place = np.zeros(size), at - first[row]
+    for i in range(block):
+        free = ~(fixed[row, i] | fixed[column, i]) | (row == column)
+        out[(start[row * block + i] + place + i)[free]] = sums[int(i >= d)][at][free]
     return out
 
 

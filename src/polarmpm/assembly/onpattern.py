@@ -28,6 +28,38 @@ class OnPattern(NodalSystem):
     def mass_sets(self, mass: np.ndarray) -> Iterator[MassSets]:
         """Sums of the masses (np, 2) of this rank's points, for displacements and for rotations."""
 
+    @property
+    @abstractmethod
+    def batches(self) -> int:
+        """In how many lots, by material, the points are."""
+
+    @abstractmethod
+    def unknowns(self, k: int) -> np.ndarray:
+        """z (n, nz) of the points of lot k at the present increments, in the kernel's frame."""
+
+    @abstractmethod
+    def elastic_tangent(self, k: int) -> tuple[np.ndarray, int]:
+        """Residual and upper triangle of the elastic tangent of lot k's points at the present increments, and
+        nz. Collective."""
+
+    @abstractmethod
+    def add_given(
+        self, k: int, blocks: np.ndarray, tangent: bool, internal: np.ndarray, lifted: np.ndarray | None
+    ) -> None:
+        """Add given stresses and moduli of lot k's points, on this rank."""
+
+    def viscous_forces(self) -> np.ndarray:
+        out = np.zeros_like(self.x)
+        self._add_viscosity(False, out, None)
+        self.nodes.add_to_owners(out)
+        return out
+
+    def _add_viscosity(self, tangent: bool, internal: np.ndarray, lifted: np.ndarray | None) -> None:
+        if self.viscosity is not None:
+            for k in range(self.batches):
+                blocks = self.viscosity.blocks(self, k, tangent)
+                self.add_given(k, blocks, tangent, internal, lifted)
+
     def add_inertia(
         self,
         inertia: Inertia,

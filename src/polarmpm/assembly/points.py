@@ -263,6 +263,26 @@ class PointSystem(OnPattern, LoadedPoints):
         self._few = interpolation.points.total < self.nodes.total
 
     # assembly ---------------------------------------------------------------------------------------
+    @property
+    def batches(self) -> int:
+        return len(self.interpolation.batches)
+
+    def unknowns(self, k: int) -> np.ndarray:
+        batch = self.interpolation.batches[k]
+        z = self.interpolation.kernel_inputs(batch, self.x)[:, : batch.form.layout.unknowns]
+        return np.ascontiguousarray(z)
+
+    def elastic_tangent(self, k: int) -> tuple[np.ndarray, int]:
+        return self.elastic_blocks(k, self.x), self.interpolation.forms[k].layout.unknowns
+
+    def add_given(
+        self, k: int, blocks: np.ndarray, tangent: bool, internal: np.ndarray, lifted: np.ndarray | None
+    ) -> None:
+        matrix = ctypes.byref(self.pattern.matrix) if tangent else None
+        arguments = ctypes.byref(self.interpolation.batches[k].batch), ctypes.byref(self._given(blocks))
+        if native.library().polarmpm_assemble(*arguments, matrix, self.x, internal, lifted):
+            raise MemoryError("no memory for the sums over material points")
+
     def mass_sets(self, mass: np.ndarray) -> Iterator[MassSets]:
         for batch in self.interpolation.batches:
             yield from point_sets(batch, mass[batch.rows], self.pattern.matrix)
@@ -279,6 +299,7 @@ class PointSystem(OnPattern, LoadedPoints):
             self._assemble(k, batch, matrix if tangent else None, internal, lifted)
         self.add_patches(matrix if tangent else None, internal, lifted)
         self._check_sides(internal)
+        self._add_viscosity(tangent, internal, lifted)
         self.nodes.add_to_owners(internal)
         self.external = self.loads
         if len(self.terms):

@@ -99,12 +99,13 @@ class ProjectedPoints(NodalSystem):
                 moved[rows] = F
                 points.F = moved
 
-    def elastic_blocks(self, k: int) -> np.ndarray:
-        """Residual and upper triangle of the tangent of batch k's elastic energy at no increments, without
-        any projection. Collective."""
+    def elastic_blocks(self, k: int, x: np.ndarray | None = None) -> np.ndarray:
+        """Residual and upper triangle of the tangent of batch k's elastic energy, without any projection, at
+        increments x (nodes, block); None: at no increments. Collective."""
         batch, i = self.interpolation.batches[k], self.interpolation
         n, nz = len(batch.rows), self.layout.unknowns
-        still, inputs = np.zeros((n, nz)), (i.kernel_inputs(batch, np.zeros_like(self.x)),)
+        inputs = (i.kernel_inputs(batch, np.zeros_like(self.x) if x is None else x),)
+        still = np.zeros((n, nz)) if x is None else np.ascontiguousarray(inputs[0][:, :nz])
         if isinstance(batch.form, ProjectedForm):
             form, r, rows = batch.form.plain, i.reference, batch.rows
             plastic = i.points.plastic_state(rows)

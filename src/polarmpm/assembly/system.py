@@ -21,6 +21,7 @@ from ..terms.base import Piece
 from ..tools.timing import Timer
 from .inertia import Inertia
 from .nodalterms import NodalTerms
+from .viscosity import Viscosity
 
 _ROUNDING = 16 * float(np.finfo(float).eps)
 
@@ -84,10 +85,11 @@ class NodalSystem(ABC):
         terms: what acts on the nodes besides the body's stresses and loads.
         length: size of a cell (m) in each direction, which tells what a displacement means as a strain.
         as_force: factors (block,) by which forces and couples count as forces.
-        inertia: of the points; None where loads are slow.
+        inertia, viscosity: of the points; None where loads are slow, or without any.
     """
 
     inertia: Inertia | None = None
+    viscosity: Viscosity | None = None
 
     def __init__(
         self,
@@ -182,9 +184,13 @@ class NodalSystem(ABC):
 
     def changing(self) -> Iterator[tuple[Any, tuple[str, ...] | None]]:
         """What a load step changes: objects, and which of their attributes; None: all."""
-        yield self, ("x", "before", "residual", "loads", "external", "carried", "terms", "inertia")
-        if self.inertia is not None:
-            yield self.inertia, None
+        yield (
+            self,
+            ("x", "before", "residual", "loads", "external", "carried", "terms", "inertia", "viscosity"),
+        )
+        for of_motion in (self.inertia, self.viscosity):
+            if of_motion is not None:
+                yield of_motion, None
         yield self.prescribed, None
         for piece in self.terms.pieces:
             yield piece, None
@@ -272,6 +278,10 @@ class NodalSystem(ABC):
     def initial_energy(self, x: np.ndarray) -> float:
         """Energy (J) of initial stresses at increments (nodes, block), on this rank."""
         return 0.0
+
+    def viscous_forces(self) -> np.ndarray:
+        """Forces (nodes, block) of the viscosity, complete on owned rows. Collective."""
+        return np.zeros_like(self.x)
 
     def holding_energy(self, x: np.ndarray) -> float:
         """Energy (J) that holds points to patches at increments (nodes, block), on this rank."""

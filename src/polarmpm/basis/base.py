@@ -92,6 +92,7 @@ class Basis(ABC):
         degree: of the functions in each direction; a cell has one more of them. At most 5.
         walls_only: values can be prescribed on the boundary planes of the grid only.
         gradients_jump: at the faces of cells, so that a ghost penalty has something to penalise.
+        curvatures_jump: gradients don't, but second derivatives do, for a ghost penalty.
         no_projection: why the points' moments can't be projected on the quadrature points of cells; "": they
             can.
         locks: linear functions, which lock in bending and where volume is kept.
@@ -113,6 +114,7 @@ class Basis(ABC):
     degree: int
     walls_only: bool = False
     gradients_jump: bool = False
+    curvatures_jump: bool = False
     no_projection: str = ""
     no_slope: str = "it doesn't say which of its functions have a slope on a plane"
     locks: bool = False
@@ -250,7 +252,8 @@ def check_basis(basis: Basis) -> None:
     what = f"basis {basis.name!r}"
     checks.whole(f"{what}: degree", getattr(basis, "degree", None), least=1, most=5)
     checks.number(f"{what}: sliver", basis.sliver, least=0, below=1)
-    for name in ("walls_only", "gradients_jump", "locks", "uses_domains", "thin_reach", "fills_boxes"):
+    jumps = ("gradients_jump", "curvatures_jump")
+    for name in (*jumps, "walls_only", "locks", "uses_domains", "thin_reach", "fills_boxes"):
         checks.flag(f"{what}: {name}", getattr(basis, name))
     orders = 3 if basis.fills_boxes else 2
     for dim in (2, 3):

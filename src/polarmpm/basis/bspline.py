@@ -17,6 +17,7 @@ class QuadraticSplines(Splines):
     degree = 2
     sliver = 0.0955  # see `aggregation`
     fills_boxes = True
+    curvatures_jump = True
     patch = 2
     patch_linear = True
     patch_stiffness = 1.0

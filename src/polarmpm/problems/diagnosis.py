@@ -142,6 +142,8 @@ def _look_at_start(case: _Case, replay: Replay) -> bool:
     if without is not None:
         case.decisive = [without]
         return True
+    if case.system.inertia is not None:  # nothing has to hold what moves
+        return False
     parts = Parts.of(case.system, case.problem.points)
     if case.way == "arc length":
         forces = forces - case.pushed

@@ -14,10 +14,12 @@ from ..basis.base import Basis
 from ..bodies.elements import Elements
 from ..bodies.points import Points
 from ..bodies.reference import Increments
+from ..errors import InputError
 from ..geometry.grid import Grid
 from ..solvers.newton import Controls
 from ..solvers.resetting import ResetPolicy, WhenDistorted
 from ..terms.ghost import GhostPenalty
+from ..tools import checks
 from ..tools.meetings import collective
 from . import takeover
 from .elements import QuasiStaticFEM
@@ -42,8 +44,12 @@ class Dynamic(Moving, QuasiStatic):
             implicit midpoint rule), 0 ends them at once.
         drag: of all velocities and spins relative to their inertia (1/s), the part of Rayleigh damping that
             is proportional to the mass.
+        viscosity: stress of a strain rate, over that of the same strain (s): the part that is proportional to
+            the stiffness, of the elastic moduli. For bodies that hardly turn in a step: rotations count to
+            its second order only, so that it slows down what spins fast.
         basis, reset, ghost, rebalance, controls, solver, boxes, locking: as of `QuasiStatic`. Resets aren't
-            balanced: the forces that a balanced one carries along would stay while the motion goes on.
+            balanced: the forces that a balanced one carries along would stay while the motion goes on. With
+            "bspline" and boxes=False a body that spins needs a `GhostPenalty` of 1e-3 of its moduli.
 
     Raises:
         InputError: an argument is out of range; materials that don't go together.
@@ -62,6 +68,7 @@ class Dynamic(Moving, QuasiStatic):
         microinertia: Any = None,
         rho_inf: float = 0.9,
         drag: float = 0.0,
+        viscosity: float = 0.0,
         basis: str | Basis = "bspline",
         reset: int | ResetPolicy | None = _DISTORTED,
         ghost: str | GhostPenalty | None = None,
@@ -84,8 +91,9 @@ class Dynamic(Moving, QuasiStatic):
             boxes=boxes,
             locking=locking,
         )
-        self._rotation_limit = 0.0  # in each step rotations count from its beginning
-        self._set_motion(density, microinertia, rho_inf, drag)
+        if self.layout.rotations == 3:
+            self._rotation_limit = 0.0  # in space rotations count from the beginning of each step
+        self._set_motion(density, microinertia, rho_inf, drag, viscosity)
 
     @classmethod
     def of(
@@ -96,6 +104,7 @@ class Dynamic(Moving, QuasiStatic):
         microinertia: Any = None,
         rho_inf: float = 0.9,
         drag: float = 0.0,
+        viscosity: float = 0.0,
         reset: int | ResetPolicy | None = _DISTORTED,
         rebalance: float | None = 1.1,
         controls: Controls | None = None,
@@ -120,6 +129,7 @@ class Dynamic(Moving, QuasiStatic):
             microinertia=microinertia,
             rho_inf=rho_inf,
             drag=drag,
+            viscosity=viscosity,
             basis=problem.basis,
             reset=reset,
             ghost=problem.ghost,
@@ -135,10 +145,14 @@ class Dynamic(Moving, QuasiStatic):
         return made
 
     def restore(self, *arguments: Any) -> None:
-        """As of `QuasiStatic`; rotations count from now on, as at the beginning of each step."""
+        """As of `QuasiStatic`; rotations in space count from now on, as at the beginning of each step."""
         super().restore(*arguments)
         s, d = self._system, self.layout.dim
-        if s is not None and self.comm.allreduce(bool(np.any(s.x[:, d:])), op=MPI.LOR):
+        if (
+            s is not None
+            and self.layout.rotations == 3
+            and self.comm.allreduce(bool(np.any(s.x[:, d:])), op=MPI.LOR)
+        ):
             self._with_boxes(s.rebase_rotations)
 
     @property
@@ -165,7 +179,7 @@ class DynamicFEM(Moving, QuasiStaticFEM):
 
     Args:
         elements: the body.
-        density, microinertia, rho_inf, drag: as of `Dynamic`.
+        density, microinertia, rho_inf, drag, viscosity: as of `Dynamic`.
         controls, solver, locking: as of `QuasiStaticFEM`.
 
     Raises:
@@ -181,12 +195,19 @@ class DynamicFEM(Moving, QuasiStaticFEM):
         microinertia: Any = None,
         rho_inf: float = 0.9,
         drag: float = 0.0,
+        viscosity: float = 0.0,
         controls: Controls | None = None,
         solver: str = "auto",
         locking: str | None = "auto",
     ):
         super().__init__(elements, controls=controls, solver=solver, locking=locking)
-        self._set_motion(density, microinertia, rho_inf, drag)
+        self._set_motion(density, microinertia, rho_inf, drag, viscosity)
+        if any(material.second_gradient for material in self.points.materials):
+            raise InputError("elements: a material has second gradients, of which elements have no dynamics")
+        cured = any(part.form.scalars for part in getattr(self.forms, "parts", ()))
+        if self.viscosity and cured:
+            allowed = "on elements with a cure of locking there is none; write locking=None"
+            raise checks.refuse("viscosity", viscosity, allowed)
 
     @classmethod
     def of(
@@ -197,6 +218,7 @@ class DynamicFEM(Moving, QuasiStaticFEM):
         microinertia: Any = None,
         rho_inf: float = 0.9,
         drag: float = 0.0,
+        viscosity: float = 0.0,
         controls: Controls | None = None,
     ) -> DynamicFEM:
         """Go on from a quasi-static problem, whose body is taken on; see `Dynamic.of`. Collective."""
@@ -207,6 +229,7 @@ class DynamicFEM(Moving, QuasiStaticFEM):
             microinertia=microinertia,
             rho_inf=rho_inf,
             drag=drag,
+            viscosity=viscosity,
             controls=controls or problem.controls,
             solver=problem.solver,
             locking=problem.locking,

@@ -28,13 +28,16 @@ class WithInertia(Problem):
 
     Attributes:
         rho_inf: by what a step multiplies motions whose period is much shorter than it.
-        drag: see `Dynamic`.
+        drag, viscosity: see `Dynamic`.
     """
 
-    def _set_motion(self, density: Any, microinertia: Any, rho_inf: float, drag: float) -> None:
+    def _set_motion(
+        self, density: Any, microinertia: Any, rho_inf: float, drag: float, viscosity: float
+    ) -> None:
         """Check, and keep, what a user gives."""
         self.rho_inf = rho_inf
         self.drag = checks.number("drag", drag, least=0.0)
+        self.viscosity = checks.number("viscosity", viscosity, least=0.0)
         if self.layout.rotations and microinertia is None:
             raise InputError(
                 "microinertia = None: of a body with microrotations it is needed, j (m^2) of the moment of "

@@ -17,12 +17,14 @@ import numpy as np
 
 from ..assembly.inertia import Inertia
 from ..assembly.system import NodalSystem
+from ..assembly.viscosity import Viscosity
 from ..bodies.reference import Increments
 from ..errors import InputError, LocalFailure
 from ..kinematics.timesteps import TimeStep
 from ..solvers.newton import Outcome
 from ..solvers.stepping import Schedule, Step
 from ..tools import checks
+from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from .kinetics import WithInertia
 from .reactions import Equilibrium
@@ -34,16 +36,13 @@ _FAR = 8.0  # times the tolerance: the error of half the step is then the tolera
 class Moving(WithInertia):
     """A body in motion. All methods are collective. In all conditions the time (s) stands for the load
     factor: functions get it, and a number grows by its value in a second.
-
-    Attributes:
-        error: estimate of the last step's error of the displacements (m), see `march`; None: there is none.
     """
 
-    error: float | None = None
     _step: TimeStep | None = None  # the step that is being solved
     _pushed: tuple[np.ndarray, np.ndarray] | None = None  # dead forces and couples of the history
     _found: tuple[tuple[float, float, float], Equilibrium] | None = None  # of the collocated state
     _tolerance: float | None = None  # of a step's error (m)
+    _change: tuple[float, np.ndarray] | None = None  # a factor, and the change of mean accelerations
     _mean: np.ndarray | None = None  # accelerations (np, d) of the step, and of the one before
     _mean_before: np.ndarray | None = None
 
@@ -101,9 +100,10 @@ class Moving(WithInertia):
 
     def suited(self, size: float) -> float:
         """The length (s) of the next step, after one of `size`, by its error."""
-        if self._tolerance is None or self.error is None:
+        error = self.error
+        if self._tolerance is None or error is None:
             return size
-        wanted = (self._tolerance / max(self.error, 1e-30 * self._tolerance)) ** (1.0 / 3.0)
+        wanted = (self._tolerance / max(error, 1e-30 * self._tolerance)) ** (1.0 / 3.0)
         return float(size * min(1.5, max(0.5, 0.9 * wanted)))
 
     def _until(self, time: float | None, duration: float | None) -> float:
@@ -129,6 +129,7 @@ class Moving(WithInertia):
         """Give a new system the points' masses."""
         if system.inertia is None:
             system.inertia = Inertia(self._masses())
+            system.viscosity = Viscosity(self.viscosity) if self.viscosity else None
 
     def _set_step(self, system: NodalSystem, time: float) -> float:
         """Set inertia and history of the step from the present time to another one, and give the time at
@@ -143,6 +144,8 @@ class Moving(WithInertia):
             with errors_on_all_ranks(self.comm):
                 for term in self.terms:
                     term.begin_step(step.theta * step.dt)
+        if system.viscosity is not None:
+            system.viscosity.begin(system, step.theta * step.dt)
         v, a = self._rates()
         inertia.begin(system, step.acceleration + self.drag * step.rate)
         pushed = inertia.mass * (step.history(v, a) - self.drag * step.rate_history(v, a))
@@ -186,32 +189,42 @@ class Moving(WithInertia):
                 system.evaluate(False)
         except LocalFailure as e:
             return str(e)
-        self.error = self._estimate(system)
-        if self._tolerance is not None and self.error is not None and self.error > _FAR * self._tolerance:
-            return f"the error of the step is {self.error:.2g} m, the tolerance {self._tolerance:.2g} m"
-        return ""
-
-    def _estimate(self, system: NodalSystem) -> float | None:
-        """Error (m) of the displacements in a step, root of the mean square by mass; None where there is no
-        step before. Of mean accelerations A over steps it is dt^3/12 of their rate of change, as far as the
-        nodes' lumped masses pass it on: points jitter by what the grid doesn't see. Collective."""
-        step, inertia, d = self._step, system.inertia, self.layout.dim
+        step, inertia = self._step, system.inertia
         assert step is not None
         assert inertia is not None
-        moved, (v, a) = system.at_points(system.x) - inertia.start, self._rates()
-        self._mean = ((step.end(moved, v, a)[0] - v) / step.dt)[:, :d]
-        if self._mean_before is None:
+        v, a = self._rates()
+        self._mean = ((step.end(inertia.moved(system), v, a)[0] - v) / step.dt)[:, : self.layout.dim]
+        self._change = None
+        if self._mean_before is not None:
+            between = 0.5 * (step.dt + self.progress.factor_change)
+            self._change = step.dt**3 / 12.0 / between, self._mean - self._mean_before
+        error = None if self._tolerance is None else self.error
+        if self._tolerance is not None and error is not None and error > _FAR * self._tolerance:
+            return f"the error of the step is {error:.2g} m, the tolerance {self._tolerance:.2g} m"
+        return ""
+
+    @property
+    @collective("error")
+    def error(self) -> float | None:
+        """Estimate of the last step's error of the displacements (m), root of the mean square by mass; None
+        where there is no step before. Collective.
+
+        Of mean accelerations A over steps it is dt^3/12 of their rate of change, as far as the nodes' lumped
+        masses pass it on: points jitter by what the grid doesn't see.
+        """
+        system, d = self.system, self.layout.dim
+        if system is None or system.inertia is None or self._change is None:
             return None
+        inertia, (share, difference) = system.inertia, self._change
         change = np.zeros_like(inertia.mass)
-        change[:, :d] = self._mean - self._mean_before
+        change[:, :d] = share * difference
         mass = system.from_points(inertia.mass)[:, :1]
         nodal = system.from_points(inertia.mass * change) / np.where(mass > 0.0, mass, 1.0)
         system.nodes.update_ghosts(nodal)
         smooth = system.at_points(nodal)[:, :d]
         sums = np.array([np.sum(inertia.mass[:, :d] * smooth**2), inertia.mass[:, 0].sum()])
         self.comm.Allreduce(MPI.IN_PLACE, sums)
-        rate = math.sqrt(sums[0] / sums[1]) / (0.5 * (step.dt + self.progress.factor_change))
-        return step.dt**3 / 12.0 * rate
+        return math.sqrt(sums[0] / sums[1])
 
     @property
     def _evaluated_at_end(self) -> bool:
@@ -225,7 +238,7 @@ class Moving(WithInertia):
         assert step is not None
         assert inertia is not None
         assert self._pushed is not None
-        at_points = (system.at_points(system.x) - inertia.start) / step.theta
+        at_points = inertia.moved(system) / step.theta
         moved, held = ((system.x - before) / step.theta)[own], system.prescribed.fixed[own]
         end = before + (system.x - before) / step.theta
         pushed, (v, a) = np.hstack(self._pushed), self._rates()
@@ -240,6 +253,8 @@ class Moving(WithInertia):
                 self.drag * np.sum(inertia.mass * slow * at_points),
             ]
         )
+        if system.viscosity is not None:
+            sums[3] += np.sum(system.viscous_forces()[own] * moved)
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         return float(sums[0] + sums[1]), float(sums[2]), float(sums[3])
 
@@ -274,7 +289,7 @@ class Moving(WithInertia):
         step, p, d, r, (v, a) = self._step, self.points, self.layout.dim, self.layout.rotations, self._rates()
         assert step is not None
         before = v
-        v, a = step.end(increments.value - inertia.start, v, a)
+        v, a = step.end(increments.value - inertia.start, v, a)  # positions move by the same
         if step.rho_inf == 1.0:  # it isn't used, but by a step with another rho_inf
             a = (v - before) / step.dt
         p.velocity, p.acceleration = v[:, :d].copy(), a[:, :d].copy()

@@ -9,6 +9,10 @@ matrix of normals times strains (2.60). On faces of the grid that is the jump of
 as it stands here (but for a misprint in its last row): the functions are continuous and multilinear, so that
 derivatives along the face don't jump.
 
+Gradients of quadratic splines don't jump, but their second derivatives do. What is penalised there is the
+jump of the second derivative along the normal, gamma_g h^(2 + power) * integral of [d2u/dn2] . [d2v/dn2] dA,
+with the cells' size h along the normal.
+
 With h^3 the parameters strictly have the units Pa / m^2 and N / m^2. T takes the numbers of moduli; on cells
 of one metre that is a share of the stiffness, on smaller ones much less. With h in its place (`power=1`, the
 default) the parameters are shares of the moduli whatever the size of the cells.
@@ -86,7 +90,7 @@ def make_penalty(
         return None
     if not isinstance(ghost, GhostPenalty) and not (isinstance(ghost, str) and ghost in _SHARES):
         raise InputError(f"ghost = {ghost!r}: allowed are None, 'light', 'thesis' and a GhostPenalty")
-    if not basis.gradients_jump:
+    if not (basis.gradients_jump or (basis.curvatures_jump and isinstance(ghost, GhostPenalty))):
         instead = "cell aggregation, which is always on, serves there. " if basis.sliver else ""
         raise InputError(
             f"ghost: gradients of basis = {basis.name!r} don't jump across faces, there is nothing to "
@@ -193,6 +197,31 @@ def stencil(cell: tuple[float, ...], axis: int, power: int = 3, above: float | N
     return np.asarray(dense[np.ix_(order, order)])
 
 
+def curvature_jumps(grid: Grid, basis: Basis, axis: int, cells: np.ndarray, power: int) -> np.ndarray:
+    """Matrices (m, n, n) of the jumps of second derivatives over faces across an axis above cells (m,), on
+    the functions of both cells, which are numbered like a box of nodes."""
+    index = grid.node_index(cells)
+    step = (np.arange(grid.dim) == axis).astype(index.dtype)
+    size = grid.sizes(index)
+    x, m, f = grid.position(index + step), len(cells), basis.functions
+    jump = np.zeros((m, f + 1))
+    jump[:, :-1] -= basis.curvatures(grid, x, index)[:, axis]
+    jump[:, 1:] += basis.curvatures(grid, x, index + step)[:, axis]
+    normal = 0.5 * (size + grid.sizes(index + step))[:, axis]
+    out = np.ones((m, 1, 1))
+    points, weights = np.polynomial.legendre.leggauss(f)
+    for k in range(grid.dim):
+        factor = normal[:, None, None] ** (2 + power) * jump[:, :, None] * jump[:, None]
+        if k != axis:
+            factor = np.zeros((m, f, f))
+            for point, weight in zip(points, weights, strict=True):
+                value = basis.lines(grid, grid.position(index) + 0.5 * (1.0 + point) * size, index)[:, k, 0]
+                factor += 0.5 * weight * size[:, k, None, None] * value[:, :, None] * value[:, None]
+        n = out.shape[1] * factor.shape[1]
+        out = np.einsum("mij,mkl->mikjl", out, factor).reshape(m, n, n)
+    return out
+
+
 def _kinds(grid: Grid, axis: int, cells: np.ndarray) -> list[tuple[tuple[float, ...], np.ndarray]]:
     """The different sizes (m) of the cells (m,) below faces across an axis, with that of the cell above along
     the axis, (d + 1,), and the cells that have them. Collective; the same sizes on all ranks."""
@@ -240,7 +269,18 @@ class Ghost(Term):
 
     def pieces(self, setting: Setting) -> list[Piece]:
         assert isinstance(setting, GridSetting)
-        return self.faces(setting.grid, setting.reached)
+        if setting.basis.gradients_jump:
+            return self.faces(setting.grid, setting.reached)
+        return self.curved_faces(setting.grid, setting.basis, setting.reached)
+
+    def curved_faces(self, grid: Grid, basis: Basis, reached: np.ndarray) -> list[Piece]:
+        """The same of functions whose second derivatives jump. Collective."""
+        out: list[Piece] = []
+        for axis, cells in enumerate(boundary_faces(grid, reached)):
+            count = tuple(basis.functions + (k == axis) for k in range(grid.dim))
+            matrices = curvature_jumps(grid, basis, axis, cells, self.penalty.power)
+            out.append(GhostFaces(Boxes(count, cells), matrices[..., None] * self.scale))
+        return out
 
     def faces(self, grid: Grid, reached: np.ndarray) -> list[Piece]:
         """Forces of the faces across each axis, for the cells that this rank's points reach. Collective."""
