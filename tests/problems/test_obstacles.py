@@ -297,3 +297,19 @@ def test_sites_for_paraview_and_forces_for_tables(folder):
     head = (folder / "forces.csv").read_text().splitlines()[0]
     assert "floor_force_y" in head
     assert "floor_penetration" in head
+
+
+@pytest.mark.parametrize("basis", ["bspline-averaged", "gimpm"])
+def test_a_released_obstacle_leaves_no_nodes_behind(basis):
+    """Its sites act on nodes of their points only, so that nothing is without stiffness when it is gone."""
+    problem = block(basis=basis, reset=1)
+    floor = floor_of(problem, friction=0.5)
+    problem.body_load(force=(1.0, -10.0))
+    for _ in problem.march(2, progress=False):
+        pass
+    assert np.allclose(floor.force, [-1.0, 10.0], rtol=1e-6)
+    problem.fix(lambda x: x[:, 1] > LOW + SIZE - 0.2, u=0)
+    problem.release(floor)
+    for step in problem.march(1, to=1.1, progress=False):
+        assert step.iterations <= 5
+    assert max(problem.balance().residue) < 1e-6

@@ -94,7 +94,9 @@ class Results(Initial):
                 returned.
         """
         if not isinstance(support, Support | SurfaceSupport | Obstacle):
-            raise InputError(f"reaction: support = {shown(support)} is not what fix or obstacle has returned")
+            raise InputError(
+                f"reaction: support = {shown(support)} is not what fix has returned, or obstacle"
+            )
         point, given = point_about(about, self.layout.dim), self.given.of(support)
         if given is None or not isinstance(given.condition, Support | SurfaceSupport | Obstacle):
             raise InputError(f"reaction: {support.name} isn't a support of this problem")

@@ -88,10 +88,9 @@ class GridSetting(Setting):
             raise InputError(f"{name}: material points that carry its sites have left the body")
         rows = np.flatnonzero(here)
         at, w, x = at[rows], self.weights, x[rows]
-        alone = np.all(
-            w.count[at] == self.basis.functions, axis=1
-        )  # else over several cells, of which theirs is one
-        cells = np.where(alone[:, None], w.lowest[at], self.grid.cells_of(self._x[at]))
+        # of the cells that weight a point its own, or the next to that: others may have no nodes
+        last = np.maximum(w.lowest[at], w.lowest[at] + w.count[at] - self.basis.functions)
+        cells = np.clip(self.grid.cells_of(self._x[at]), w.lowest[at], last)
         boxes = Boxes((self.basis.functions,) * self.grid.dim, self.grid.node_number(cells))
         return Carried(rows, boxes, self.basis.at(self.grid, x, cells))
 
