@@ -50,6 +50,7 @@ ROOMS = (
     Room("problems", "what a script talks to", "problem"),
     Room("io", "ParaView, tables, restart", "use"),
     Room("plot", "figures", "use"),
+    Room("geotechnics", "factors of safety", "use"),
     Room("study", "error against time, demos", "use"),
 )
 
