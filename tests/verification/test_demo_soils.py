@@ -1,10 +1,13 @@
-"""The demo of a slope."""
+"""The demo of a slope, and that of a footing on frictional soil."""
 
+import argparse
+import math
 from functools import partial
 
 import pytest
 
-from tests.helpers.demos import demo_result
+import polarmpm as pm
+from tests.helpers.demos import demo_module, demo_result
 
 
 @pytest.fixture
@@ -36,3 +39,18 @@ def test_default_settings_of_the_slope(run):
     for published in (1.4, 1.38):
         assert low > 0.97 * published
         assert high < 1.03 * published
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("degrees", "settlement", "size"), [(20, 0.02, (7.0, 3.5)), (30, 0.05, (11.0, 5.0))])
+def test_footing_on_frictional_soil(folder, degrees, settlement, size):
+    """Prandtl's N_c with psi = phi, 14.835 and 30.14, on coarse cells."""
+    demo, phi = demo_module("strip_footing"), math.radians(degrees)
+    elastic = pm.Hencky.from_engineering(E=demo.YOUNG, nu=demo.POISSON)
+    demo.soil = lambda: pm.MohrCoulomb(elastic, phi=phi, psi=phi, c=demo.STRENGTH)
+    demo.SETTLEMENT, (demo.LENGTH, demo.DEPTH) = settlement, size
+    args = argparse.Namespace(cells=4, points_per_cell=3, steps=20, locking="cured")
+    _, loads, _ = demo.solve("bspline", args, folder)
+    limit = (math.tan(math.pi / 4 + phi / 2) ** 2 * math.exp(math.pi * math.tan(phi)) - 1) / math.tan(phi)
+    assert limit == pytest.approx({20: 14.835, 30: 30.14}[degrees], rel=1e-4)
+    assert loads[-1] == pytest.approx(limit, rel=0.05)
