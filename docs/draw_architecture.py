@@ -101,7 +101,7 @@ def draw_rooms(ax: Axes, right: float) -> None:
         shape = (0.0, y - ROW / 2 + 0.035), NAMES - 0.06, ROW - 0.07
         ax.add_patch(FancyBboxPatch(*shape, boxstyle=style, facecolor=colour, edgecolor="#b0b0b0", lw=0.7))
         ax.text(0.1, y, room.name, va="center", size=10.5, weight="bold", color=INK)
-        ax.text(1.1, y, room.holds, va="center", size=8.5, color=INK)
+        ax.text(1.16, y, room.holds, va="center", size=8.5, color=INK)
     for layer in LAYERS:
         rows = [height(r.name) for r in ROOMS if r.layer == layer]
         low, high = min(rows) - ROW / 2, max(rows) + ROW / 2
