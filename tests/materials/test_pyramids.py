@@ -145,12 +145,12 @@ def test_other_cones_have_another_strength_in_plane_flow(cone):
 
 # returns --------------------------------------------------------------------------------------------
 CASES = {
-    "sharp": (HENCKY, {}),
-    "sharp, associated": (HENCKY, {"psi": 30.0}),
-    "sharp, isochoric": (NEO_HOOKEAN, {"phi": 20.0, "psi": 0.0}),
-    "sharp prism": (HENCKY, {"phi": 0.0, "psi": 0.0}),
-    "classical": (HENCKY, {"edges": "rounded"}),
-    "isochoric": (NEO_HOOKEAN, {"phi": 20.0, "psi": 0.0, "edges": "rounded"}),
+    "sharp": (HENCKY, {"edges": "sharp"}),
+    "sharp, associated": (HENCKY, {"psi": 30.0, "edges": "sharp"}),
+    "sharp, isochoric": (NEO_HOOKEAN, {"phi": 20.0, "psi": 0.0, "edges": "sharp"}),
+    "sharp prism": (HENCKY, {"phi": 0.0, "psi": 0.0, "edges": "sharp"}),
+    "classical": (HENCKY, {}),
+    "isochoric": (NEO_HOOKEAN, {"phi": 20.0, "psi": 0.0}),
     "cut": (HENCKY, {"cut": 8.0}),
     "prism": (HENCKY, {"phi": 0.0, "psi": 0.0, "cut": 30.0}),
     "micropolar": (ELASTIC, {"cut": 12.0}),

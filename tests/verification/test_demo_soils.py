@@ -1,10 +1,13 @@
-"""The demos of soils: the factor of safety of a slope, and footings on frictional soil."""
+"""The demo of a slope, and that of a footing on frictional soil."""
 
+import argparse
+import math
 from functools import partial
 
 import pytest
 
-from tests.helpers.demos import demo_result
+import polarmpm as pm
+from tests.helpers.demos import demo_module, demo_result
 
 
 @pytest.fixture
@@ -14,11 +17,10 @@ def run(folder):
 
 def test_factor_of_safety_of_a_slope_on_coarse_cells(run):
     """Cells of a tenth of the height: a little too strong. What trials say is what the bracket says."""
-    result = run(
-        "slope", "--cell", "1", "--points-per-cell", "3", "--low", "1.3", "--high", "1.5", "--width", "0.05"
-    )
+    options = ("--cell", "1", "--points-per-cell", "2", "--low", "1.3", "--high", "1.5", "--width", "0.1")
+    result = run("slope", *options)
     low, high = result["factor"]
-    assert 1.3 < low < high <= low + 0.05 + 1e-12
+    assert 1.3 <= low < high <= low + 0.1 + 1e-12
     assert pytest.approx((low + high) / 2, rel=0.06) == 1.38
     for factor, (displacement, load, _) in result["trials"].items():
         if float(factor) < low + 1e-3:
@@ -37,3 +39,18 @@ def test_default_settings_of_the_slope(run):
     for published in (1.4, 1.38):
         assert low > 0.97 * published
         assert high < 1.03 * published
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("degrees", "settlement", "size"), [(20, 0.02, (7.0, 3.5)), (30, 0.04, (11.0, 5.0))])
+def test_footing_on_frictional_soil(folder, degrees, settlement, size):
+    """Prandtl's N_c with psi = phi, 14.835 and 30.14, on coarse cells."""
+    demo, phi = demo_module("strip_footing"), math.radians(degrees)
+    elastic = pm.Hencky.from_engineering(E=demo.YOUNG, nu=demo.POISSON)
+    demo.soil = lambda: pm.MohrCoulomb(elastic, phi=phi, psi=phi, c=demo.STRENGTH)
+    demo.SETTLEMENT, (demo.LENGTH, demo.DEPTH) = settlement, size
+    args = argparse.Namespace(cells=4, points_per_cell=2, steps=20, locking="cured")
+    _, loads, _ = demo.solve("bspline", args, folder)
+    limit = (math.tan(math.pi / 4 + phi / 2) ** 2 * math.exp(math.pi * math.tan(phi)) - 1) / math.tan(phi)
+    assert limit == pytest.approx({20: 14.835, 30: 30.14}[degrees], rel=1e-4)
+    assert loads[-1] == pytest.approx(limit, rel=0.05)

@@ -28,7 +28,6 @@ from .plastic import Continuation, Plastic, check_names
 from .regions import SPRING, ConeApex, Edge, Region, SmoothPart, YieldSurface
 
 EDGES = ("rounded", "sharp")
-_CORNER = math.radians(25.0)
 _SHARPEST = 1 - 1e-13  # sine of three times the angle beyond which flow on a face is that on the edge
 _SIGNS = {"extension": -1, "compression": 1}  # the edges, and of Lode's angle there
 _NOTHING = 1e-30  # J2 over the square of a modulus; Lode's angle of no deviator is any
@@ -133,9 +132,9 @@ class MohrCoulomb(Plastic):
         tip: rounds the apex off: q becomes sqrt(q^2 + tip^2) (Pa). With 0 the apex is sharp.
         corner: Lode's angle (rad) beyond which edges are rounded, below pi/6. The closer to it, the sharper,
             and the harder to return to.
-        edges: "sharp": the pyramid itself, whose edges are regions of their own; of classical, isotropic
-            materials without `cut` and `tip`, and there the default unless a `corner` is given. "rounded":
-            smooth, see the module.
+        edges: "rounded": smooth, see the module. "sharp": the pyramid itself, whose edges are regions of
+            their own, as triaxial strengths ask for; of classical, isotropic materials without `cut` and
+            `tip`. Bodies under load find their equilibrium less easily with it.
 
     Raises:
         InputError: an argument is out of range.
@@ -149,8 +148,8 @@ class MohrCoulomb(Plastic):
     l_p: float | None = None
     cut: float | None = None
     tip: float = 0.0
-    corner: float = _CORNER
-    edges: str | None = None
+    corner: float = math.radians(25.0)
+    edges: str = "rounded"
 
     def __post_init__(self) -> None:
         put_numbers(self, "phi", "psi", "tip", "corner")
@@ -173,8 +172,7 @@ class MohrCoulomb(Plastic):
         check_names(self)
 
     def _check_edges(self) -> None:
-        if self.edges is not None:
-            choice("edges", self.edges, EDGES)
+        choice("edges", self.edges, EDGES)
         if self.edges == "sharp" and (why := self._rounded_for):
             raise refuse("edges", self.edges, f'"rounded" {why}')
 
@@ -188,8 +186,6 @@ class MohrCoulomb(Plastic):
 
     @property
     def sharp(self) -> bool:
-        if self.edges is None:
-            return self.corner == _CORNER and not self._rounded_for
         return self.edges == "sharp"
 
     @property
