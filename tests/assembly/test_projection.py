@@ -11,7 +11,8 @@ import pytest
 
 import polarmpm as pm
 from polarmpm.assembly.interpolation import Interpolation
-from polarmpm.assembly.points import LoadedPoints, PointSystem
+from polarmpm.assembly.loadedpoints import LoadedPoints
+from polarmpm.assembly.points import PointSystem
 from polarmpm.assembly.projection import DEGREE, CellProjection, ProjectedSystem, lagrange
 from polarmpm.basis.registry import basis_of
 from polarmpm.bodies.points import Points

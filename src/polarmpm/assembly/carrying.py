@@ -16,7 +16,7 @@ from mpi4py import MPI
 import numpy as np
 
 from ..solvers.linear import SingularTangent
-from .points import LoadedPoints
+from .loadedpoints import LoadedPoints
 from .system import NodalSystem
 
 _SOFTEST = 1e-8  # stiffness of directions that the material has none in (turns), over that of the others

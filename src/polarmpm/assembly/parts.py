@@ -14,7 +14,7 @@ from ..geometry.grid import box_indices
 from ..geometry.nodes import Nodes
 from ..kernels import native
 from .elements import ElementSystem
-from .points import LoadedPoints
+from .loadedpoints import LoadedPoints
 from .system import NodalSystem
 
 _FELT = 1e-9  # weights, and gradients over a cell, below which a point doesn't feel a node

@@ -34,7 +34,7 @@ from ..tools.parallel import Route, values_by_number
 from ..tools.timing import Timer
 from .formmatrix import FormMatrix
 from .interpolation import Interpolation
-from .points import LoadedPoints
+from .loadedpoints import LoadedPoints
 from .system import Assembled
 
 DEGREE = 5  # three Gauss points in each direction: their Lagrange polynomials are all multiquadratics

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..assembly import carrying
 from ..assembly.initialstress import InitialStress
-from ..assembly.points import LoadedPoints
+from ..assembly.loadedpoints import LoadedPoints
 from ..forms.initialstress import InitialKernels, InitialStressForm
 from ..kinematics.layout import Layout
 from ..tools.timing import Timer

@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..assembly.points import LoadedPoints
+from ..assembly.loadedpoints import LoadedPoints
 from ..bodies.points import Points
 from ..errors import TrustWarning
 from ..forms.points import PointForm

@@ -19,8 +19,8 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..assembly.loadedpoints import LoadedPoints
 from ..assembly.parts import Parts
-from ..assembly.points import LoadedPoints
 from ..assembly.system import NodalSystem
 from ..conditions.supports import component_names
 from ..errors import Finding, LocalFailure, NotConverged, PolarMPMError

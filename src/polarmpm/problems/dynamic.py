@@ -9,7 +9,7 @@ from mpi4py import MPI
 import numpy as np
 
 from ..assembly.elements import ElementSystem
-from ..assembly.points import LoadedPoints
+from ..assembly.loadedpoints import LoadedPoints
 from ..basis.base import Basis
 from ..bodies.elements import Elements
 from ..bodies.points import Points

@@ -10,7 +10,8 @@ import numpy as np
 
 from ..assembly import carrying
 from ..assembly.interpolation import Interpolation
-from ..assembly.points import LoadedPoints, PointSystem
+from ..assembly.loadedpoints import LoadedPoints
+from ..assembly.points import PointSystem
 from ..assembly.transfer import motion_of
 from ..basis.base import Basis
 from ..bodies.partition import LoadShares, distribute

@@ -9,8 +9,8 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..assembly.loadedpoints import LoadedPoints
 from ..assembly.pointboxes import BoxTangent
-from ..assembly.points import LoadedPoints
 from ..basis.base import Basis
 from ..basis.registry import basis_of
 from ..bodies.partition import LoadShares
@@ -27,7 +27,7 @@ from ..geometry.grid import Grid
 from ..geometry.planes import PlaneSpec
 from ..geometry.surfaces import Surface
 from ..kinematics import rotations
-from ..materials.base import Material, warn_of_locking
+from ..materials.base import Material
 from ..solvers.choice import check_solver
 from ..solvers.newton import Controls, Outcome
 from ..solvers.resetting import ResetPolicy, WhenDistorted, make_policy
@@ -48,7 +48,7 @@ from .fitting import (
     check_second_gradients,
     touches_axis,
 )
-from .locking import check_locking, choose_form, warn_of_plastic_locking
+from .locking import check_locking, choose_form, warn_of_functions
 from .ongrid import Compiled
 from .stages import Staged
 from .state import Fields, Progress
@@ -56,7 +56,6 @@ from .surfaces import add_load
 from .whole import Changing
 
 _DISTORTED = WhenDistorted()
-_SPLINES_LOCK = 0.495  # Poisson's ratio beyond which functions of higher degree lock on coarse cells, too
 # The papers' method, for what they publish: `QuasiStatic(grid, points, **PUBLISHED)`.
 PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": False, "locking": None}
 
@@ -165,15 +164,8 @@ class QuasiStatic(Staged):
     def _warn_of_locking(self) -> None:
         """On one rank; an error where the script makes errors of warnings."""
         if self.comm.rank == 0:
-            functions = f"the functions of basis={self.basis.name!r}"
             left = [form.material for form in self.forms if not form.scalars]
-            if self.basis.locks:
-                warn_of_locking(left, functions, "locking='auto' with assembly='direct', or basis='bspline'")
-                warn_of_plastic_locking(self.locking, left, functions, "assembly='direct'")
-            else:
-                few = "displacements are 2 to 6 % too small with 32 and 16 cells across a body that bends"
-                remedy = "locking='auto' with basis='bspline', or smaller cells"
-                warn_of_locking(left, functions, remedy, beyond=_SPLINES_LOCK, how=few)
+            warn_of_functions(self.locking, left, self.basis)
 
     def _changing(self) -> Iterator[Changing]:
         yield from super()._changing()
