@@ -51,6 +51,7 @@ def test_inclines(run):
         assert result[f"{name}_iterations"] < 5
 
 
+@pytest.mark.slow
 def test_a_micropolar_body_is_harder_under_a_small_wedge(run):
     result = run("penetration", "--cells", "32", "--lengths", "0.02", "0.08", "--steps", "2")
     assert abs(result["classical_error"]) < 0.12

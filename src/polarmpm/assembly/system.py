@@ -343,8 +343,7 @@ class NodalSystem(ABC):
         with self.timer("assembly"):
             sums = self.assemble(tangent, s.lift if tangent and s.pending else None)
             self.residual, s.lifted = sums.forces - self.carried, sums.lifted
-            if s.initial is None:
-                s.initial = self.residual
+            s.initial = self.residual if s.initial is None else s.initial
             if tangent and s.rounding is None:  # at the start: iterates that run away must not set it
                 diagonal = self.diagonal()
                 sizes = self.sizes if self.sizes.ndim == 1 else self.sizes[: len(diagonal)]
