@@ -30,7 +30,7 @@ def draw_trials(found: Any, ax: Any, length: tuple[float, str]) -> Any:
     ax.axvspan(*found.factor, color="0.85", lw=0, label="bracket", zorder=0)
     ax.axhline(found.limit * scale, color="0.35", lw=1.0, ls="--", label="counts as failure")
     ax.plot(*zip(*stand, strict=True), "-o", ms=4, lw=1.5, color=drawing.PLAIN, label="stands")
-    for fails, mark, label in ((far, "^", "moves beyond"), (lost, "x", "no equilibrium beyond")):
+    for fails, mark, label in ((far, "^", "fails, moves on"), (lost, "x", "fails, no equilibrium")):
         if fails:
             ax.plot(*zip(*fails, strict=True), mark, ms=6, mew=1.5, color=red, label=label)
     ax.set_ylim(0.0, top)
