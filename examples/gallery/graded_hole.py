@@ -17,7 +17,9 @@ rock = pm.Hencky.from_engineering(E=1e9, nu=0.25)
 
 
 def pulled(grid):
-    points = pm.seed(grid, lambda x: np.linalg.norm(x, axis=1) >= 1, bounds=((0, 0), (SIZE, SIZE)), material=rock)
+    points = pm.seed(
+        grid, lambda x: np.linalg.norm(x, axis=1) >= 1, bounds=((0, 0), (SIZE, SIZE)), material=rock
+    )
     problem = pm.QuasiStatic(grid, points, reset=None)
     problem.symmetry(pm.plane(x=0.0))
     problem.symmetry(pm.plane(y=0.0))

@@ -26,7 +26,7 @@ for step in problem.march(10, adaptive=True, progress=False):
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(plot.PAGE, 3))
 plot.plot_points(points, points.F[:, 2, 2], label="hoop stretch", ax=left)
-left.set(xlabel="r (m)", ylabel="z (m)")
+left.set(xlabel="r (m)", ylabel="z (m)", xlim=(0, 2))
 right.plot(*zip(*curve), "o-")
 right.set(xlabel="radius grows by (m)", ylabel="pressure (kPa)")
 plt.show()

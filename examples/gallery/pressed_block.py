@@ -12,7 +12,7 @@ import polarmpm as pm
 from polarmpm import plot
 
 plt.style.use(plot.STYLE)
-grid = pm.Grid.box((-3, 0), (3, 1.5), cell=0.125)
+grid = pm.Grid.box((-3, 0), (3, 1.5), cell=0.0625)
 points = pm.seed(grid, bounds=((-2, 0), (2, 1)), material=pm.NeoHookean.from_engineering(E=1e6, nu=0.3))
 problem = pm.QuasiStatic(grid, points)
 problem.fix(pm.plane(y=0.0), u=0)
