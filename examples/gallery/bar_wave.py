@@ -2,8 +2,8 @@
 A wave in a bar
 ===============
 
-A bar flies against a wall at 1 m/s, without a rotation or a spring anywhere: a front of pressure runs to its free end, is
-thrown back as tension, and the bar rebounds.
+A bar flies against a wall at 1 m/s, without a rotation or a spring anywhere: a front of pressure runs to
+its free end, is thrown back as tension, and the bar rebounds.
 """
 
 import matplotlib.pyplot as plt

@@ -2,7 +2,8 @@
 Cells where they matter
 =======================
 
-Around a hole strains change fast, far away hardly. Lines of the grid that grow from the hole save most of the unknowns.
+Around a hole strains change fast, far away hardly. Lines of the grid that grow from the hole save most of
+the unknowns.
 """
 
 import matplotlib.pyplot as plt

@@ -2,8 +2,8 @@
 A tube, by its section
 ======================
 
-A body of revolution needs its section alone: x is the radius, and points stand for rings. A rubber tube is inflated until
-it bulges, held at both ends.
+A body of revolution needs its section alone: x is the radius, and points stand for rings. A rubber tube
+is inflated until it bulges, held at both ends.
 """
 
 import matplotlib.pyplot as plt

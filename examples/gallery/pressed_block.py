@@ -2,8 +2,8 @@
 A block between rolls
 =====================
 
-A rigid cylinder is pushed into a soft block and drawn along it, with friction. Obstacles are level sets: the grid knows
-nothing of them.
+A rigid cylinder is pushed into a soft block and drawn along it, with friction. Obstacles are level sets:
+the grid knows nothing of them.
 """
 
 import matplotlib.pyplot as plt
