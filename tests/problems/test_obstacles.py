@@ -7,6 +7,7 @@ from mpi4py import MPI
 import meshio
 import numpy as np
 import pytest
+import scipy.optimize
 import ufl
 from dolfinx import mesh
 
@@ -313,3 +314,19 @@ def test_a_released_obstacle_leaves_no_nodes_behind(basis):
     for step in problem.march(1, to=1.1, progress=False):
         assert step.iterations <= 5
     assert max(problem.balance().residue) < 1e-6
+
+
+@pytest.mark.parametrize("on", [None, pm.Surface.line((1, 1), (0, 1), 40)], ids=["corners", "surface"])
+def test_a_ring_of_sites_counts_a_whole_turn(on):
+    """A cylinder between plates against the closed form of its uniform state."""
+    grid = pm.Grid.box((0, 0), (2, 2), 0.2)
+    points = pm.seed(grid, bounds=((0, 0), (1, 1)), material=NEO_HOOKEAN, axisymmetric=True)
+    problem = pm.QuasiStatic(grid, points, basis="mpm", reset=None)
+    problem.fix(pm.plane(y=0.0), uy=0)
+    plate = pm.HalfSpace((0, 1), (0, -1))
+    plate = problem.obstacle(plate, motion=lambda t: (0, -0.05 * t), on=on, gap=1e-5)
+    list(problem.march(2, progress=False))
+    lam, mu, along = NEO_HOOKEAN.lam, NEO_HOOKEAN.mu, 0.95
+    across = scipy.optimize.brentq(lambda t: mu * (t - 1 / t) + lam * np.log(t * t * along) / t, 0.9, 1.2)
+    stress = mu * (along - 1 / along) + lam * np.log(across**2 * along) / along
+    assert plate.force[1] == pytest.approx(np.pi * stress, rel=2e-4)

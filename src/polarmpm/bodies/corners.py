@@ -6,6 +6,7 @@ import numpy as np
 
 from ..geometry.grid import box_indices
 from .points import Points
+from .revolution import turned
 
 _NEAR = 1e-3  # of a half-length: corners that are nearer to each other are one place
 _SHIFT = 0.318309886  # of that: so that lattices of round numbers don't lie on the borders of bins
@@ -15,7 +16,8 @@ def outer_corners(points: Points) -> tuple[np.ndarray, np.ndarray, np.ndarray, n
     """Corners of the points' domains, as they are now, at which faces are free. Collective.
 
     Area and normal are those of the sum of a point's shares of its free faces: where two of them meet it is
-    aslant. A corner of several points is there once for each. A point without a domain stands for itself.
+    aslant. A corner of several points is there once for each. A point without a domain stands for itself. Of
+    a body of revolution they are those of its section.
 
     Returns:
         Positions (n, d) (m), undeformed areas (n,) (m^2; m in the plane), outward normals (n, d) and ids of
@@ -26,12 +28,16 @@ def outer_corners(points: Points) -> tuple[np.ndarray, np.ndarray, np.ndarray, n
     every = [np.concatenate(parts) for parts in zip(*comm.allgather(rows), strict=True)]
     order = np.argsort(every[0], kind="stable")
     number, X, x, F, half, volume = (a[order] for a in every)
+    if points.axisymmetric:
+        volume = volume / turned(np.ones(len(X)), X)
     signs = 2.0 * box_indices((2,) * d) - 1.0
     arms = signs[None] * half[:, None]
     alone = np.any(half <= 0.0, axis=1)
     directions = _outward(X, arms, alone, signs)
     kept = np.any(directions != 0.0, axis=2)
     kept[alone] = np.arange(len(signs)) == 0
+    if points.axisymmetric:  # nothing is free on the axis, whose rings have no length
+        kept &= (X[:, None] + arms)[:, :, 0] > _NEAR * half[:, :1]
     at, corner = np.nonzero(kept)
     place = x[at] + np.einsum("nij,nj->ni", F[at], arms[at, corner])
     d_area = volume[:, None] / np.where(half > 0.0, 2.0 * half, 1.0) / 2 ** (d - 1)  # of a corner, by axis

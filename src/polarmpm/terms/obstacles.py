@@ -23,6 +23,7 @@ from .base import Piece, Setting
 from .obstaclepieces import SitePiece
 from .settings import GridSetting
 from .sites import Sites
+from .surfaceterms import undeformed_area
 
 _REACH = 2.0  # cells: sites that are nearer to the obstacle when increments begin to count may touch it
 _LEAST = 0.1  # share of a corner's area, at least, that an obstacle beside it sees
@@ -300,11 +301,12 @@ class Obstacle(Sites):
     def _area_towards(self, normal: np.ndarray) -> np.ndarray:
         """Areas that face the obstacle: of a corner, where its faces end, as much as their sum does."""
         if not self.aslant:
-            return self.surface.area
+            return undeformed_area(self.surface, self.layout)
         now = np.linalg.solve(np.swapaxes(self.F, 1, 2), self.surface.normal[:, :, None])[:, :, 0]
         now = now / np.linalg.norm(now, axis=1, keepdims=True)
         shares = np.clip(-np.sum(now * normal, axis=1), _LEAST, 1.0)
-        areas: np.ndarray = self.surface.area * np.where(np.isfinite(shares), shares, 1.0)
+        whole = undeformed_area(self.surface, self.layout)
+        areas: np.ndarray = whole * np.where(np.isfinite(shares), shares, 1.0)
         return areas
 
     def finish(self) -> None:

@@ -85,7 +85,9 @@ class GridSetting(Setting):
         at = order[np.minimum(found, len(order) - 1)] if len(order) else np.zeros(len(parents), dtype=int)
         here = self.points.id[at] == parents if len(order) else np.zeros(len(parents), dtype=bool)
         if not np.all(self.comm.allreduce(here.astype(int))):
-            raise InputError(f"{name}: material points that carry its sites have left the body")
+            raise InputError(
+                f"{name}: material points that carry its sites have left the body: release it, add it again"
+            )
         rows = np.flatnonzero(here)
         at, w, x = at[rows], self.weights, x[rows]
         # of the cells that weight a point its own, or the next to that: others may have no nodes

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from .surfaceterms import SurfaceCondition
+from .surfaceterms import SurfaceCondition, undeformed_area
 
 _KEPT = (
     "u",
@@ -59,7 +59,7 @@ class Sites(SurfaceCondition):
         self.slip, self.seen, self.traction = np.zeros((n, d)), np.full((n, d), np.nan), np.zeros((n, d))
         self.couple, self.gap = np.zeros((n, r)), np.full(n, np.nan)
         self.sums = np.full(d + r + (1 if d == 2 else 3), np.nan)
-        self.seen_area = self.next_area = self.area_now = self.surface.area.copy()
+        self.seen_area = self.next_area = self.area_now = undeformed_area(self.surface, self.layout).copy()
         self._u_at, self._F_at, self._trial = self.u, self.F, self.multiplier
 
     # results ------------------------------------------------------------------------------------------
