@@ -1,137 +1,179 @@
-"""Locking and its cure: Cook's membrane, a strip and a layer, a footing; a table of numbers.
+"""What the cure of locking is held to: bars, what is found, and whether it holds; a table and a JSON file.
 
-    python benchmarks/locking.py [--quick]
+    python benchmarks/locking.py [--only cook resets thin coupled space footing micropolar] [--json FILE]
 
-Reference values: Cook's membrane 6.92 (nu = 0.4999) and 7.78 (0.3), the footing 2 + pi; strip and layer are
-compared with elements of degree 2. The quick run takes coarse cells only.
+Scenes without a known limit are compared with fine cured elements of degree 2.
 """
 
 import argparse
-import math
+import json
 import warnings
+from pathlib import Path
 
 from mpi4py import MPI
 
+import locking_table as scenes
 import numpy as np
 from dolfinx import mesh as dmesh
 
 import polarmpm as pm
 
 BASES = ("mpm", "gimpm", "bspline")
-CHOICES = (None, "auto", "always")
-YOUNG = 1e4
+RESULTS = Path(__file__).parent / "results" / "locking.json"
+ELEMENTS = {2: dmesh.CellType.quadrilateral, 3: dmesh.CellType.hexahedron}
 
 
-def cook(basis, nu, cell, locking, number=4, reset=None, steps=10):
-    """u_y of the upper corner of Cook's membrane, and iterations in all steps."""
-
-    def inside(x):
-        low, high = 44 / 48 * x[:, 0], 44 + 16 / 48 * x[:, 0]
-        return (x[:, 0] >= 0) & (x[:, 0] <= 48) & (x[:, 1] >= low) & (x[:, 1] <= high)
-
-    inside.bounds = ((0, 0), (48, 60))
-    grid = pm.Grid.box((0, -12), (60, 84), cell)
-    material = pm.NeoHookean.from_engineering(E=240.565, nu=nu)
-    points = pm.seed(grid, inside, material=material, points_per_cell=number)
-    ghost = "light" if reset and basis != "bspline" else None
-    problem = pm.QuasiStatic(grid, points, basis=basis, locking=locking, reset=reset, ghost=ghost)
-    problem.fix(pm.plane(x=0.0), u=0)
-    problem.traction(pm.Surface.line((48, 44), (48, 60), 64), force=(0, 100 / 16))
-    corner = np.array((48.0, 60.0))
-    near = points.nearest(corner)
-    iterations = sum(step.iterations for step in problem.march(steps))
-    found = 0.0
-    for row in points.rows(near)[:1]:
-        turn = points.F[row, :2, :2] - np.eye(2)
-        found = float((points.displacement[row] + turn @ (corner - points.X[row]))[1])
-    return MPI.COMM_WORLD.allreduce(found), iterations
+def bar(name, found, low, high):
+    return {"bar": name, "found": float(found), "low": low, "high": high, "holds": bool(low <= found <= high)}
 
 
-def bent(scene, nu, basis=None, locking=None, cells=(96, 24)):
-    """Work of a small load on a strip that bends or a layer under a footing; by elements without a basis."""
-    material = pm.NeoHookean.from_engineering(E=YOUNG, nu=nu)
-    strip = scene == "strip"
-    size = np.array((4.0, 1.0) if strip else (2.0, 1.0))
-    lift = 0.075 if strip and basis else 0.0  # off the grid's planes
+def coupled(ratio, cell=0.25, nu=0.3):
+    """Micropolar, bending length a tenth of a cell of 1/4 m, kappa = ratio mu."""
+    mu = scenes.YOUNG / (2 * (1 + nu))
+    lam = 2 * mu * nu / (1 - 2 * nu)
+    return pm.MicropolarElastic.bounded_stiffness(lam=lam, mu=mu, kappa=ratio * mu, l_b=0.1 * cell)
+
+
+def beam(size, material, basis=None, cell=None, cells=None, degree=2, lift=0.0):
+    """Work of a small load at the end of a cantilever."""
+    dim, size = len(size), np.array(size)
+    low = np.array((0.0, *(lift,) * (dim - 1)))
     if basis is None:
-        mesh = dmesh.create_rectangle(
-            MPI.COMM_WORLD, [np.zeros(2), size], cells, dmesh.CellType.quadrilateral
-        )
-        problem = pm.QuasiStaticFEM(pm.Elements(mesh, material=material, degree=2))
+        made = dmesh.create_rectangle if dim == 2 else dmesh.create_box
+        body = made(MPI.COMM_WORLD, [low, low + size], cells, ELEMENTS[dim])
+        problem = pm.QuasiStaticFEM(pm.Elements(body, material=material, degree=degree), locking="always")
     else:
-        grid = pm.Grid.box((0, -2), (5, 3), 0.25) if strip else pm.Grid.box((0, 0), (2, 1), 0.125)
+        around = np.array((0.0, *(2 * cell,) * (dim - 1)))
+        last = np.ceil((low + size + 2 * cell) / cell) * cell
+        grid = pm.Grid.box(tuple(-around), tuple(last), cell)
         points = pm.seed(
-            grid, bounds=((0, lift), size + np.array((0, lift))), material=material, points_per_cell=4
+            grid, bounds=(low, low + size), material=material, points_per_cell=4 if dim == 2 else 3
         )
-        problem = pm.QuasiStatic(grid, points, basis=basis, reset=None, locking=locking)
-    if strip:
-        problem.fix(pm.plane(x=0.0), u=0)
-        loaded = pm.Surface.line((4, lift), (4, 1 + lift), 64) if basis else pm.plane(x=4.0)
-    else:
-        for plane in (pm.plane(x=0.0), pm.plane(x=2.0)):
-            problem.fix(plane, ux=0)
-        problem.fix(pm.plane(y=0.0), u=0)
-        loaded = pm.Surface.line((0, 1), (0.5, 1), 64) if basis else _under
-    problem.traction(loaded, force=(0, (1e-6 if strip else -1e-6) * YOUNG))
-    list(problem.march(1))
+        problem = pm.QuasiStatic(grid, points, basis=basis, reset=None, locking="always")
+    problem.fix(pm.plane(x=0.0), u=0, **({"theta": 0} if material.micropolar else {}))
+    problem.body_load(force=(0.0, 1e-6 * scenes.YOUNG, 0.0)[:dim])
+    list(problem.march(1, progress=False))
     return problem.energies()["external"]
 
 
-def _under(x):
-    return (x[:, 1] > 1 - 1e-9) & (x[:, 0] < 0.5 + 1e-9)
+def cook_bars():
+    rows = []
+    for basis, within in (("mpm", 0.03), ("gimpm", 0.03), ("bspline", 0.015)):
+        u, iterations = scenes.cook(basis, 0.4999, 3.0, "auto")
+        rows.append(bar(f"Cook, 0.4999, {basis}: u / 6.92", u / 6.92, 1 - within, 1 + within))
+        rows.append(bar(f"Cook, 0.4999, {basis}: iterations a step", iterations / 10, 0, 3.5))
+    return rows
 
 
-def footing(basis, cells, locking, length=None):
-    """Load over c b_eff of half a rough footing that is pushed in by 0.02 b, and by how much it rises."""
-    elastic = pm.Hencky.from_engineering(E=YOUNG, nu=0.3)
-    if length is not None:
-        lam, mu = 0.3 * YOUNG / 1.3 / 0.4, YOUNG / 2.6
-        elastic = pm.MicropolarElastic.bounded_stiffness(lam=lam, mu=mu, kappa=mu, l_b=length)
-    material = pm.VonMises(elastic, k=math.sqrt(3.0), l_p=length)
-    grid = pm.Grid.box((0, 0), (5, 2.5), 1 / cells)
-    points = pm.seed(grid, material=material, points_per_cell=4)
-    problem = pm.QuasiStatic(grid, points, basis=basis, reset=None, locking=locking)
-    for plane in (pm.plane(x=0.0), pm.plane(x=5.0)):
-        problem.fix(plane, ux=0)
-    problem.fix(pm.plane(y=0.0), u=0)
-    held = problem.fix(lambda x: (x[:, 0] < 1 + 1e-6) & (x[:, 1] > 2.5 - 1e-6), ux=0, uy=-0.02)
-    loads = [-problem.reaction(held).force[1] for _ in problem.march(40)]
-    x = problem.system.nodes.position
-    top = x[np.abs(x[:, 1] - 2.5) < 1e-6, 0]
-    ends = top[top < 1 + 1e-6].max(initial=0.0), top[top > 1 + 1e-6].min(initial=5.0)
-    last = MPI.COMM_WORLD.allreduce(ends[0], op=MPI.MAX)
-    width = 0.5 * (last + MPI.COMM_WORLD.allreduce(ends[1], op=MPI.MIN))
-    return loads[-1] / width, loads[-1] / loads[len(loads) // 2 - 1] - 1
+def reset_bars():
+    """After 40 balanced resets, on cells of 6 m."""
+    rows = []
+    for basis, within in (("mpm", 0.01), ("bspline", 0.025)):
+        tips = [scenes.cook(basis, 0.4999, 6.0, "auto", reset=r, steps=40)[0] for r in (1, None)]
+        rows.append(bar(f"40 resets, {basis}: over never reset", tips[0] / tips[1], 1 - within, 1 + within))
+    return rows
+
+
+def thin_bars():
+    """A strip of 4 x 1 m one, two and four cells across, aligned and off the planes."""
+    rows = []
+    for nu in (0.3, 0.4999):
+        material = pm.NeoHookean.from_engineering(E=scenes.YOUNG, nu=nu)
+        reference = beam((4.0, 1.0), material, cells=(96, 24))
+        for across in (1, 2, 4):
+            for basis in ("mpm", "bspline"):
+                low, high = (0.85, 1.2) if across == 1 else (0.9, 1.1) if across == 2 else (0.97, 1.03)
+                for lift in (0.0, 0.3):
+                    work = beam((4.0, 1.0), material, basis, 1 / across, lift=lift / across)
+                    name = f"strip, nu {nu}, {across} across, off by {lift}, {basis}"
+                    rows.append(bar(name, work / reference, low, high))
+    return rows
+
+
+def coupled_bars():
+    """A strip four cells across of large kappa / mu, by points and by elements of degree 1."""
+    rows = []
+    for ratio in (1.0, 1e3, 1e6):
+        material = coupled(ratio)
+        reference = beam((4.0, 1.0), material, cells=(64, 16))
+        for basis in BASES:
+            work = beam((4.0, 1.0), material, basis, 0.25, lift=0.075)
+            rows.append(bar(f"kappa/mu {ratio:g}, {basis}", work / reference, 0.95, 1.05))
+        work = beam((4.0, 1.0), material, cells=(16, 4), degree=1)
+        rows.append(bar(f"kappa/mu {ratio:g}, elements of degree 1", work / reference, 0.95, 1.05))
+    return rows
+
+
+def space_bars():
+    """A beam of 4 x 1 x 1 m two cells across, nearly incompressible and of large kappa."""
+    rows = []
+    near = pm.NeoHookean.from_engineering(E=scenes.YOUNG, nu=0.4999)
+    for name, material in (("0.4999", near), ("kappa/mu 1e3", coupled(1e3))):
+        reference = beam((4.0, 1.0, 1.0), material, cells=(16, 4, 4))
+        for basis in BASES:
+            work = beam((4.0, 1.0, 1.0), material, basis, 0.5, lift=0.15)
+            rows.append(bar(f"beam in space, {name}, {basis}", work / reference, 0.9, 1.1))
+        for degree in (1, 2):
+            work = beam((4.0, 1.0, 1.0), material, cells=(8, 2, 2), degree=degree)
+            rows.append(bar(f"beam in space, {name}, degree {degree}", work / reference, 0.9, 1.1))
+    return rows
+
+
+def footing_bars():
+    rows = []
+    for cells, within in ((4, 0.06), (8, 0.03)):
+        for basis in ("mpm", "bspline"):
+            load, rise = scenes.footing(basis, cells, "auto")
+            limit = 2 + np.pi
+            rows.append(
+                bar(f"footing, {cells} cells, {basis}: over 2 + pi", load / limit, 1 - within, 1 + within)
+            )
+            rows.append(bar(f"footing, {cells} cells, {basis}: rise", rise, -0.01, 0.01))
+    return rows
+
+
+def micropolar_bars():
+    """Over the classical footing, 4 cells: it tends to that with l, and grows with l."""
+    rows = []
+    for basis in ("mpm", "bspline"):
+        classical = scenes.footing(basis, 4, "auto")[0]
+        before = 0.0
+        for length in (0.005, 0.02, 0.1, 0.3):
+            load, rise = scenes.footing(basis, 4, "auto", length)
+            high = 1.03 if length <= 0.02 else np.inf
+            name = f"micropolar footing, {basis}, l = {length} b"
+            rows.append(bar(f"{name}: over the classical one", load / classical, max(0.97, before), high))
+            rows.append(bar(f"{name}: rise", rise, -0.01, 0.01 if length <= 0.02 else np.inf))
+            before = load / classical
+    return rows
+
+
+GROUPS = {
+    "cook": cook_bars,
+    "resets": reset_bars,
+    "thin": thin_bars,
+    "coupled": coupled_bars,
+    "space": space_bars,
+    "footing": footing_bars,
+    "micropolar": micropolar_bars,
+}
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="coarse cells, no footing")
-    quick = parser.parse_args().quick
+    parser.add_argument("--only", nargs="+", choices=GROUPS, default=list(GROUPS))
+    parser.add_argument("--json", type=Path, default=RESULTS, help="groups are put in beside others")
+    args = parser.parse_args()
     warnings.simplefilter("ignore", pm.TrustWarning)
-    tell = print if MPI.COMM_WORLD.rank == 0 else lambda *_: None
-    tell("Cook's membrane: basis, nu, cell (m), locking: u_y over the limit, iterations in 10 steps")
-    for basis in BASES:
-        for nu, limit in ((0.3, 7.78), (0.4999, 6.92)):
-            for cell in (6.0,) if quick else (6.0, 3.0, 1.5):
-                for locking in CHOICES:
-                    u, iterations = cook(basis, nu, cell, locking)
-                    tell(f"{basis:8} {nu:6} {cell:4} {locking!s:7} {u / limit:.4f} {iterations}")
-    tell("strip and layer: scene, nu, basis, locking: work over that of elements of degree 2")
-    for scene in ("strip", "layer"):
-        for nu in (0.4999,) if quick else (0.0, 0.3, 0.45, 0.49, 0.499, 0.4999):
-            reference = bent(scene, nu)
-            for basis in BASES:
-                for locking in CHOICES:
-                    share = bent(scene, nu, basis, locking) / reference
-                    tell(f"{scene} {nu:6} {basis:8} {locking!s:7} {share:.4f}")
-    tell("footing: basis, cells under its half, locking, l / b: load over c b_eff, rise in the second half")
-    for basis in () if quick else BASES:
-        for cells in (4, 8):
-            for locking in (None, "auto"):
-                for length in (None, 0.02) if cells == 4 else (None,):
-                    load, rise = footing(basis, cells, locking, length)
-                    tell(f"{basis:8} {cells} {locking!s:7} {length!s:5} {load:.3f} {100 * rise:.2f} %")
+    for group in args.only:
+        rows = GROUPS[group]()
+        if MPI.COMM_WORLD.rank == 0:
+            for row in rows:
+                print(
+                    f"{row['bar']:55} {row['found']:.4f} {'holds' if row['holds'] else 'FAILS'}", flush=True
+                )
+            known = json.loads(args.json.read_text()) if args.json.exists() else {}
+            args.json.write_text(json.dumps(known | {group: rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":
