@@ -59,6 +59,7 @@ class PointSystem(OnPattern, LoadedPoints):
                 whole,
                 [patches for patches in interpolation.patches if patches is not None],
             )
+            self._hold_unreached()
             self._fixed = np.ascontiguousarray(prescribed.fixed, dtype=np.uint8)
             native.fill(self.pattern.matrix, fixed=self._fixed)
             self.terms.bind(self.pattern.matrix, prescribed.fixed)
@@ -76,6 +77,16 @@ class PointSystem(OnPattern, LoadedPoints):
         self._few = interpolation.points.total < self.nodes.total
         # flow and projection change the energy in boxes from step to step: no restart could repeat its sums
         self._keeps_boxes = not plastic and not any(form.scalars for form in interpolation.forms)
+
+    def _hold_unreached(self) -> None:
+        """Nodes that nothing reaches any more, as those of a term that has been released in empty space, stay
+        where they are until the next reset leaves them out."""
+        reached = self.pattern.reached
+        assert reached is not None
+        count = reached[:, None].astype(float)
+        self.nodes.add_to_owners(count)
+        self.nodes.update_ghosts(count)
+        self.prescribed.fixed[count[:, 0] == 0.0] = True
 
     # assembly ---------------------------------------------------------------------------------------
     @property

@@ -42,6 +42,7 @@ class Pattern:
     ghost_order: np.ndarray | None = None  # entries of each ghost block in the buffer
     received_at: np.ndarray | None = None  # where entries of received blocks go; -1: nowhere
     halves: tuple[np.ndarray, ...] | None = None  # pairs of nodes, and their blocks in either's rows
+    reached: np.ndarray | None = None  # nodes (nodes,) that something of this rank reaches; None: all
 
     @property
     def owned_entries(self) -> int:
@@ -153,6 +154,8 @@ def build(
         native.library().polarmpm_couple_nodes(ctypes.byref(batch), reach, mark)
     for patch in patches:
         patch.couple(reach, mark)
+    reached = np.any(mark, axis=1)
+    mark[: nodes.owned, codes // 2] = 1  # nodes of a term that is gone have no more than themselves
     row, code = np.nonzero(mark)
     offset = box_indices((side,) * grid.dim) - reach
     col = nodes.local(nodes.lattice[row] + (offset @ grid.strides)[code])
@@ -161,6 +164,7 @@ def build(
         row, code, col = row[keep], code[keep], col[keep]
     pattern = of_pairs(nodes, block, symmetric, reach, codes, (row, code, col))
     native.fill(pattern.matrix, half=int(half))
+    pattern.reached = reached
     if half and whole:
         later = code >= codes // 2  # in the order of a group's nodes, or the same node
         row, code, col = (a[later].astype(np.int32) for a in (row, code, col))
