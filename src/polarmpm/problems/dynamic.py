@@ -8,12 +8,9 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..assembly.elements import ElementSystem
-from ..assembly.loadedpoints import LoadedPoints
 from ..basis.base import Basis
 from ..bodies.elements import Elements
 from ..bodies.points import Points
-from ..bodies.reference import Increments
 from ..errors import InputError
 from ..geometry.grid import Grid
 from ..solvers.newton import Controls
@@ -159,19 +156,6 @@ class Dynamic(Moving, QuasiStatic):
     def _evaluated_at_end(self) -> bool:
         return self.points.plastic or any(form.scalars for form in self.forms)
 
-    def _prepare(self) -> LoadedPoints:
-        system: LoadedPoints = super()._prepare()
-        self._add_inertia(system)
-        return system
-
-    def _put_loads(self, system: LoadedPoints, factor: float | None) -> None:
-        super()._put_loads(system, None if factor is None else self._set_step(system, factor))
-
-    def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
-        super()._commit(system, increments, factor)
-        assert system.inertia is not None
-        self._move(system.inertia, increments)
-
 
 class DynamicFEM(Moving, QuasiStaticFEM):
     """Motion of a mesh of finite elements. All methods are collective. What isn't said here is as of
@@ -247,16 +231,3 @@ class DynamicFEM(Moving, QuasiStaticFEM):
     @property
     def _evaluated_at_end(self) -> bool:
         return self.points.plastic or bool(self._system and self._system.projected_F())
-
-    def _prepare(self) -> ElementSystem:
-        system = super()._prepare()
-        self._add_inertia(system)
-        return system
-
-    def _put_loads(self, system: ElementSystem, factor: float | None) -> None:
-        super()._put_loads(system, None if factor is None else self._set_step(system, factor))
-
-    def _commit(self, system: ElementSystem, increments: Increments, factor: float) -> None:
-        super()._commit(system, increments, factor)
-        assert system.inertia is not None
-        self._move(system.inertia, increments)

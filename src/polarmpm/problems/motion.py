@@ -125,6 +125,19 @@ class Moving(WithInertia):
     def _couples_act(self) -> bool:
         return bool(self.layout.rotations) or super()._couples_act
 
+    def _prepare(self) -> Any:
+        system = super()._prepare()  # type: ignore[safe-super]
+        self._add_inertia(system)
+        return system
+
+    def _put_loads(self, system: Any, factor: float | None) -> None:
+        at = None if factor is None else self._set_step(system, factor)
+        super()._put_loads(system, at)  # type: ignore[safe-super]
+
+    def _commit(self, system: Any, increments: Increments, factor: float) -> None:
+        super()._commit(system, increments, factor)  # type: ignore[safe-super]
+        self._move(system.inertia, increments)
+
     def _add_inertia(self, system: NodalSystem) -> None:
         """Give a new system the points' masses."""
         if system.inertia is None:
