@@ -151,6 +151,34 @@ def test_an_oedometer_goes_on_from_rest(make: Any) -> None:
     np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), rtol=1e-9, atol=1e-3)
 
 
+@pytest.mark.parametrize("kind", ["mpm", "bspline", "elements"])
+@pytest.mark.parametrize("material", [HENCKY, SOIL, MICROPOLAR])
+def test_ground_around_an_axis_rests_and_goes_on(kind: str, material: pm.Material) -> None:
+    """A body of revolution: at rest under its weight; then an oedometer of small strain."""
+    if kind == "elements":
+        made = box("quadrilateral", (2, 3), (2.0, 3.0))
+        elements = pm.Elements(made, material=material, axisymmetric=True)
+        problem: Any = pm.QuasiStaticFEM(elements)
+    else:
+        grid = pm.Grid.box((0, 0), (2, 4), 1.0)
+        points = pm.seed(grid, bounds=((0, 0), (2, 3)), material=material, axisymmetric=True)
+        problem = pm.QuasiStatic(grid, points, basis=kind, reset=1)
+    problem.fix(pm.plane(x=2.0), ux=0)
+    problem.fix(pm.plane(y=0.0), uy=0)
+    ground = at_rest(problem)
+    run(problem, 2)
+    assert largest(problem.points.displacement) < 1e-10 * 3
+    stress = problem.fields("stress").stress
+    np.testing.assert_allclose(stress, ground.stress(problem.points.X), rtol=0, atol=1e-8 * 54e3)
+    top = pm.plane(y=3.0) if kind == "elements" else pm.Surface.line((2, 3), (0, 3), 8)
+    problem.pressure(top, lambda f: 10.0 * max(f - 1.0, 0.0))
+    run(problem, 1, to=2.0)
+    found = problem.points.mean_displacement(problem.points.farthest((0, 1)))[1]
+    height = problem.points.X[:, 1].max(initial=0.0)
+    height = max(COMM.allgather(height))
+    assert found == pytest.approx(-10.0 * height / 14e6, rel=0.02)
+
+
 @pytest.mark.slow  # where its kernels in space aren't compiled yet
 @pytest.mark.parametrize("ratio", [1.0, 2.0])
 def test_clay_is_compressed_along_its_lines(ratio: float) -> None:
