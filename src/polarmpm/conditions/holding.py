@@ -8,17 +8,21 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..errors import InputError, SupportLost
+from ..errors import InputError, SupportLost, TrustWarning
 from ..geometry.planes import Plane
+from ..tools.caller import warn
+from ..tools.parallel import errors_on_all_ranks
 from .prescribed import Prescribed
 from .supports import Support
 
 _NOTHING = 1e-9  # of the largest volume at a node: nodes with less have points on a face of theirs only
+_MORE = 2.0  # times as much of the body as at first that a predicate may hold before it's told
 _LEAST = 0.25  # share of the nodes, and of the volume at one of them, that a support must keep
 
 
 def check_held(prescribed: Prescribed, volume: np.ndarray, step: int) -> None:
-    """Raise an error for a support that holds nothing of the body, or hardly anything any more. Collective.
+    """Raise an error for a support that holds nothing of the body, or hardly anything any more; warn, once,
+    of one whose region more of the body has come into. Collective.
 
     Args:
         volume: current volume of the body at each node (nodes,), in cells; complete on owned rows.
@@ -50,6 +54,21 @@ def check_held(prescribed: Prescribed, volume: np.ndarray, step: int) -> None:
             raise SupportLost(
                 _lost(support, step, f"is leaving its nodes; at them there is {share:.0%} of it left")
             )
+        growth = first / (support.met[0] * support.met[1])
+        told = support.swollen or isinstance(support.where, Plane) or growth <= _MORE
+        with errors_on_all_ranks(comm):  # a script may make errors of warnings
+            if not told and comm.rank == 0:
+                warn(_more(support, step, growth), TrustWarning)
+        support.swollen |= growth > _MORE
+
+
+def _more(support: Support, step: int, growth: float) -> str:
+    return (
+        f"{support.name} holds {growth:.2g} times as much of the body since the reset after step {step} as "
+        "at first: nodes are held wherever its predicate is true, so that what has moved into that region "
+        "is held, too. If that isn't meant, hold a Surface, which the body carries, or let the predicate ask "
+        "for less"
+    )
 
 
 def _nothing(prescribed: Prescribed, support: Support, weights: np.ndarray) -> str:

@@ -54,6 +54,7 @@ class Support:
             None before.
         mirror: what it says of slopes; None: nothing.
         on_facets: it holds slopes on facets of finite elements.
+        swollen: it has been told that it holds much more of the body than at first.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Support:
     met: tuple[float, float] | None = None
     mirror: Mirror | None = None
     on_facets: bool = False
+    swollen: bool = False
 
     def __repr__(self) -> str:
         prescribed = dict.fromkeys(a.name.split(", ")[-1] for a, _ in self.columns.values())
