@@ -107,20 +107,27 @@ class NotConverged(PolarMPMError, RuntimeError):
     """A load step did not converge; the last converged state is intact.
 
     Attributes:
-        factor: load factor that was aimed at.
+        factor: load factor, or time (s), that was aimed at.
+        clock: which of the two it is.
         history: (force, energy) measures of every iteration of the last attempt, T (2.53)-(2.54).
         tried: one line for each attempt.
         findings: why, as far as the diagnosis could tell, the most telling first; see `Finding`.
     """
 
-    def __init__(self, factor: float, history: Sequence[tuple[float, float]], tried: Sequence[str]):
-        self.factor, self.history, self.tried = factor, list(history), list(tried)
+    def __init__(
+        self,
+        factor: float,
+        history: Sequence[tuple[float, float]],
+        tried: Sequence[str],
+        clock: str = "load factor",
+    ):
+        self.factor, self.history, self.tried, self.clock = factor, list(history), list(tried), clock
         self.findings: list[Finding] = []
         super().__init__(self._message())
 
     def _message(self) -> str:
         lines = [
-            f"no equilibrium at load factor {self.factor:.6g}; the last converged state is intact. Tried:"
+            f"no equilibrium at {self.clock} {self.factor:.6g}; the last converged state is intact. Tried:"
         ]
         lines += [f"  {line}" for line in self.tried]
         if self.findings:

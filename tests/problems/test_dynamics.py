@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from typing import Any
 
 from mpi4py import MPI
@@ -281,3 +282,17 @@ def test_viscosity_damps_by_the_square_of_the_frequency(make: Any):
     e = problem.energies()
     assert e["kinetic"] == pytest.approx(begin * np.exp(-tau * w**2 * np.pi / damped), rel=2e-3)
     assert e["damped"] == pytest.approx(begin - e["kinetic"] - e["stored"], rel=1e-3)
+
+
+def test_a_step_that_fails_names_its_time():
+    """And says so after it has been sent to another process."""
+    grid = pm.Grid.box((0, 0), (2, 2), 0.5)
+    points = pm.seed(grid, bounds=((0, 0), (1, 1)), material=NEO_HOOKEAN)
+    problem = pm.Dynamic(grid, points, density=1e3, controls=pm.Controls(max_iterations=1))
+    problem.fix(pm.plane(y=0.0), u=0)
+    problem.body_load(force=lambda t: (0.0, -0.3 * NEO_HOOKEAN.mu))
+    with pytest.raises(pm.NotConverged) as error:
+        list(problem.march(1.5, steps=1, progress=False))
+    text = str(pickle.loads(pickle.dumps(error.value)))
+    assert "no equilibrium at time 1.5;" in text
+    assert "  time 1.5: no convergence" in text

@@ -38,6 +38,7 @@ class Moving(WithInertia):
     factor: functions get it, and a number grows by its value in a second.
     """
 
+    clock = "time"
     _step: TimeStep | None = None  # the step that is being solved
     _pushed: tuple[np.ndarray, np.ndarray] | None = None  # dead forces and couples of the history
     _found: tuple[tuple[float, float, float], Equilibrium] | None = None  # of the collocated state

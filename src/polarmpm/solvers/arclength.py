@@ -353,7 +353,7 @@ def _steps(problem: Marching, schedule: ArcSchedule, explain: Explain | None) ->
             )
             length *= 0.5
             if length < schedule.smallest * schedule.first:
-                raise failed(aim, outcome.history, tried, explain)
+                raise failed(problem, aim, outcome.history, tried, explain)
         if outcome.iterations <= _EASY:
             length = min(1.5 * length, largest)
         note_sizes(problem, schedule, [length])

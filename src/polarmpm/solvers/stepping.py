@@ -233,17 +233,28 @@ def _called(schedule: Any) -> str:
 def _attempt(problem: Marching, factor: float, tried: list[str]) -> Step | Outcome:
     outcome = problem.attempt(factor)
     if not outcome.converged:
-        tried.append(f"load factor {factor:.6g}: {outcome.reason} after {outcome.iterations} iterations")
+        tried.append(
+            f"{clock_of(problem)} {factor:.6g}: {outcome.reason} after {outcome.iterations} iterations"
+        )
         return outcome
     reached, history = problem.progress.step, tuple(outcome.history)
     return Step(reached, factor, history, len(tried), outcome.unresolved, restored_of(problem))
 
 
+def clock_of(problem: Any) -> str:
+    """What its steps count: the load factor, or in dynamic problems the time."""
+    return str(getattr(problem, "clock", "load factor"))
+
+
 def failed(
-    factor: float, history: Sequence[tuple[float, float]], tried: Sequence[str], explain: Explain | None
+    problem: Any,
+    factor: float,
+    history: Sequence[tuple[float, float]],
+    tried: Sequence[str],
+    explain: Explain | None,
 ) -> NotConverged:
     """The error to raise, explained."""
-    error = NotConverged(factor, history, tried)
+    error = NotConverged(factor, history, tried, clock_of(problem))
     if explain is not None:
         explain(error)
     return error
@@ -257,7 +268,7 @@ def _equal(problem: Marching, schedule: Schedule, explain: Explain | None) -> It
         tried: list[str] = []
         step = _attempt(problem, factor, tried)
         if isinstance(step, Outcome):
-            raise failed(factor, step.history, tried, explain)
+            raise failed(problem, factor, step.history, tried, explain)
         last = step
         yield step
 
@@ -297,7 +308,7 @@ def _adaptive(problem: Marching, schedule: Schedule, explain: Explain | None) ->
                 break
             size = 0.5 * min(size, left, key=abs)
             if abs(size) < schedule.smallest * abs(first):
-                raise failed(factor, step.history, tried, explain)
+                raise failed(problem, factor, step.history, tried, explain)
         if schedule.controlled:
             size = min(problem.suited(size), largest, key=abs)
         elif step.iterations <= schedule.easy:
