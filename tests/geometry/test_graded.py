@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import polarmpm as pm
-from polarmpm.basis.registry import BASES, basis_of
+from polarmpm.basis.registry import basis_of
 from polarmpm.geometry.grid import MARGIN, GradedGrid
 from tests.conftest import COMM, NEO_HOOKEAN
 
+NAMES = ("bspline", "bspline-averaged", "bspline3", "gimpm", "mpm")  # not those that tests register
 STEEP = np.array([0.0, 1.0, 9.0, 10.0, 18.0, 19.0, 20.0, 28.0])  # neighbours 1:8
 SMOOTH = np.concatenate([[0.0], np.cumsum(1.2 ** np.arange(8))])
 JITTERED = np.array([-0.5, 0.11, 0.74, 1.6, 2.02, 2.9, 3.3, 4.2])
@@ -135,7 +136,7 @@ def body(grid: pm.Grid, n: int = 400) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("lines", [STEEP, SMOOTH, JITTERED], ids=["1:8", "smooth", "jittered"])
-@pytest.mark.parametrize("name", sorted(BASES))
+@pytest.mark.parametrize("name", NAMES)
 def test_unity_and_linear_completeness(name, lines, dim):
     """Of all bases, in cells and beyond them, where points lean on other cells."""
     basis, grid = basis_of(name), graded(lines, dim)
@@ -166,7 +167,7 @@ def _check_linear(basis, grid, w, x, scale, far) -> None:
         np.testing.assert_allclose(np.sum(slope * at, axis=1), 1, rtol=0, atol=1e-13 * scale / size * far)
 
 
-@pytest.mark.parametrize("name", sorted(BASES))
+@pytest.mark.parametrize("name", NAMES)
 def test_the_general_code_on_equal_cells(name):
     """Gives the weights of a box, but for rounding."""
     basis, box = basis_of(name), pm.Grid.box((0, -1), (4, 1), 0.5)

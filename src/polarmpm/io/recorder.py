@@ -47,9 +47,9 @@ class Recorder:
             (rad), energy (per reference volume, Pa), volume (m^3; m^2 in plane strain), id, material,
             unresolved (share of the last step's work that is done inside a point's box); with plastic
             materials hardening (chi) and dissipation (per reference volume, Pa); with second-gradient
-            materials grad_F (1/m) and double_stress (N/m). Tensors have 9 components, row by row, the latter
-            two 27. A field of your
-            own is a `Field`, a function of the points, or a `MaterialField`, a UFL expression:
+            materials grad_F (1/m) and double_stress (N/m); in dynamic problems velocity (m/s) and spin
+            (rad/s). Tensors have 9 components, row by row, grad_F and double_stress 27. A field of your own
+            is a `Field`, a function of the points, or a `MaterialField`, a UFL expression:
             `pm.Field("J", lambda points: np.linalg.det(points.F))`,
             `pm.MaterialField("deviator", lambda s: ufl.dev(s.stress), "Pa")`.
         grid: also write the occupied cells of the background grid to `arch_grid.pvd`, at their position
