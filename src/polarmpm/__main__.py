@@ -70,7 +70,9 @@ def check() -> int:
     problem.symmetry(pm.plane(y=0.0))
     problem.traction(pm.Surface.line((3, 0), (3, 1), 16), force=(1e3, 0))
     list(problem.march(1, progress=False))
-    end = points.mean_displacement(points.farthest((1, 0)))[0] / points.X[:, 0].max()
+    tip = points.farthest((1, 0))
+    place = points.mean(points.X[:, 0], tip)
+    end = points.mean_displacement(tip)[0] / place
     error = abs(end / (1e3 / 1e6 * (1 - 0.3**2)) - 1)
     passed = bool(np.isfinite(error) and error < 2e-3)  # strains of a thousandth
     print(f"stretch of a bar: {error:.1e} off; {time.perf_counter() - begin:.1f} s")
