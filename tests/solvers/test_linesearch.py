@@ -45,6 +45,9 @@ class Flat:
         self.direction = -self.r / self.k
         self.x += self.direction
 
+    def waits(self) -> bool:
+        return False
+
     def backtrack(self) -> bool:
         self.direction /= 2
         self.x -= self.direction
