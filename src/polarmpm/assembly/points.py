@@ -186,7 +186,7 @@ class PointSystem(OnPattern, LoadedPoints):
 
     def _renews(self, tangents: int) -> bool:
         """Whether such a tangent of a step has the boxes' part summed anew."""
-        return tangents % 2 == 1 and (tangents > 1 or not self._keeps_boxes)
+        return tangents > 2 or (tangents == 1 and not self._keeps_boxes)
 
     def waits(self) -> bool:
         return self._boxes is not None and self._keeps_boxes and self._renews(self.step.tangents + 1)
