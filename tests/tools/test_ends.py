@@ -112,7 +112,7 @@ def test_a_hook_that_is_there_is_called():
     code = (
         """
 import sys
-sys.excepthook = lambda kind, error, trace: print("hooked", error)
+sys.excepthook = lambda kind, error, trace: sys.stdout.write(f"hooked {error}\\n")
 """
         + START
     )
