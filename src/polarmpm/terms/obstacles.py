@@ -211,6 +211,10 @@ class Obstacle(Sites):
         if self._kernel is None:
             assert isinstance(self.form, ContactForm)
             self._kernel, self._teller = self.form.compile(self.comm), self.form.teller(self.comm)
+        if isinstance(setting, GridSetting) and self.aslant and np.array_equal(self.u, self._u_at):
+            # a corner's own gradients, of functions continued beyond the body, would grow reset by reset
+            assert self.parents is not None
+            self.F = self._F_at = setting.deformations(self.parents)
         self._data = self.values(self._factor)
         every = np.arange(len(self.surface))
         y = np.zeros((len(every), self.form.size))

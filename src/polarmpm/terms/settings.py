@@ -73,6 +73,18 @@ class GridSetting(Setting):
         table = self.basis.at(self.grid, x, cells[rows])
         return Carried(rows, Boxes(count, self.grid.node_number(cells[rows])), table)
 
+    def deformations(self, parents: np.ndarray) -> np.ndarray:
+        """Deformation gradients (n, d, d) of material points of given ids (n,). Collective."""
+        d, p = self.grid.dim, self.points
+        order = np.argsort(p.id, kind="stable")
+        found = np.zeros((len(parents), d, d))
+        if len(order):
+            at = order[np.minimum(np.searchsorted(p.id, parents, sorter=order), len(order) - 1)]
+            here = p.id[at] == parents
+            found[here] = p.F[at[here], :d, :d]
+        self.comm.Allreduce(MPI.IN_PLACE, found)
+        return found
+
     def beside(self, name: str, parents: np.ndarray, x: np.ndarray) -> Carried:
         """The functions that carry places x (n, d) (m) beside material points of given ids (n,): those of the
         points' cells, continued beyond them where a place lies there. Collective.
