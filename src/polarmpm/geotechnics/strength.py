@@ -53,7 +53,7 @@ class StrengthReduction:
 
     Attributes:
         factor: (low, high): the body stands with its strength divided by `low`, and fails with `high`.
-        trials: all `Trial`s, in the order in which they were made.
+        trials: each `Trial`, in the order in which they were made.
         limit: displacement (m) that counts as failure.
         reference: displacement (m) of the body if it stayed elastic, of which `limit` is a multiple; None
             where `limit` was given.
