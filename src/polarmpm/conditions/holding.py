@@ -56,9 +56,10 @@ def check_held(prescribed: Prescribed, volume: np.ndarray, step: int) -> None:
             )
         growth = first / (support.met[0] * support.met[1])
         told = support.swollen or isinstance(support.where, Plane) or growth <= _MORE
-        with errors_on_all_ranks(comm):  # a script may make errors of warnings
-            if not told and comm.rank == 0:
-                warn(_more(support, step, growth), TrustWarning)
+        if not told:  # the same on all ranks
+            with errors_on_all_ranks(comm):  # a script may make errors of warnings
+                if comm.rank == 0:
+                    warn(_more(support, step, growth), TrustWarning)
         support.swollen |= growth > _MORE
 
 

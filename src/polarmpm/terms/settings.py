@@ -75,15 +75,21 @@ class GridSetting(Setting):
 
     def deformations(self, parents: np.ndarray) -> np.ndarray:
         """Deformation gradients (n, d, d) of material points of given ids (n,). Collective."""
-        d, p = self.grid.dim, self.points
-        order = np.argsort(p.id, kind="stable")
+        d = self.grid.dim
+        at, here = self._rows_of(parents)
         found = np.zeros((len(parents), d, d))
-        if len(order):
-            at = order[np.minimum(np.searchsorted(p.id, parents, sorter=order), len(order) - 1)]
-            here = p.id[at] == parents
-            found[here] = p.F[at[here], :d, :d]
+        found[here] = self.points.F[at[here], :d, :d]
         self.comm.Allreduce(MPI.IN_PLACE, found)
         return found
+
+    def _rows_of(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of the material points of these ids, and which of them are on this rank."""
+        known = self.points.id
+        if not len(known):
+            return np.zeros(len(ids), dtype=int), np.zeros(len(ids), dtype=bool)
+        order = np.argsort(known, kind="stable")
+        at = order[np.minimum(np.searchsorted(known, ids, sorter=order), len(order) - 1)]
+        return at, known[at] == ids
 
     def beside(self, name: str, parents: np.ndarray, x: np.ndarray) -> Carried:
         """The functions that carry places x (n, d) (m) beside material points of given ids (n,): those of the
@@ -92,10 +98,7 @@ class GridSetting(Setting):
         Raises:
             InputError: a point isn't there.
         """
-        order = np.argsort(self.points.id, kind="stable")
-        found = np.searchsorted(self.points.id, parents, sorter=order)
-        at = order[np.minimum(found, len(order) - 1)] if len(order) else np.zeros(len(parents), dtype=int)
-        here = self.points.id[at] == parents if len(order) else np.zeros(len(parents), dtype=bool)
+        at, here = self._rows_of(parents)
         if not np.all(self.comm.allreduce(here.astype(int))):
             raise InputError(
                 f"{name}: material points that carry its sites have left the body: release it, add it again"

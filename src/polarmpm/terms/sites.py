@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
 from .surfaceterms import SurfaceCondition, undeformed_area
 
 _KEPT = (
@@ -130,12 +129,7 @@ class Sites(SurfaceCondition):
         return {**kept, **parents, "u_at": self._u_at, "F_at": self._F_at, "factor": np.array([self._factor])}
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        for name, old in self.state().items():
-            found = np.shape(arrays[name]) if name in arrays else None
-            if found != old.shape:
-                raise InputError(
-                    f"{self.name}: the saved {name} has the shape {found}; {old.shape} is needed"
-                )
+        self.check_saved(arrays)
         for name in _KEPT:
             setattr(self, name, np.array(arrays[name], dtype=float))
         if self.parents is not None:

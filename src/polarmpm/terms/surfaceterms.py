@@ -228,13 +228,17 @@ class SurfaceCondition(Term):
         now = {name: getattr(self, name) for name in self.moved}
         return {**now, **{f"{name}_at": a for name, a in self._at.items()}}
 
-    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+    def check_saved(self, arrays: dict[str, np.ndarray]) -> None:
+        """Raise InputError unless arrays that were saved have the shapes of the present ones."""
         for name, old in self.state().items():
             found = np.shape(arrays[name]) if name in arrays else None
             if found != old.shape:
                 raise InputError(
                     f"{self.name}: the saved {name} has the shape {found}; {old.shape} is needed"
                 )
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        self.check_saved(arrays)
         for name in self.moved:
             setattr(self, name, np.array(arrays[name], dtype=float))
             self._at[name] = np.array(arrays[f"{name}_at"], dtype=float)
