@@ -159,40 +159,30 @@ class ReturnMapping:
         at, form = np.flatnonzero(open_), self.form
         numbers = list(form.material.parameters())
         column = form.inputs - len(numbers) + numbers.index(softer.parameter)
-        X, inputs = trial[at], y.inputs[at]
+        y.X[at], own = trial[at], y.inputs[at, column]
         for value in softer.values:
-            inputs[:, column] = value
-            new, _, failed, iterations = self._run(0, inputs, X, False)
-            X = np.where(failed[:, None], X, new)
-            y.iterations[at] += iterations
-        y.X[at] = X
+            y.inputs[at, column], before = value, y.X[at]
+            failed = self._run(y, at, 0, False)
+            y.X[at[failed]] = before[failed]
+        y.inputs[at, column] = own
 
     def _kernels(self, region: int) -> Return:
         return self.form.return_kernels(self.form.regions[region], self.comm)
 
     def _solve(self, y: Yielding, which: np.ndarray, region: int, tangent: bool) -> np.ndarray:
-        """Solve for some of the yielding points on a region; which of them succeeded."""
-        inputs = y.inputs[which]
-        X, returned, failed, iterations = self._run(region, inputs, y.X[which], tangent)
-        good = ~failed
-        kernels = self._kernels(region)
-        flow = kernels.flow(inputs[good], X[good, : kernels.size])
+        """Solve for some of the yielding points on a region, in place; which of them succeeded."""
+        failed = self._run(y, which, region, tangent)
+        good, kernels = ~failed, self._kernels(region)
+        solved = which[good]
+        flow = kernels.flow(y.inputs[solved], y.X[solved, : kernels.size])
         outside = flow[:, 2:] > _OUTSIDE * self.form.material.modulus
         good[good] = (flow[:, 1] >= _BACKWARDS) & ~np.any(outside, axis=1)
-        solved = which[good]
-        y.X[which] = X
-        y.returned[solved], y.region[solved] = returned[good], region
-        y.iterations[which] += iterations
+        y.region[which[good]] = region
         return good
 
-    def _run(
-        self, region: int, inputs: np.ndarray, X: np.ndarray, tangent: bool
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """X, returned, whether it failed, and iterations of points from initial values of X."""
-        kernels, form, n = self._kernels(region), self.form, len(inputs)
-        nz, size = form.unknowns, kernels.size
-        own, inputs = np.array(X[:, :size], order="C"), np.ascontiguousarray(inputs)
-        returned = np.zeros((n, nz * (1 + nz) if tangent else nz))
+    def _run(self, y: Yielding, which: np.ndarray, region: int, tangent: bool) -> np.ndarray:
+        """Iterate some points from their X in place; which of them have no solution."""
+        kernels, form, n = self._kernels(region), self.form, len(which)
         status, iterations = np.zeros(n, dtype=np.int8), np.zeros(n, dtype=np.int32)
         controls = native.Return()
         native.fill(
@@ -204,25 +194,29 @@ class ReturnMapping:
             tolerance=_TOLERANCE,
             loose=_LOOSE,
             nin=form.inputs,
-            nx=size,
-            nz=nz,
+            nx=kernels.size,
+            nz=form.unknowns,
             most=_MOST,
         )
         out_of_memory = native.library().polarmpm_return(
             ctypes.byref(controls),
             n,
-            inputs,
+            which.astype(np.int64, copy=False),
+            y.inputs,
             int(tangent),
-            own,
-            returned,
+            y.X.shape[1],
+            y.X,
+            y.returned.shape[1],
+            y.returned,
             status,
             iterations,
         )
         if out_of_memory:
             raise MemoryError("no memory for the return mapping")
-        if size < X.shape[1]:
-            own = np.pad(own, ((0, 0), (0, X.shape[1] - size)))
-        return own, returned, status != 0, iterations
+        y.X[which, kernels.size :] = 0.0
+        y.iterations[which] += iterations
+        failed: np.ndarray = status != 0
+        return failed
 
     # plastic state --------------------------------------------------------------------------------------
     def update_plastic_state(self, points: Points, rows: np.ndarray, base: np.ndarray) -> None:

@@ -22,8 +22,6 @@ enum {
     BENT = 2                   /* values in z of a body of revolution: of the displacement and of the rotation */
 };
 
-typedef double lanes_t __attribute__((vector_size(8 * LANES), aligned(8 * LANES)));  /* a number of LANES points */
-
 /* Memory for LANES points and their boxes. */
 typedef struct {
     vec *curved;               /* [lane][PAIRS][sv]: second derivatives of a point's functions */

@@ -11,13 +11,14 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 20,            /* raised with every change of a structure or signature; native.py reads it here */
+    INTERFACE = 21,            /* raised with every change of a structure or signature; native.py reads it here */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */
 };
 
 typedef double vec __attribute__((vector_size(8 * WIDTH), aligned(8 * WIDTH)));
+typedef double lanes_t __attribute__((vector_size(8 * LANES), aligned(8 * LANES)));  /* a number of LANES points */
 typedef void (*kernel_t)(const double *in, double *out);
 
 #if defined(__x86_64__) && defined(__gnu_linux__) && !defined(__clang__)

@@ -2,7 +2,8 @@
  *
  * Local unknowns X solve r(X; inputs) = 0 by Newton's method with step halving, LANES points at a time. The
  * consistent tangent is ds/dz - ds/dX (dr/dX)^-1 dr/dz (implicit function theorem). All of the derivatives come
- * from compiled kernels (forms/plastic.py). */
+ * from compiled kernels (forms/plastic.py). LANES systems of equations are solved at once, with the same rows as
+ * pivots; a lane that doesn't bear them is solved by itself. */
 #include "_points.h"
 
 typedef struct {
@@ -70,127 +71,240 @@ static void back_substitute(int n, const double *A, const int *pivot, int m, dou
     }
 }
 
+#define PIVOT 0.1                /* least share of a column's largest entry that is a pivot without a search */
+#define LEAST 1e-3               /* least share that the pivot of all lanes may have in one of them */
+
+typedef int64_t mask_t __attribute__((vector_size(8 * LANES), aligned(8 * LANES)));  /* all bits or none of a lane */
+
 typedef struct {
-    double X[LOCAL_MAX], step[LOCAL_MAX], norm, length;
-    int iterations, done, failed;
-} Local;
+    lanes_t X[LOCAL_MAX], step[LOCAL_MAX], r[LOCAL_MAX];
+    lanes_t C[LOCAL_MAX * LOCAL_MAX], T[LOCAL_MAX * DERIVED_MAX];
+    double norm[LANES], length[LANES];
+    int iterations[LANES], done[LANES], failed[LANES];
+} Lanes;
 
-/* Scaled residual and matrix of a lane. */
-static double read_lane(const Return *R, const double *out, int l, double *r, double *C)
+/* Macros: before AVX-512 functions don't pass vectors of this length alike everywhere. */
+#define MAGNITUDE(a) ((lanes_t)((mask_t)(a) & INT64_MAX))
+#define CHOOSE(c, a, b) ((lanes_t)(((c) & (mask_t)(a)) | (~(c) & (mask_t)(b))))
+
+INLINE void put_mask(const int *which, mask_t *m)
+{
+    for (int l = 0; l < LANES; ++l) (*m)[l] = which[l] ? -1 : 0;
+}
+
+INLINE int least_share(const lanes_t *entry, const lanes_t *largest, const int *which, double share)
+{
+    for (int l = 0; l < LANES; ++l)
+        if (which[l] && !(fabs((*entry)[l]) >= share * (*largest)[l])) return 0;
+    return 1;
+}
+
+/* The row of column k that is the pivot of all lanes in `which`; a lane in which it is small leaves them. */
+INLINE int common_pivot(int n, const lanes_t *A, int k, int *which)
+{
+    lanes_t largest = MAGNITUDE(A[k * n + k]);
+    for (int i = k + 1; i < n; ++i) {
+        const lanes_t a = MAGNITUDE(A[i * n + k]);
+        largest = CHOOSE(largest > a, largest, a);
+    }
+    for (int l = 0; l < LANES; ++l) which[l] &= largest[l] > 0.0 && isfinite(largest[l]);
+    if (least_share(&A[k * n + k], &largest, which, PIVOT)) return k;
+    int best = k;
+    double most = -1.0;
+    for (int i = k; i < n; ++i) {
+        double least = INFINITY;
+        for (int l = 0; l < LANES; ++l)
+            if (which[l]) least = fmin(least, fabs(A[i * n + k][l]) / largest[l]);
+        if (least > most) most = least, best = i;
+    }
+    for (int l = 0; l < LANES; ++l) which[l] &= fabs(A[best * n + k][l]) >= LEAST * largest[l];
+    return best;
+}
+
+INLINE void swap_rows(int columns, lanes_t *A, int k, int p)
+{
+    for (int j = 0; p != k && j < columns; ++j) {
+        const lanes_t t = A[k * columns + j];
+        A[k * columns + j] = A[p * columns + j];
+        A[p * columns + j] = t;
+    }
+}
+
+/* Solve C B = B for m right-hand sides [n][m] in place, C being overwritten, in the lanes of `which`; those that don't
+ * bear the common pivots leave it. */
+INLINE void solve_lanes(int n, lanes_t *C, int m, lanes_t *B, int *which)
+{
+    for (int k = 0; k < n; ++k) {
+        const int p = common_pivot(n, C, k, which);
+        swap_rows(n, C, k, p);
+        swap_rows(m, B, k, p);
+        const lanes_t inverse = 1.0 / C[k * n + k];
+        for (int i = k + 1; i < n; ++i) {
+            const lanes_t l = C[i * n + k] * inverse;
+            for (int j = k + 1; j < n; ++j) C[i * n + j] -= l * C[k * n + j];
+            for (int j = 0; j < m; ++j) B[i * m + j] -= l * B[k * m + j];
+        }
+    }
+    for (int k = n - 1; k >= 0; --k) {
+        const lanes_t inverse = 1.0 / C[k * n + k];
+        for (int j = 0; j < m; ++j) B[k * m + j] *= inverse;
+        for (int i = 0; i < k; ++i) {
+            const lanes_t u = C[i * n + k];
+            for (int j = 0; j < m; ++j) B[i * m + j] -= u * B[k * m + j];
+        }
+    }
+}
+
+/* The same for one lane, with pivots of its own, from scaled rows of `local`; nonzero if there is no solution. */
+static int solve_lane(const Return *R, const lanes_t *local, int l, int m, const lanes_t *given, lanes_t *B)
 {
     const int n = R->nx;
-    double sum = 0.0;
+    double C[LOCAL_MAX * LOCAL_MAX], T[LOCAL_MAX * DERIVED_MAX];
+    int pivot[LOCAL_MAX];
     for (int i = 0; i < n; ++i) {
-        r[i] = R->row_scale[i] * out[i * LANES + l];
-        sum += r[i] * r[i];
-        for (int j = 0; j < n; ++j) C[i * n + j] = R->row_scale[i] * out[(n + i * n + j) * LANES + l];
+        for (int j = 0; j < n; ++j) C[i * n + j] = R->row_scale[i] * local[n + i * n + j][l];
+        for (int j = 0; j < m; ++j) T[i * m + j] = R->row_scale[i] * given[i * m + j][l];
     }
-    return sqrt(sum);
-}
-
-/* One iteration of a lane after an evaluation at its trial X; writes the next trial X to in. */
-static void iterate(const Return *R, Local *p, const double *out, double *in, int l)
-{
-    const int n = R->nx;
-    double r[LOCAL_MAX], C[LOCAL_MAX * LOCAL_MAX];
-    int pivot[LOCAL_MAX];
-    const double norm = read_lane(R, out, l, r, C);
-    const int first = p->iterations == 0;
-    double *x = in + (int64_t)R->nin * LANES + l;
-    /* a long step must gain much: near the apex of a cone one that turns the flow round may gain a little */
-    const double gain = p->length > 0.05 ? 0.5 : 1e-4;
-    if (first || norm < (1.0 - gain * p->length) * p->norm) {
-        for (int i = 0; i < n; ++i) p->X[i] = x[i * LANES];
-        p->norm = norm;
-        if (norm <= R->tolerance) {
-            p->done = 1;
-            return;
-        }
-        if (!isfinite(norm) || factor(n, C, pivot)) {
-            p->done = p->failed = 1;
-            return;
-        }
-        for (int i = 0; i < n; ++i) p->step[i] = -r[i];
-        back_substitute(n, C, pivot, 1, p->step);
-        p->length = 1.0;
-    } else {
-        p->length *= 0.5;
-    }
-    if (p->length < 1e-4 || ++p->iterations > R->most) {
-        p->done = 1;
-        p->failed = !(p->norm <= R->loose);
-        for (int i = 0; i < n; ++i) x[i * LANES] = p->X[i];
-        return;
-    }
-    for (int i = 0; i < n; ++i) x[i * LANES] = p->X[i] + p->length * p->step[i];
-}
-
-/* s and the consistent tangent of a lane; local and moduli were evaluated at its X. */
-static int condense(const Return *R, const double *local, const double *moduli, int l, double *returned)
-{
-    const int nz = R->nz, n = R->nx;
-    double r[LOCAL_MAX], C[LOCAL_MAX * LOCAL_MAX], T[LOCAL_MAX * DERIVED_MAX];
-    int pivot[LOCAL_MAX];
-    read_lane(R, local, l, r, C);
-    const double *sz = moduli + nz * LANES + l, *sx = sz + nz * nz * LANES, *rz = sx + nz * n * LANES;
-    for (int i = 0; i < n; ++i)
-        for (int j = 0; j < nz; ++j) T[i * nz + j] = R->row_scale[i] * rz[(i * nz + j) * LANES];
     if (factor(n, C, pivot)) return 1;
-    back_substitute(n, C, pivot, nz, T);
-    for (int i = 0; i < nz; ++i) returned[i] = moduli[i * LANES + l];
-    double *A = returned + nz;
-    for (int i = 0; i < nz; ++i)
-        for (int j = 0; j < nz; ++j) {
-            double sum = sz[(i * nz + j) * LANES];
-            for (int k = 0; k < n; ++k) sum -= sx[(i * n + k) * LANES] * T[k * nz + j];
-            A[i * nz + j] = sum;
-        }
+    back_substitute(n, C, pivot, m, T);
+    for (int i = 0; i < n * m; ++i) B[i][l] = T[i];
     return 0;
 }
 
-/* Solve for X [point][nx] from its initial values, and write what is returned, [point][nz (+ nz nz with tangent)].
- * status: 0 solved, 1 not; iterations: evaluations of the local residual. Returns nonzero without memory. */
-int polarmpm_return(const Return *R, int64_t npoints, const double *inputs, int32_t tangent, double *X,
-                    double *returned, int8_t *status, int32_t *iterations)
+/* Solve (dr/dX) B = given [n][m] in the lanes of `which`; those without a solution leave it. */
+INLINE void solve_local(const Return *R, Lanes *w, const lanes_t *local, int m, const lanes_t *given, lanes_t *B,
+                        int *which)
 {
-    const int nin = R->nin, n = R->nx, nz = R->nz, size = nz + (tangent ? nz * nz : 0);
-    if (n > LOCAL_MAX || nz > DERIVED_MAX) return 2;
-    double *in = vectors((size_t)(nin + n) * LANES), *out = vectors((size_t)(n + n * n) * LANES);
-    double *work = vectors((size_t)(nz + nz * nz + 2 * nz * n) * LANES);
-    const int failed = !(in && out && work);
-    for (int64_t start = 0; start < npoints && !failed; start += LANES) {
-        const int lanes = (int)(npoints - start < LANES ? npoints - start : LANES);
-        Local lane[LANES];
-        for (int l = 0; l < LANES; ++l) {
-            const int64_t p = start + (l < lanes ? l : lanes - 1);
-            for (int k = 0; k < nin; ++k) in[k * LANES + l] = inputs[p * nin + k];
-            for (int k = 0; k < n; ++k) in[(nin + k) * LANES + l] = X[p * n + k];
-            lane[l] = (Local){.length = 1.0};
+    const int n = R->nx;
+    int together[LANES];
+    for (int i = 0; i < n; ++i) {
+        const double scale = R->row_scale[i];
+        for (int j = 0; j < n; ++j) w->C[i * n + j] = scale * local[n + i * n + j];
+        for (int j = 0; j < m; ++j) B[i * m + j] = scale * given[i * m + j];
+    }
+    memcpy(together, which, sizeof together);
+    solve_lanes(n, w->C, m, B, together);
+    for (int l = 0; l < LANES; ++l)
+        if (which[l] && !together[l]) which[l] = !solve_lane(R, local, l, m, given, B);
+}
+
+/* An iteration of the open lanes after an evaluation at their trial x, which becomes the next one. Returns 1 if lanes
+ * are still open, and sets `behind` where x has gone back to an earlier X. */
+FAST static __attribute__((noinline)) int advance(const Return *R, Lanes *w, const lanes_t *local, lanes_t *x,
+                                                   int *behind)
+{
+    const int n = R->nx;
+    int accepted[LANES], turned[LANES], moved[LANES], back[LANES], open = 0;
+    lanes_t squares = {0.0}, length;
+    for (int i = 0; i < n; ++i) {
+        const lanes_t r = R->row_scale[i] * local[i];
+        squares += r * r;
+    }
+    for (int l = 0; l < LANES; ++l) {
+        const double norm = sqrt(squares[l]);
+        /* a long step must gain much: near the apex of a cone one that turns the flow round may gain a little */
+        const double gain = w->length[l] > 0.05 ? 0.5 : 1e-4;
+        accepted[l] = !w->done[l] && (w->iterations[l] == 0 || norm < (1.0 - gain * w->length[l]) * w->norm[l]);
+        if (accepted[l]) {
+            w->norm[l] = norm;
+            w->done[l] = norm <= R->tolerance;
+            if (!isfinite(norm)) w->done[l] = w->failed[l] = 1;
         }
-        for (int open = 1; open;) {
-            R->local(in, out);
-            open = 0;
-            for (int l = 0; l < lanes; ++l) {
-                if (!lane[l].done) iterate(R, &lane[l], out, in, l);
-                open |= !lane[l].done;
+        turned[l] = accepted[l] && !w->done[l];
+        open |= turned[l];
+    }
+    mask_t take, turn, move, return_;
+    put_mask(accepted, &take);
+    for (int i = 0; i < n; ++i) w->X[i] = CHOOSE(take, x[i], w->X[i]);
+    if (open) {
+        int solved[LANES];
+        memcpy(solved, turned, sizeof solved);
+        solve_local(R, w, local, 1, local, w->r, solved);
+        for (int l = 0; l < LANES; ++l)
+            if (turned[l] && !solved[l]) w->done[l] = w->failed[l] = 1;
+        put_mask(solved, &turn);
+        for (int i = 0; i < n; ++i) w->step[i] = CHOOSE(turn, -w->r[i], w->step[i]);
+    }
+    open = 0;
+    for (int l = 0; l < LANES; ++l) {
+        back[l] = 0;
+        if (!w->done[l]) {
+            w->length[l] = accepted[l] ? 1.0 : 0.5 * w->length[l];
+            if (w->length[l] < 1e-4 || ++w->iterations[l] > R->most) {
+                w->done[l] = back[l] = 1;
+                w->failed[l] = !(w->norm[l] <= R->loose);
             }
         }
-        R->local(in, out);     /* lanes that went back to an earlier X */
-        if (tangent) R->moduli(in, work);
-        else R->stress(in, work);
+        moved[l] = !w->done[l];
+        open |= moved[l];
+        *behind |= back[l];
+        length[l] = w->length[l];
+    }
+    put_mask(moved, &move);
+    put_mask(back, &return_);
+    for (int i = 0; i < n; ++i)
+        x[i] = CHOOSE(move, w->X[i] + length * w->step[i], CHOOSE(return_, w->X[i], x[i]));
+    return open;
+}
+
+/* ds/dz of the open lanes of `which`, in place: ds/dz - ds/dX T. */
+FAST static __attribute__((noinline)) void condense(const Return *R, Lanes *w, const lanes_t *local, lanes_t *moduli,
+                                                     int *which)
+{
+    const int nz = R->nz, n = R->nx;
+    lanes_t *sz = moduli + nz;
+    const lanes_t *sx = sz + nz * nz, *rz = sx + nz * n;
+    solve_local(R, w, local, nz, rz, w->T, which);
+    for (int i = 0; i < nz; ++i)
+        for (int j = 0; j < nz; j += 4) {  /* four columns at a time stay in registers */
+            const int some = nz - j < 4 ? nz - j : 4;
+            lanes_t sum[4] = {{0.0}};
+            for (int k = 0; k < n; ++k) {
+                const lanes_t a = sx[i * n + k], *t = w->T + k * nz + j;
+                if (some == 4) sum[0] += a * t[0], sum[1] += a * t[1], sum[2] += a * t[2], sum[3] += a * t[3];
+                else for (int c = 0; c < some; ++c) sum[c] += a * t[c];
+            }
+            for (int c = 0; c < some; ++c) sz[i * nz + j + c] -= sum[c];
+        }
+}
+
+/* Solve for X [row][width] of n rows of the inputs, from its initial values, and write what is returned, [row][room]:
+ * nz (+ nz nz with tangent) numbers. status: 0 solved, 1 not; iterations: evaluations of the local residual; both [n].
+ * Returns nonzero without memory. */
+int polarmpm_return(const Return *R, int64_t n, const int64_t *rows, const double *inputs, int32_t tangent,
+                    int32_t width, double *X, int32_t room, double *returned, int8_t *status, int32_t *iterations)
+{
+    const int nin = R->nin, nx = R->nx, nz = R->nz, size = nz + (tangent ? nz * nz : 0);
+    if (nx > LOCAL_MAX || nz > DERIVED_MAX) return 2;
+    lanes_t *in = vectors((size_t)(nin + nx) * LANES), *local = vectors((size_t)(nx + nx * nx) * LANES);
+    lanes_t *work = vectors((size_t)(nz + nz * nz + 2 * nz * nx) * LANES);
+    Lanes *w = vectors(sizeof(Lanes) / sizeof(double));
+    const int failed = !(in && local && work && w);
+    for (int64_t start = 0; start < n && !failed; start += LANES) {
+        const int lanes = (int)(n - start < LANES ? n - start : LANES);
+        int behind = 0, which[LANES];
+        for (int l = 0; l < LANES; ++l) {
+            const int64_t p = rows[start + (l < lanes ? l : lanes - 1)];
+            for (int k = 0; k < nin; ++k) in[k][l] = inputs[p * nin + k];
+            for (int k = 0; k < nx; ++k) in[nin + k][l] = X[p * width + k];
+            w->norm[l] = 0.0, w->length[l] = 1.0;
+            w->iterations[l] = w->failed[l] = 0, w->done[l] = l >= lanes;
+        }
+        do R->local((const double *)in, (double *)local);
+        while (advance(R, w, local, in + nin, &behind));
+        if (behind) R->local((const double *)in, (double *)local);
+        for (int l = 0; l < LANES; ++l) which[l] = l < lanes && !w->failed[l];
+        (tangent ? R->moduli : R->stress)((const double *)in, (double *)work);
+        if (tangent) condense(R, w, local, work, which);
         for (int l = 0; l < lanes; ++l) {
-            const int64_t p = start + l;
-            double *own = returned + p * size;
-            for (int k = 0; k < n; ++k) X[p * n + k] = lane[l].X[k];
-            iterations[p] = lane[l].iterations;
-            status[p] = (int8_t)lane[l].failed;
-            if (lane[l].failed) continue;
-            if (tangent) status[p] = (int8_t)condense(R, out, work, l, own);
-            else
-                for (int i = 0; i < nz; ++i) own[i] = work[i * LANES + l];
+            const int64_t p = rows[start + l];
+            for (int k = 0; k < nx; ++k) X[p * width + k] = w->X[k][l];
+            iterations[start + l] = w->iterations[l];
+            status[start + l] = (int8_t)!which[l];
+            for (int i = 0; which[l] && i < size; ++i) returned[p * room + i] = work[i][l];
         }
     }
-    free(in), free(out), free(work);
+    free(in), free(local), free(work), free(w);
     return failed;
 }
 
