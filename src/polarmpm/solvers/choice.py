@@ -33,6 +33,15 @@ def _direct(tangent: Tangent) -> LinearSolver:
 
 
 def _multigrid(tangent: Tangent) -> LinearSolver:
+    if tangent.lattice is not None:
+        from .lattice import LatticeSolver  # lazy import: small problems need no multigrid
+
+        return LatticeSolver(tangent.matrix, tangent.symmetric, tangent.lattice(), tangent.far_from_symmetric)
+    return algebraic(tangent)
+
+
+def algebraic(tangent: Tangent) -> LinearSolver:
+    """Multigrid that needs no lattice. Collective."""
     from .multigrid import MultigridSolver  # lazy import: small problems need no multigrid
 
     return MultigridSolver(
