@@ -25,8 +25,8 @@ _CG, _GMRES = "cg", "gmres"
 
 
 class LatticeSolver:
-    """Conjugate gradients with a hierarchy of lattices; flexible GMRES where the tangent isn't definite or not
-    symmetric; the direct solver where that fails.
+    """Conjugate gradients with a hierarchy of lattices; flexible GMRES for tangents that are indefinite or
+    unsymmetric; the direct solver where that fails.
 
     The hierarchy of an earlier tangent serves until it costs more iterations than a new one would.
 
