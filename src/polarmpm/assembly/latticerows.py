@@ -34,7 +34,8 @@ def on_lattice(
     far = np.iinfo(np.int64).max
     ends = np.stack([-index.min(axis=0, initial=far), index.max(axis=0, initial=-far)])
     halves = np.full((1, grid.dim), int(np.any(np.abs(away - 0.5) < 0.25)))
-    found = nodes.comm.allreduce(np.concatenate([ends, halves]), op=MPI.MAX)
+    found = np.concatenate([ends, halves])
+    nodes.comm.Allreduce(MPI.IN_PLACE, found, op=MPI.MAX)
     between = bool(found[2, 0])
     lowest, count = -found[0] - between, int((found[0] + found[1]).max()) + 2 + between
     steps = np.arange(count)[:, None] + lowest
