@@ -330,8 +330,9 @@ def test_indefinite_tangents_are_solved(share, direct):
     solver.destroy()
 
 
-def test_a_factor_that_takes_too_much_memory_is_refused():
+def test_a_factor_that_takes_too_much_memory_is_refused(monkeypatch):
     """Where multigrid fails in a large problem; it would be killed with the process."""
+    monkeypatch.setattr(linear, "_SMALL", 0)
     system = tangent(block(7, solver="direct")[0])
     solved(system)
     factor = DirectSolver(system.solver.matrix, True, memory=1)
@@ -384,11 +385,17 @@ def test_the_choice_goes_by_the_section(monkeypatch):
     assert not is_large(3, 200.0, 1)
     assert is_large(3, 200.0, 2)
     assert is_large(3, 400.0, 1)
+    assert is_large(3, 70.0, 1, True)
+    assert not is_large(3, 50.0, 1, True)
+    assert is_large(3, 50.0, 2, True)
+    assert is_large(2, 100.0, 1, True, 40_000)
+    assert not is_large(2, 100.0, 1, True, 20_000)
+    assert not is_large(2, 30.0, 1, True, 40_000)
     problem, _ = block(3)
     problem.system_at(0.0)
     assert isinstance(solver_of(problem), DirectSolver)
     assert not problem.system.is_large()
-    for limit in ("_LARGE", "_LARGE_ON_RANKS"):
+    for limit in ("_ON_LATTICE", "_ON_LATTICE_ON_RANKS"):
         monkeypatch.setattr(solvers, limit, 20.0)
     problem, _ = block(3)
     problem.system_at(0.0)
@@ -411,6 +418,7 @@ def test_corrections_are_no_more_accurate_than_newtons_method_needs():
 # old factors ----------------------------------------------------------------------------------------
 def test_factors_of_earlier_tangents_lead_to_the_same_answer(monkeypatch):
     """Of a compact body; those of a slender one are cheap."""
+    monkeypatch.setattr(linear, "_SMALL", 0)
     counts, found = [], []
     for keep in (np.inf, 0.0):
         monkeypatch.setattr(linear, "_KEEP", keep)
@@ -432,6 +440,7 @@ def test_factors_of_earlier_tangents_lead_to_the_same_answer(monkeypatch):
 
 def test_an_old_factor_of_no_use_is_replaced(monkeypatch):
     monkeypatch.setattr(linear, "_KEEP", 0.0)
+    monkeypatch.setattr(linear, "_SMALL", 0)
     system = tangent(block(6, solver="direct")[0])
     first = solved(system)
     solver = system.solver

@@ -36,6 +36,8 @@ _UNFELT = 1e-12  # of a tangent's diagonal, added to it where there are fewer po
 class PointSystem(OnPattern, LoadedPoints):
     """Residual and tangent as sums over the points, scattered by compiled code."""
 
+    on_lattice = True
+
     def __init__(
         self,
         interpolation: Interpolation,
