@@ -79,7 +79,7 @@ def run(kind, cells, basis, cut, length, solver, seed):
         found = {"newton": step.iterations, "displacement": problem.points.mean_displacement(top).tolist()}
     else:
         system = problem.system_at(1.0)
-        system.set_prescribed(system.prescribed.increments(1.0, 0.0, 0.0))
+        system.set_prescribed(system.prescribed.increments(1.0))
         system.evaluate(True)
         system.solve_free(-system.residual, True, 1e-8)
         found = {}

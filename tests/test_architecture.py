@@ -13,7 +13,7 @@ from polarmpm.basis.registry import BASES
 
 PACKAGE = Path(polarmpm.__file__).parent
 ORDER = (
-    *("errors", "tools", "solvers", "kernels", "geometry", "kinematics", "basis", "materials", "bodies"),
+    *("errors", "tools", "kernels", "solvers", "geometry", "kinematics", "basis", "materials", "bodies"),
     *("forms", "conditions", "terms", "assembly", "problems", "io", "plot"),
     *("geotechnics", "study"),
 )

@@ -1,5 +1,6 @@
-"""Multigrid for large problems: the same answers as the direct solver's; rigid motions, units, small cuts,
-fallbacks; and the direct solver's factors that outlive their tangents."""
+"""Algebraic multigrid, which meshes have, on points' grids, where it can be compared: the same answers as the
+direct solver's; rigid motions, units, small cuts, fallbacks; and the direct solver's factors that outlive
+their tangents."""
 
 from __future__ import annotations
 
@@ -15,10 +16,18 @@ from polarmpm.solvers import direct as linear
 from polarmpm.solvers import newton
 from polarmpm.solvers.choice import is_large
 from polarmpm.solvers.direct import DirectSolver
+from polarmpm.solvers.lattice import LatticeSolver
 from polarmpm.solvers.linear import SingularTangent
 from polarmpm.solvers.multigrid import MultigridSolver, rigid_motions
 from tests.conftest import COMM, HENCKY, MICROPOLAR, beam, release_supports, rotation
 from tests.helpers.bodies import box, cantilever
+
+
+@pytest.fixture(autouse=True)
+def _algebraic(monkeypatch):
+    """The solver "algebraic", which points' problems don't have otherwise."""
+    monkeypatch.setitem(solvers.SOLVERS, "algebraic", solvers.Solver(solvers.algebraic, whole_rows=True))
+
 
 STRICT = pm.Controls(force_tolerance=1e-12, energy_tolerance=1e-26)
 E_MODULUS, POISSON = 1e6, 0.3  # Pa, -
@@ -107,7 +116,7 @@ def mean_of(problem: pm.QuasiStatic, top: Any, steps: int = 2) -> np.ndarray:
 )
 def test_answers_are_the_direct_solvers(of, options):
     found = []
-    for solver in ("direct", "multigrid"):
+    for solver in ("direct", "algebraic"):
         problem, top = block(of=of, solver=solver, controls=STRICT, **options)
         found.append((mean_of(problem, top), [s.iterations for s in problem.steps]))
     assert isinstance(solver_of(problem), MultigridSolver)
@@ -137,7 +146,7 @@ def test_finite_elements_have_the_direct_solvers_answer(degree):
 def test_unsymmetric_tangents_are_solved():
     """A dead couple in space."""
     found = []
-    for solver in ("direct", "multigrid"):
+    for solver in ("direct", "algebraic"):
         problem, top = block(4, solver=solver, controls=STRICT)
         problem.load(top, couple=(0.0, 0.0, 0.05 * E_MODULUS))
         found.append(mean_of(problem, top))
@@ -149,7 +158,7 @@ def test_unsymmetric_tangents_are_solved():
 def test_the_plane_is_solved_too():
     """Two translations and a rotation; prescribed displacements."""
     found = []
-    for solver in ("direct", "multigrid"):
+    for solver in ("direct", "algebraic"):
         problem = beam(2, solver=solver, controls=STRICT)
         problem.fix(pm.plane(x=4.0), uy=0.4)
         for _ in problem.march(2):
@@ -162,7 +171,7 @@ def test_the_plane_is_solved_too():
 # rigid motions --------------------------------------------------------------------------------------
 def free_body(dim: int, of: pm.Material) -> Any:
     """The system of a body that nothing holds, unloaded."""
-    problem = beam(dim, of, solver="multigrid")
+    problem = beam(dim, of, solver="algebraic")
     release_supports(problem)
     problem._stale = True
     return problem.system_at(0.0)
@@ -213,7 +222,7 @@ def test_rigid_motions_of_a_turned_body():
 
 
 def test_rigid_motions_stop_at_supports():
-    system = tangent(block(3, solver="multigrid")[0])
+    system = tangent(block(3, solver="algebraic")[0])
     motions = system.near_null_space().motions
     assert not motions[:, system.prescribed.fixed[: system.nodes.owned]].any()
 
@@ -230,12 +239,12 @@ def iterations(problem: Any) -> int:
 
 
 def test_iterations_hardly_grow_with_the_number_of_unknowns():
-    assert iterations(block(9, solver="multigrid")[0]) <= iterations(block(4, solver="multigrid")[0]) + 8
+    assert iterations(block(9, solver="algebraic")[0]) <= iterations(block(4, solver="algebraic")[0]) + 8
 
 
 @pytest.mark.parametrize("length", [1e-3, 1e2])
 def test_iterations_hardly_depend_on_the_characteristic_length(length):
-    found = iterations(block(of=material(length), solver="multigrid", basis="mpm")[0])
+    found = iterations(block(of=material(length), solver="algebraic", basis="mpm")[0])
     # smoothers know less of a small block that many ranks share
     assert found < 30 + 3 * max(COMM.size - 3, 0)
 
@@ -246,7 +255,7 @@ def test_iterations_hardly_depend_on_the_characteristic_length(length):
 )
 def test_points_alone_in_a_cell_cost_no_iterations(cells, turn, length):
     """They leave motions that nothing resists; with rounding of the weak nodes' factor it took 26 to 61."""
-    problem, _ = block(cells, of=material(length), turn=turn, solver="multigrid", basis="mpm")
+    problem, _ = block(cells, of=material(length), turn=turn, solver="algebraic", basis="mpm")
     assert iterations(problem) <= 20
 
 
@@ -255,7 +264,7 @@ def test_units_dont_matter(h):
     """A cell of a nanometre, of a kilometre."""
     counts, found = [], []
     for size in (1.0, h):
-        problem, _ = block(h=size, solver="multigrid")
+        problem, _ = block(h=size, solver="algebraic")
         x = solved(tangent(problem), 1e-10)
         krylov, solver = solver_of(problem)._methods[0], solver_of(problem)
         krylov.setInitialGuessNonzero(False)
@@ -272,7 +281,7 @@ def test_small_cuts_are_taken_care_of(turn):
     """Points alone in a cell leave its nodes motions that nothing but their lengths of 1e-3 cells resists:
     multigrid alone takes hundreds of iterations or fails."""
     options: dict[str, Any] = {"of": material(1e-3), "turn": turn, "basis": "mpm"}
-    problem, _ = block(solver="multigrid", **options)
+    problem, _ = block(solver="algebraic", **options)
     count = iterations(problem)
     weak = problem.system.weak_nodes()
     assert COMM.allreduce(int(weak.sum())) > 20
@@ -289,7 +298,7 @@ def test_small_cuts_are_taken_care_of(turn):
 # what fails -----------------------------------------------------------------------------------------
 def shifted(share: float) -> tuple[Any, MultigridSolver, np.ndarray]:
     """A tangent less `share` of its diagonal, which makes it indefinite; solver and right-hand side."""
-    problem, _ = block(4, shift=(0, 0, 0), solver="multigrid")
+    problem, _ = block(4, shift=(0, 0, 0), solver="algebraic")
     system = tangent(problem)
     solved(system)
     solver = MultigridSolver(solver_of(problem).matrix.copy(), True, system.near_null_space)
@@ -321,8 +330,9 @@ def test_indefinite_tangents_are_solved(share, direct):
     solver.destroy()
 
 
-def test_a_factor_that_takes_too_much_memory_is_refused():
+def test_a_factor_that_takes_too_much_memory_is_refused(monkeypatch):
     """Where multigrid fails in a large problem; it would be killed with the process."""
+    monkeypatch.setattr(linear, "_SMALL", 0)
     system = tangent(block(7, solver="direct")[0])
     solved(system)
     factor = DirectSolver(system.solver.matrix, True, memory=1)
@@ -336,7 +346,7 @@ def test_a_factor_that_takes_too_much_memory_is_refused():
 
 def test_an_old_hierarchy_is_replaced_when_it_is_worn():
     """The tangent changes beyond recognition, and back."""
-    system = tangent(block(4, solver="multigrid")[0])
+    system = tangent(block(4, solver="algebraic")[0])
     first = solved(system)
     solver = system.solver
     system.pattern.values[:] *= 1.0 + 0.1 * np.sin(np.arange(len(system.pattern.values)))
@@ -375,15 +385,21 @@ def test_the_choice_goes_by_the_section(monkeypatch):
     assert not is_large(3, 200.0, 1)
     assert is_large(3, 200.0, 2)
     assert is_large(3, 400.0, 1)
+    assert is_large(3, 70.0, 1, True)
+    assert not is_large(3, 50.0, 1, True)
+    assert is_large(3, 50.0, 2, True)
+    assert is_large(2, 100.0, 1, True, 40_000)
+    assert not is_large(2, 100.0, 1, True, 20_000)
+    assert not is_large(2, 30.0, 1, True, 40_000)
     problem, _ = block(3)
     problem.system_at(0.0)
     assert isinstance(solver_of(problem), DirectSolver)
     assert not problem.system.is_large()
-    for limit in ("_LARGE", "_LARGE_ON_RANKS"):
+    for limit in ("_ON_LATTICE", "_ON_LATTICE_ON_RANKS"):
         monkeypatch.setattr(solvers, limit, 20.0)
     problem, _ = block(3)
     problem.system_at(0.0)
-    assert isinstance(solver_of(problem), MultigridSolver)
+    assert isinstance(solver_of(problem), LatticeSolver)
     slender = beam(3)
     slender.system_at(0.0)
     assert isinstance(solver_of(slender), DirectSolver)
@@ -402,6 +418,7 @@ def test_corrections_are_no_more_accurate_than_newtons_method_needs():
 # old factors ----------------------------------------------------------------------------------------
 def test_factors_of_earlier_tangents_lead_to_the_same_answer(monkeypatch):
     """Of a compact body; those of a slender one are cheap."""
+    monkeypatch.setattr(linear, "_SMALL", 0)
     counts, found = [], []
     for keep in (np.inf, 0.0):
         monkeypatch.setattr(linear, "_KEEP", keep)
@@ -423,6 +440,7 @@ def test_factors_of_earlier_tangents_lead_to_the_same_answer(monkeypatch):
 
 def test_an_old_factor_of_no_use_is_replaced(monkeypatch):
     monkeypatch.setattr(linear, "_KEEP", 0.0)
+    monkeypatch.setattr(linear, "_SMALL", 0)
     system = tangent(block(6, solver="direct")[0])
     first = solved(system)
     solver = system.solver

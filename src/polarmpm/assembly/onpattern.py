@@ -78,7 +78,14 @@ class OnPattern(NodalSystem):
 
     @property
     def tangent(self) -> Any:
+        if self._in_place:
+            self.pattern.put(self.solver.matrix)
         return self.solver.matrix
+
+    @property
+    def _in_place(self) -> bool:
+        """Whether the solver takes the entries from the pattern, and PETSc's matrix isn't needed."""
+        return bool(getattr(self.solver, "in_place", False))
 
     def diagonal(self) -> np.ndarray:
         diagonal: np.ndarray = self.pattern.values[self.pattern.diagonal].reshape(-1, self.layout.block)
@@ -92,7 +99,8 @@ class OnPattern(NodalSystem):
             if self.diagonal_shift:
                 values[diagonal] *= 1.0 + self.diagonal_shift
             with self.timer("factor"):
-                self.pattern.put(self.solver.matrix)
+                if not self._in_place:
+                    self.pattern.put(self.solver.matrix)
                 self.solver.factor()
         with self.timer("solve"):
             return self.solver.solve(right.ravel(), accuracy).reshape(right.shape)

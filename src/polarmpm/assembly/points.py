@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 from mpi4py import MPI
 
@@ -23,6 +24,7 @@ from . import sparsity
 from .folding import Folding
 from .inertia import MassSets, point_sets
 from .interpolation import Interpolation, PointBatch
+from .latticerows import on_lattice
 from .loadedpoints import LoadedPoints
 from .onpattern import OnPattern
 from .pointboxes import BoxTangent
@@ -33,6 +35,8 @@ _UNFELT = 1e-12  # of a tangent's diagonal, added to it where there are fewer po
 
 class PointSystem(OnPattern, LoadedPoints):
     """Residual and tangent as sums over the points, scattered by compiled code."""
+
+    on_lattice = True
 
     def __init__(
         self,
@@ -70,9 +74,11 @@ class PointSystem(OnPattern, LoadedPoints):
             plastic = any(m is not None for m in self.mappings)
             shared = (self.pattern.values, self.pattern.diagonal) if self.pattern.shared else None
             matrix = self.pattern.petsc_matrix()
-            self.solver = make_solver(
-                solver, Tangent(matrix, symmetric, weakly(self.near_null_space), plastic, large, shared)
-            )
+            space = weakly(self.near_null_space)
+            rows = self.pattern, self.nodes, matrix, weakly(self.weak_nodes), self.as_force
+            lattice = partial(on_lattice, *rows)
+            tangent = Tangent(matrix, symmetric, space, plastic, large, shared, lattice)
+            self.solver = make_solver(solver, tangent)
             self._dispose = dispose_with(self, self.comm, self.solver.destroy)
         self._few = interpolation.points.total < self.nodes.total
         # flow and projection change the energy in boxes from step to step: no restart could repeat its sums

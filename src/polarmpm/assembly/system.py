@@ -60,8 +60,10 @@ class NodalSystem(ABC):
             as a strain.
         as_force: factors (block,) by which forces and couples count as forces.
         inertia, viscosity: of the points; None where loads are slow, or without any.
+        on_lattice: nodes are on one, and the tangent's rows are at hand.
     """
 
+    on_lattice = False
     inertia: Inertia | None = None
     viscosity: Viscosity | None = None
 
@@ -227,7 +229,8 @@ class NodalSystem(ABC):
 
     def _is_large(self, cells: float) -> bool:
         """The same of a body so many cells long."""
-        return is_large(self.layout.dim, self.nodes.total / (1.0 + cells), self.comm.size)
+        layer, unknowns = self.nodes.total / (1.0 + cells), self.nodes.total * self.layout.block
+        return is_large(self.layout.dim, layer, self.comm.size, self.on_lattice, unknowns)
 
     def weak_nodes(self) -> np.ndarray:
         """Owned nodes at which there is hardly any of the body, bool. Collective."""

@@ -553,6 +553,7 @@ void polarmpm_mirror(const Matrix *M, int32_t nb, int64_t pairs, const int32_t *
 #include "_patches.h"
 #include "_moments.h"
 #include "_return.h"
+#include "_lattice.h"
 
 /* Sizes of the structures as compiled; native.py compares them with those that it has read from the headers. */
 #define SIZE_OF(structure) const int64_t polarmpm_size_##structure = sizeof(structure)
@@ -562,3 +563,6 @@ SIZE_OF(PointKernels);
 SIZE_OF(Elements);
 SIZE_OF(Patches);
 SIZE_OF(Return);
+SIZE_OF(BlockRows);
+SIZE_OF(Relaxation);
+SIZE_OF(Transfer);

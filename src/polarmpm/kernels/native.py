@@ -53,7 +53,22 @@ class Return(Structure):
     """Kernels and controls of a return mapping."""
 
 
-STRUCTURES = (Batch, Matrix, PointKernels, Patches, Elements, Return)
+@declared_in("_lattice.h")
+class BlockRows(Structure):
+    """A sparse matrix of blocks, in double precision."""
+
+
+@declared_in("_lattice.h")
+class Relaxation(Structure):
+    """What relaxation by blocks needs of a matrix, in single precision."""
+
+
+@declared_in("_lattice.h")
+class Transfer(Structure):
+    """Interpolation from a coarser lattice."""
+
+
+STRUCTURES = (Batch, Matrix, PointKernels, Patches, Elements, Return, BlockRows, Relaxation, Transfer)
 
 
 def fill(structure: Structure, **values: Any) -> None:

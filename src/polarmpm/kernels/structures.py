@@ -19,6 +19,7 @@ import numpy as np
 FOLDER = Path(__file__).parent
 _NUMBERS: dict[str, Any] = {
     "double": ctypes.c_double,
+    "float": ctypes.c_float,
     "int": ctypes.c_int,
     "int8_t": ctypes.c_int8,
     "uint8_t": ctypes.c_uint8,

@@ -12,7 +12,9 @@ from .linear import LinearSolver, Tangent
 # Nodes in a layer across the body from which on multigrid takes less time in space: their power 1.5 measures
 # the operations of a factor by nested dissection for each entry of the matrix. Several ranks bring a factor
 # little, multigrid nearly all they have.
-_LARGE, _LARGE_ON_RANKS = 250, 150
+_LARGE, _LARGE_ON_RANKS = 250, 150  # on a mesh
+_ON_LATTICE, _ON_LATTICE_ON_RANKS = 60, 40
+_IN_PLANE, _ROW = 30_000, 40  # on a lattice in the plane: unknowns, and nodes in a row across the body
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,15 @@ def _direct(tangent: Tangent) -> LinearSolver:
 
 
 def _multigrid(tangent: Tangent) -> LinearSolver:
+    if tangent.lattice is not None:
+        from .lattice import LatticeSolver  # lazy import: small problems need no multigrid
+
+        return LatticeSolver(tangent.matrix, tangent.symmetric, tangent.lattice(), tangent.far_from_symmetric)
+    return algebraic(tangent)
+
+
+def algebraic(tangent: Tangent) -> LinearSolver:
+    """Multigrid that needs no lattice. Collective."""
     from .multigrid import MultigridSolver  # lazy import: small problems need no multigrid
 
     return MultigridSolver(
@@ -67,10 +78,20 @@ def check_solver(solver: str) -> str:
     return solver
 
 
-def is_large(dim: int, layer: float, ranks: int) -> bool:
-    """Whether multigrid takes less time than a factor. `layer`: mean number of nodes in a layer, one cell
-    thick, across the body's longest direction; a slender body's factor is cheap, however large it is."""
-    return dim == 3 and layer >= (_LARGE if ranks == 1 else _LARGE_ON_RANKS)
+def is_large(dim: int, layer: float, ranks: int, lattice: bool = False, unknowns: int = 0) -> bool:
+    """Whether multigrid takes less time than a factor.
+
+    Args:
+        layer: mean number of nodes in a layer, one cell thick, across the body's longest direction; a slender
+            body's factor is cheap, however large it is.
+        lattice: nodes are on one.
+        unknowns: of all ranks; they count in the plane.
+    """
+    if not lattice:
+        return dim == 3 and layer >= (_LARGE if ranks == 1 else _LARGE_ON_RANKS)
+    if dim == 3:
+        return layer >= (_ON_LATTICE if ranks == 1 else _ON_LATTICE_ON_RANKS)
+    return layer >= _ROW and unknowns >= _IN_PLANE
 
 
 def solver_of(name: str, large: bool) -> Solver:

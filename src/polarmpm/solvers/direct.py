@@ -23,7 +23,7 @@ _METHODS = ["definite", "symmetric", "general"]  # the last one for unsymmetric 
 # earlier tangent is worth its iterations, of which it may take a few before it's given up.
 _KEEP, _OLD, _OLD_LIMIT = 500.0, 5, 25
 _STRICTER = 0.01  # norms of forces and of energy tell too little in bending, and Newton's method would stall
-_SMALL = 1500  # unknowns up to which CHOLMOD, on one rank, takes less time than MUMPS
+_SMALL = 5500  # unknowns up to which CHOLMOD, on one rank, takes less time than MUMPS
 
 
 class DirectSolver:

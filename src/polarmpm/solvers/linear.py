@@ -35,6 +35,41 @@ class NearNullSpace:
 
 
 @dataclass(frozen=True)
+class LatticeRows:
+    """The rows of a tangent on a lattice, for multigrid that works on them.
+
+    Attributes:
+        block: unknowns of a node.
+        half: of a symmetric tangent, the upper triangle.
+        nodes: lattice indices (owned nodes, d), ascending; global numbers of a rank follow those of the rank
+            before.
+        lines: coordinates (m) of the lines across each axis, for all nodes of all ranks.
+        between: nodes stand in the middle between two lines, not on them.
+        reach: largest lattice distance of two nodes that are coupled.
+        indptr, indices: scalar rows of the owned unknowns; columns are global, ascending.
+        row_start: where block column 0 of each row is in `values`, whether it is stored or not.
+        values: the entries.
+        weak: owned nodes at which there is hardly any of the body (owned nodes,), bool. Collective.
+        as_force: by which factors (block,) the residual's components count as forces.
+        put: gives PETSc's matrix the entries. Collective.
+    """
+
+    block: int
+    half: bool
+    nodes: np.ndarray
+    lines: tuple[np.ndarray, ...]
+    between: bool
+    reach: int
+    indptr: np.ndarray
+    indices: np.ndarray
+    row_start: np.ndarray
+    values: np.ndarray
+    weak: Callable[[], np.ndarray]
+    as_force: np.ndarray
+    put: Callable[[], None]
+
+
+@dataclass(frozen=True)
 class Tangent:
     """A matrix whose entries change, while its pattern stays.
 
@@ -46,6 +81,7 @@ class Tangent:
         large: a factor would take more time than multigrid, see `choice.is_large`.
         near_null_space: what the matrix hardly resists, as it is now. Collective.
         stored: the entries that the matrix uses, and where those of the diagonal are; None: it has its own.
+        lattice: its rows, where nodes stand on a lattice; None: they don't. Collective.
     """
 
     matrix: PETSc.Mat
@@ -54,6 +90,7 @@ class Tangent:
     far_from_symmetric: bool = False
     large: bool = False
     stored: tuple[np.ndarray, np.ndarray] | None = None
+    lattice: Callable[[], LatticeRows] | None = None
 
 
 class LinearSolver(Protocol):

@@ -8,7 +8,6 @@ Rows and columns are scaled by the diagonal, so that neither units nor small cut
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable
 from typing import Any
 
@@ -19,6 +18,7 @@ import numpy as np
 
 from .direct import DirectSolver
 from .linear import ACCURACY, NearNullSpace, SingularTangent
+from .memory import free_memory
 
 _LIMIT = 150  # iterations after which a method is given up
 _RESTART = 50  # of GMRES
@@ -27,7 +27,6 @@ _ROUNDS = 4  # solutions for what is left of the residual
 # Of the diagonal of weak nodes, whose tangent may be exactly singular: a point alone in its cell. Of 1e-12, a
 # factor's rounding is as large as makes a preconditioner unsymmetric, and conjugate gradients slow.
 _SHIFT = 1e-8
-_MEMORY = 0.8  # of what is free, for a factor where multigrid fails
 _FAILURES = 2  # of multigrid, after which the direct solver takes over until the next reset
 
 _PREFIX, _FINEST = "polarmpm_multigrid_", "polarmpm_finest_"
@@ -155,16 +154,6 @@ def _put_options(prefix: str, values: dict[str, Any]) -> None:
     options = PETSc.Options(prefix)
     for name, value in values.items():
         options[name] = value
-
-
-def _free_memory(comm: MPI.Comm) -> int:
-    """Memory (MB) that a rank may take, if all ranks share the machine's; 0 where that isn't known. A factor
-    that doesn't fit has to fail before the process is killed for it. Collective."""
-    free = 0
-    if os.path.exists("/proc/meminfo"):
-        with open("/proc/meminfo") as lines:
-            free = next((int(line.split()[1]) // 1024 for line in lines if "MemAvailable" in line), 0)
-    return int(comm.allreduce(int(_MEMORY * free / comm.size), op=MPI.MIN))
 
 
 class MultigridSolver:
@@ -378,7 +367,7 @@ class MultigridSolver:
             self.failures, self._to_direct = self.failures + 1, True
         self._release()
         if self._direct is None:
-            self._direct = DirectSolver(self.matrix, self.symmetric, self._far, _free_memory(self.comm))
+            self._direct = DirectSolver(self.matrix, self.symmetric, self._far, free_memory(self.comm))
         try:
             self._direct.factor()
         except SingularTangent as e:

@@ -1,0 +1,277 @@
+"""A hierarchy of lattices as a preconditioner: one cycle of multigrid.
+
+Coarse operators are P' A P, whatever A holds. On several ranks the finest level is shared, and each rank
+relaxes its own rows; the coarser ones, an eighth of the unknowns in space, are the same on all of them. Nodes
+at which there is hardly any of the body are solved for before and after the coarser levels, in double
+precision: there are motions among them that hardly anything resists, and relaxation doesn't reduce.
+"""
+
+from __future__ import annotations
+
+import ctypes
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..kernels import native
+from .coarsening import PARENTS, Coarsening, Lines, coarsened
+from .levels import BACKWARD, FORWARD, FROM_ZERO, LIFT, REST, Halo, Level, Part
+from .linear import LatticeRows, SingularTangent
+
+_COARSEST, _FEW = 8000, 500  # unknowns that are factored: at most, and such as aren't worth a coarser level
+_SHIFT = 1e-11  # of the coarsest diagonal
+
+
+class Hierarchy:
+    """The levels of a tangent. Collective.
+
+    Attributes:
+        sweeps: of relaxation before and after coarser levels.
+    """
+
+    def __init__(self, lattice: LatticeRows, comm: MPI.Comm, symmetric: bool):
+        self._symmetric, self.sweeps = symmetric, 1
+        self._comm = comm if comm.size > 1 else None
+        self.halo: Halo | None = None
+        offsets, cols = self._block_rows(lattice)
+        owned, b = len(lattice.nodes), lattice.block
+        rows = native.BlockRows()
+        native.fill(
+            rows,
+            block=b,
+            half=int(lattice.half),
+            nodes=owned,
+            offsets=offsets,
+            cols=cols,
+            row_start=np.ascontiguousarray(lattice.row_start),
+            values=lattice.values,
+        )
+        columns = owned + (len(self.halo.numbers) if self.halo else 0)
+        self.levels = [Level(rows, columns)]
+        self._bring(lattice)
+        self._find_weak(lattice)
+        self._coarsest: Part | None = None
+
+    @property
+    def finest(self) -> Level:
+        return self.levels[0]
+
+    def _block_rows(self, lattice: LatticeRows) -> tuple[np.ndarray, np.ndarray]:
+        b, first = lattice.block, lattice.indptr[:: lattice.block]
+        counts = np.diff(lattice.indptr)[::b] // b
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        at = first[:-1].repeat(counts) + b * (np.arange(offsets[-1]) - offsets[:-1].repeat(counts))
+        cols = lattice.indices[at].astype(np.int64) // b
+        if self._comm is not None:
+            owned = len(lattice.nodes)
+            start = self._comm.exscan(owned) or 0
+            self.halo = Halo(self._comm, start, owned, cols)
+            cols = self.halo.local
+        return offsets.astype(np.int64), np.ascontiguousarray(cols, dtype=np.int32)
+
+    def _bring(self, lattice: LatticeRows) -> None:
+        """Coarser levels, without entries."""
+        lines = tuple(Lines(a, lattice.between) for a in lattice.lines)
+        index = np.ascontiguousarray(lattice.nodes, dtype=np.int64)
+        known, reach, comm = index, lattice.reach, self._comm
+        if comm is not None and self.halo is not None:
+            known = np.concatenate(comm.allgather(index))
+            index = np.concatenate([index, np.zeros((len(self.halo.numbers), index.shape[1]), np.int64)])
+            self.halo.fill(index)
+        unknowns = len(known) * lattice.block
+        most = min(_COARSEST, max(_FEW, unknowns // 4))
+        while unknowns > most or comm is not None:
+            found = coarsened(lines, index, reach, known)
+            if found is None and comm is not None:
+                found = _same(lines, index, known, reach)
+            if found is None:
+                break
+            self.levels.append(self.levels[-1].couple(found, comm))
+            lines, index, reach, comm = found.lines, found.index, found.reach, None
+            known = index
+            unknowns = len(index) * lattice.block
+        for level in self.levels[:-1]:
+            level.prepare()
+
+    # weak nodes -------------------------------------------------------------------------------------
+    def _find_weak(self, lattice: LatticeRows) -> None:
+        level, weak = self.finest, lattice.weak()
+        count = int(weak.sum())
+        self._weak: Part | None = None
+        total = self._comm.allreduce(count) if self._comm is not None else count
+        self.any_weak = bool(total) and len(self.levels) > 1
+        if not self.any_weak:
+            return
+        marked = np.zeros(level.columns, dtype=np.uint8)
+        marked[: level.nodes] = weak
+        if self.halo is not None:
+            self.halo.fill(marked)
+        cols, (row, _) = level.rows.kept["cols"], level.pairs
+        near = marked[: level.nodes].astype(bool)
+        near[row[marked[cols] > 0]] = True
+        back = cols[(marked[row] > 0) & (cols < level.nodes)]
+        near[back] = True
+        self._near = np.flatnonzero(near).astype(np.int64)
+        self._rows = np.flatnonzero(weak).astype(np.int64)
+        if count:
+            self._weak = Part(level, self._rows, self._symmetric)
+
+    def renew_weak(self) -> None:
+        """Take the weak nodes' part of the rows as it is.
+
+        Raises:
+            SingularTangent: it can't be factored; on this rank.
+        """
+        if self._weak is not None:
+            self._weak.renew(LIFT)
+
+    def _correct_weak(self, b: np.ndarray) -> None:
+        if not self.any_weak:
+            return
+        level = self.finest
+        level.rest_of(self._rows, b, level.rest)
+        if self._weak is not None:
+            level.x[self._rows] += self._weak.solve(level.rest[self._rows])
+        self._exchange(level)
+
+    # entries ----------------------------------------------------------------------------------------
+    def renew(self) -> None:
+        """Take the rows as they are.
+
+        Raises:
+            SingularTangent: no hierarchy can be made of them; on every rank.
+        """
+        problem = ""
+        try:
+            self._renew_finest()
+            self.renew_weak()
+        except SingularTangent as e:
+            problem = str(e)
+        if self._comm is not None:
+            problem = next((p for p in self._comm.allgather(problem) if p), "")
+        if problem:
+            raise SingularTangent(problem)
+        comm = self._comm
+        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
+            fine.find_free(comm, self.halo if comm is not None else None)
+            fine.coarsen(coarse, comm)
+            if coarse is not self.levels[-1]:
+                coarse.relaxation.kept["added"][:] = 0.0
+                coarse.renew()
+            comm = None
+        self._renew_coarsest()
+
+    def _renew_finest(self) -> None:
+        level = self.finest
+        if len(self.levels) == 1:
+            return
+        added = level.relaxation.kept["added"]
+        added[:] = 0.0
+        if self.halo is not None:
+            size = np.zeros((level.columns, level.block))
+            size[: level.nodes] = np.sqrt(np.abs(self.diagonal()))
+            self.halo.fill(size)
+            native.library().polarmpm_damp(ctypes.byref(level.rows), size, added)
+        level.renew()
+
+    def diagonal(self) -> np.ndarray:
+        """Of the finest rows (nodes, block)."""
+        level = self.finest
+        kept, b = level.rows.kept, level.block
+        if not hasattr(self, "_diagonal_at"):
+            row, at = level.pairs
+            at = at[kept["cols"] == row].astype(np.int64)[:, None] * b + np.arange(b)
+            self._diagonal_at = kept["row_start"].reshape(-1, b) + at
+        found: np.ndarray = kept["values"][self._diagonal_at]
+        return found
+
+    def _renew_coarsest(self) -> None:
+        level = self.levels[-1]
+        if self._coarsest is None:
+            self._coarsest = Part(level, np.arange(level.nodes), self._symmetric)
+        self._coarsest.renew(_SHIFT)
+
+    # cycle ------------------------------------------------------------------------------------------
+    def _exchange(self, level: Level) -> None:
+        if self.halo is not None and level is self.finest:
+            self.halo.fill(level.x)
+
+    def precondition(self, right: np.ndarray) -> np.ndarray:
+        """One cycle for the owned unknowns (n,). Collective."""
+        level = self.finest
+        self._cycle(0, np.ascontiguousarray(right).reshape(-1, level.block))
+        found: np.ndarray = level.x[: level.nodes].ravel()  # a copy: x is larger, or used again
+        return found.copy()
+
+    def _cycle(self, number: int, b: np.ndarray) -> None:
+        level = self.levels[number]
+        if number == len(self.levels) - 1:
+            assert self._coarsest is not None
+            level.x[:] = self._coarsest.solve(b)
+            return
+        coarse, finest = self.levels[number + 1], number == 0
+        if finest and self.halo is not None:
+            level.x[level.nodes :] = 0.0
+        level.relax(FROM_ZERO, b)
+        self._exchange(level)
+        for _ in range(self.sweeps - 1):
+            level.relax(FORWARD, b)
+            self._exchange(level)
+        if self.sweeps == 1:
+            level.relax(REST, level.rest)
+        else:
+            level.product(level.x, level.rest)
+            np.subtract(b, level.rest, out=level.rest)
+        if finest and self.any_weak:
+            kept = level.rest
+            self._correct_weak(b)
+            level.rest_of(self._near, b, kept)
+        coarse.b[:] = 0.0
+        transfer = level.nodes, level.block, ctypes.byref(level.transfer)
+        native.library().polarmpm_restrict(*transfer, level.rest, coarse.b)
+        if finest and self._comm is not None:
+            self._comm.Allreduce(MPI.IN_PLACE, coarse.b)
+        self._cycle(number + 1, coarse.b)
+        native.library().polarmpm_prolong(*transfer, coarse.x, level.x)
+        self._exchange(level)
+        if finest:
+            self._correct_weak(b)
+        for k in range(self.sweeps):
+            level.relax(BACKWARD, b)
+            if k < self.sweeps - 1:
+                self._exchange(level)
+
+    def product(self, x: np.ndarray) -> np.ndarray:
+        """The finest rows times the owned unknowns (n,). Collective."""
+        level = self.finest
+        out = np.empty_like(x)
+        if self.halo is None:
+            level.product(x, out)
+            return out
+        whole = np.empty((level.columns, level.block))
+        whole[: level.nodes] = x.reshape(-1, level.block)
+        self.halo.fill(whole)
+        level.product(whole, out)
+        return out
+
+    def destroy(self) -> None:
+        """Release PETSc's objects."""
+        for part in (self._weak, self._coarsest):
+            if part is not None:
+                part.destroy()
+        self._weak = self._coarsest = None
+
+
+def _same(lines: tuple[Lines, ...], index: np.ndarray, known: np.ndarray, reach: int) -> Coarsening:
+    """The same lattice once more, so that several ranks have a level that is the same on all of them."""
+    strides = np.array(
+        [int(np.prod([len(a.nodes) for a in lines[k + 1 :]])) for k in range(len(lines))], dtype=np.int64
+    )
+    unique = np.unique(known @ strides)
+    found = np.stack([unique // s % len(a.nodes) for s, a in zip(strides, lines, strict=True)], axis=1)
+    parents = np.full((len(index), PARENTS), -1, dtype=np.int32)
+    parents[:, 0] = np.searchsorted(unique, index @ strides)
+    weights = np.zeros((len(index), PARENTS))
+    weights[:, 0] = 1.0
+    return Coarsening(lines, found, parents, weights, reach)

@@ -1,0 +1,170 @@
+"""Krylov methods on arrays of the owned unknowns. Collective."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+
+Map = Callable[[np.ndarray], np.ndarray]
+
+INDEFINITE, BROKEN, LIMIT = "indefinite", "broken", "limit"
+
+
+@dataclass
+class Result:
+    """How a method ended: iterations, and why there is no solution; "" if there is."""
+
+    iterations: int = 0
+    failed: str = ""
+
+
+@dataclass
+class Equations:
+    """A linear system.
+
+    Attributes:
+        product: times the matrix, (n,) -> (n,), a new array.
+        precondition: times an approximate inverse.
+        weight: of the residual's entries (n,) in the norm of forces.
+    """
+
+    product: Map
+    precondition: Map
+    weight: np.ndarray
+    comm: MPI.Comm
+
+    def dot(self, a: np.ndarray, b: np.ndarray) -> float:
+        """Sum of products over all ranks."""
+        here = float(np.dot(a, b))
+        return float(self.comm.allreduce(here)) if self.comm.size > 1 else here
+
+    def norm(self, r: np.ndarray) -> float:
+        """Norm of forces."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            forces = r * self.weight
+            return math.sqrt(self.dot(forces, forces))
+
+
+def conjugate_gradients(e: Equations, x: np.ndarray, right: np.ndarray, aim: float, limit: int) -> Result:
+    """Improve x (n,) until the residual is `aim` times the right-hand side (n,), in the norm of forces and in
+    the energy norm of the preconditioner."""
+    out, allowed = Result(), aim * e.norm(right)
+    energy, rounds = 0.0, 0
+    r = right - e.product(x) if np.any(x) or e.comm.size > 1 else right.copy()
+    while True:
+        z = e.precondition(r)
+        work = e.dot(r, z)
+        if rounds == 0:
+            energy = work
+        if work == 0.0:
+            return out
+        if not (work > 0.0 and math.isfinite(work)):
+            out.failed = BROKEN
+            return out
+        p = z.copy()
+        while True:
+            q = e.product(p)
+            curvature = e.dot(p, q)
+            if not curvature > 0.0:
+                out.failed = INDEFINITE if curvature <= 0.0 else BROKEN
+                return out
+            length = work / curvature
+            np.multiply(p, length, out=z)
+            x += z
+            q *= length
+            r -= q
+            out.iterations += 1
+            z = e.precondition(r)
+            before, work = work, e.dot(r, z)
+            if not (work >= 0.0 and math.isfinite(work)):
+                out.failed = BROKEN
+                return out
+            if work <= aim**2 * energy and e.norm(r) <= allowed:
+                break
+            if out.iterations >= limit:
+                out.failed = LIMIT
+                return out
+            p *= work / before
+            p += z
+        r = right - e.product(x)  # what rounding has made of it
+        rounds += 1
+        if e.norm(r) <= 2.0 * allowed:
+            return out
+        if rounds == _ROUNDS:
+            out.failed = LIMIT
+            return out
+
+
+_ROUNDS = 4  # solutions for what is left of the residual
+
+
+def flexible_gmres(
+    e: Equations, x: np.ndarray, right: np.ndarray, aim: float, limit: int, restart: int
+) -> Result:
+    """The same by GMRES, preconditioned from the right, in the norm of forces."""
+    out, allowed = Result(), aim * e.norm(right)
+    if not math.isfinite(allowed):
+        out.failed = BROKEN
+        return out
+    before = math.inf
+    while True:
+        r = right - e.product(x)
+        size = e.norm(r)
+        if size <= allowed:
+            return out
+        if not size < math.inf or size > 0.999 * before:
+            out.failed = LIMIT if math.isfinite(size) else BROKEN
+            return out
+        if out.iterations >= limit:
+            out.failed = LIMIT
+            return out
+        before = size
+        if not _cycle(e, x, r * (e.weight / size), size, allowed, min(restart, limit - out.iterations), out):
+            out.failed = BROKEN
+            return out
+
+
+def _cycle(
+    e: Equations, x: np.ndarray, first: np.ndarray, size: float, allowed: float, most: int, out: Result
+) -> bool:
+    """Arnoldi's method until the residual is small enough; whether its numbers are finite."""
+    basis, moved, k = [first], [], 0
+    rotation: list[tuple[float, float]] = []
+    H, g = np.zeros((most + 1, most)), np.zeros(most + 1)
+    g[0] = size
+    while k < most:
+        z = e.precondition(basis[k] / e.weight)
+        w = e.product(z) * e.weight
+        for _ in range(2):
+            for i, v in enumerate(basis):
+                h = e.dot(w, v)
+                H[i, k] += h
+                w -= h * v
+        length = math.sqrt(e.dot(w, w)) if np.all(np.isfinite(H[:, k])) else math.nan
+        if not math.isfinite(length):
+            return False
+        moved.append(z)
+        column = H[:, k]
+        column[k + 1] = length
+        for i, (c, s) in enumerate(rotation):
+            column[i], column[i + 1] = c * column[i] + s * column[i + 1], c * column[i + 1] - s * column[i]
+        radius = math.hypot(column[k], column[k + 1])
+        if radius == 0.0:
+            return False
+        c, s = column[k] / radius, column[k + 1] / radius
+        rotation.append((c, s))
+        column[k], column[k + 1] = radius, 0.0
+        g[k], g[k + 1] = c * g[k], -s * g[k]
+        k += 1
+        out.iterations += 1
+        if abs(g[k]) <= 0.9 * allowed or length <= 1e-14 * radius:
+            break
+        basis.append(w / length)
+    for share, z in zip(np.linalg.solve(np.triu(H[:k, :k]), g[:k]), moved, strict=True):
+        x += share * z
+    return True

@@ -1,0 +1,239 @@
+"""The levels of multigrid on a lattice: rows, their relaxation, and what leads to the next coarser one."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..kernels import native
+from ..tools.parallel import Route
+from .coarsening import Coarsening
+from .factors import Factor
+from .linear import SingularTangent
+
+LIFT = 1e-6  # of blocks' diagonals that are inverted, and of weak nodes', which may be singular
+FROM_ZERO, FORWARD, BACKWARD, REST = range(4)  # kinds of sweeps
+
+
+def _aligned(n: int) -> np.ndarray:
+    """Memory for n numbers in single precision, from a cache line's beginning."""
+    whole: np.ndarray = np.empty(n + 16, dtype=np.float32)
+    start = (-whole.ctypes.data // 4) % 16
+    return whole[start : start + n]
+
+
+class Halo:
+    """Columns of other ranks. Collective."""
+
+    def __init__(self, comm: MPI.Comm, start: int, owned: int, columns: np.ndarray):
+        self.comm, self.owned = comm, owned
+        starts = np.array(comm.allgather(start + owned))
+        other = columns[(columns < start) | (columns >= start + owned)]
+        self.numbers = np.unique(other)
+        self._route = Route(comm, np.searchsorted(starts, self.numbers, side="right"))
+        self._rows = self._route.forward(self.numbers) - start
+        self.local = np.where(
+            (columns >= start) & (columns < start + owned),
+            columns - start,
+            owned + np.searchsorted(self.numbers, columns),
+        )
+
+    def fill(self, values: np.ndarray) -> None:
+        """Rows of other ranks behind the owned ones, (nodes, ...). Collective."""
+        values[self.owned :] = self._route.backward(values[self._rows])
+
+
+class Level:
+    """A matrix on a lattice, its relaxation, and what leads to the next coarser one."""
+
+    def __init__(self, rows: native.BlockRows, columns: int):
+        self.rows, self.columns, self.block = rows, columns, int(rows.block)
+        self.nodes = int(rows.nodes)
+        self.relaxation, self.transfer = native.Relaxation(), native.Transfer()
+        self.x, self.b = np.zeros((columns, self.block)), np.zeros((self.nodes, self.block))
+        self.rest = np.zeros((self.nodes, self.block))
+        self.free = np.ones((columns, self.block), dtype=np.uint8)
+
+    @property
+    def pairs(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of each block its row, and which one of the row's it is."""
+        offsets = self.rows.kept["offsets"]
+        row = np.repeat(np.arange(self.nodes), np.diff(offsets))
+        return row, (np.arange(len(row)) - offsets[row]).astype(np.int32)
+
+    # relaxation -----------------------------------------------------------------------------------
+    def prepare(self) -> None:
+        """Find the neighbours before and after each node, and make room for their blocks."""
+        cols, (row, at) = self.rows.kept["cols"], self.pairs
+        up = np.flatnonzero(cols > row)
+        if self.rows.half:
+            order = up[np.argsort(cols[up], kind="stable")]
+            low = cols[order], row[order].astype(np.int32), at[order]
+        else:
+            order = np.flatnonzero(cols < row)
+            low = row[order], cols[order], at[order]
+        widest = 0
+        for side, (mine, other, which) in (("low", low), ("up", (row[up], cols[up], at[up]))):
+            counts = np.bincount(mine, minlength=self.nodes)
+            widest = max(widest, int(counts.max(initial=0)))
+            size = (counts * self.block + 15) // 16 * 16 * self.block
+            start = np.concatenate([[0], np.cumsum(size)])
+            found = {
+                side: np.concatenate([[0], np.cumsum(counts)]),
+                f"{side}_cols": np.ascontiguousarray(other, dtype=np.int32),
+                f"{side}_at": np.ascontiguousarray(which),
+                f"{side}_start": start,
+                f"{side}_rows": _aligned(int(start[-1])),
+            }
+            native.fill(self.relaxation, **found)
+        native.fill(
+            self.relaxation,
+            widest=widest,
+            inverse=np.zeros(self.nodes * self.block**2, dtype=np.float32),
+            added=np.zeros(self.nodes * self.block),
+        )
+
+    @property
+    def _both(self) -> tuple[Any, Any]:
+        return ctypes.byref(self.rows), ctypes.byref(self.relaxation)
+
+    def renew(self) -> None:
+        """Take the rows as they are.
+
+        Raises:
+            SingularTangent: they have entries that are not finite.
+        """
+        if native.library().polarmpm_relaxation(*self._both, LIFT):
+            raise SingularTangent("the tangent has entries that are not finite")
+
+    def relax(self, how: int, b: np.ndarray) -> None:
+        """A sweep over x for b (nodes, block); `REST` writes what is left into b."""
+        native.library().polarmpm_relax(*self._both, how, b, self.x)
+
+    def rest_of(self, rows: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
+        """b - A x in some rows, in double precision."""
+        native.library().polarmpm_rest(*self._both, len(rows), rows, b, self.x, out)
+
+    def product(self, x: np.ndarray, out: np.ndarray) -> None:
+        """A x; x with the columns of other ranks."""
+        native.library().polarmpm_block_product(ctypes.byref(self.rows), x, out)
+
+    # coarser --------------------------------------------------------------------------------------
+    def couple(self, to: Coarsening, comm: MPI.Comm | None) -> Level:
+        """The coarser level, without entries. Collective where there is `comm`."""
+        dim, count = to.index.shape[1], len(to.index)
+        side = 2 * to.reach + 1
+        steps = np.array([side ** (dim - 1 - k) for k in range(dim)], dtype=np.int64)
+        lin = to.index.astype(np.int64) @ steps
+        codes, centre = side**dim, int(to.reach * steps.sum())
+        native.fill(
+            self.transfer,
+            parents=np.ascontiguousarray(to.parents),
+            weights=np.ascontiguousarray(to.weights),
+            free=self.free,
+            lin=lin,
+            codes=codes,
+            centre=centre,
+        )
+        mark = np.zeros((count, codes), dtype=np.uint8)
+        native.library().polarmpm_couple_parents(ctypes.byref(self.rows), ctypes.byref(self.transfer), mark)
+        mark[:, centre] = 1
+        if comm is not None:
+            comm.Allreduce(MPI.IN_PLACE, mark, op=MPI.MAX)
+        row, code = np.nonzero(mark)
+        counts = np.bincount(row, minlength=count)
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        at = np.arange(len(row)) - offsets[row]
+        place = np.full((count, codes), -1, dtype=np.int32)
+        place[row, code] = at
+        native.fill(self.transfer, place=place)
+        away = np.stack([code // s % side for s in steps], axis=1) - to.reach
+        other = to.index[row] + away
+        strides = np.array(
+            [int(np.prod(to.index.max(axis=0)[k + 1 :] + 1)) for k in range(dim)], dtype=np.int64
+        )
+        cols = np.searchsorted(to.index @ strides, other @ strides).astype(np.int32)
+        b, rows = self.block, native.BlockRows()
+        line = np.repeat(counts, b) * b
+        start = np.concatenate([[0], np.cumsum(line)])
+        native.fill(
+            rows,
+            block=b,
+            half=int(self.rows.half),
+            nodes=count,
+            offsets=offsets,
+            cols=cols,
+            row_start=start[:-1].copy(),
+            values=np.zeros(int(start[-1])),
+        )
+        return Level(rows, count)
+
+    def find_free(self, comm: MPI.Comm | None, halo: Halo | None) -> None:
+        """Unknowns that are coupled with others: what isn't, as prescribed ones, needs no coarser level."""
+        self.free[...] = 0
+        native.library().polarmpm_coupled(ctypes.byref(self.rows), self.free)
+        if halo is not None:
+            halo.fill(self.free)
+
+    def coarsen(self, coarse: Level, comm: MPI.Comm | None) -> None:
+        """Entries of the coarser level. Collective where there is `comm`."""
+        values = coarse.rows.kept["values"]
+        values[:] = 0.0
+        arguments = (ctypes.byref(a) for a in (self.rows, self.transfer, coarse.rows))
+        if native.library().polarmpm_coarsen(*arguments):
+            raise MemoryError("no memory for coarser levels")
+        if comm is not None:
+            comm.Allreduce(MPI.IN_PLACE, values)
+
+
+class Part:
+    """Some nodes' own part of a level's matrix, factored.
+
+    Args:
+        chosen: the nodes (m,), ascending.
+    """
+
+    def __init__(self, level: Level, chosen: np.ndarray, symmetric: bool):
+        kept, b = level.rows.kept, level.block
+        self._values, self.chosen = kept["values"], chosen
+        number = np.full(level.columns, -1, dtype=np.int64)
+        number[chosen] = np.arange(len(chosen))
+        row, at = level.pairs
+        cols = kept["cols"]
+        inside = (number[row] >= 0) & (number[cols] >= 0)
+        if symmetric:
+            inside &= cols >= row
+        row, at, cols = (a[inside][:, None] for a in (row, at, cols))
+        i, j = (a.ravel() for a in np.divmod(np.arange(b * b), b))
+        where = kept["row_start"][row * b + i] + at.astype(np.int64) * b + j
+        r, c = number[row] * b + i, number[cols] * b + j
+        keep = (c >= r) if symmetric else np.ones(c.shape, dtype=bool)
+        where, r, c = where[keep], r[keep], c[keep]
+        order = np.lexsort((c, r))
+        self._where, r, c = where[order], r[order], c[order]
+        self._diagonal, self._entries = np.flatnonzero(r == c), np.zeros(len(c))
+        counts = np.bincount(r, minlength=len(chosen) * b)
+        self._factor = Factor(np.concatenate([[0], np.cumsum(counts)]), c, self._entries, symmetric)
+
+    def renew(self, lift: float) -> None:
+        """Factor the entries as they are, the diagonal raised by `lift` of it.
+
+        Raises:
+            SingularTangent: that is not possible.
+        """
+        np.take(self._values, self._where, out=self._entries)
+        own = self._entries[self._diagonal]
+        self._entries[self._diagonal] = np.where(own == 0.0, 1.0, own * (1.0 + lift))
+        self._factor.renew()
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Solution (m, block) for (m, block)."""
+        return self._factor.solve(right.ravel()).reshape(right.shape)
+
+    def destroy(self) -> None:
+        """Release PETSc's objects."""
+        self._factor.destroy()
