@@ -360,7 +360,7 @@ class Points(Several):
             which = "other" if other.axisymmetric else "these points"
             raise InputError(f"other: of both only {which} are a body of revolution (axisymmetric)")
         apart, known = checks.flag("apart", apart), self.fingerprints()
-        shift = self._make_room(other, apart)
+        bodies = self._join_bodies(other, apart)
         self.remember_ids()
         first = self._last_id + 1
         number, mine = len(self.materials), self.materials
@@ -374,8 +374,7 @@ class Points(Several):
         other.materials = other.materials[number:]
         theirs["id"] = theirs["id"] + first
         theirs["material"] = theirs["material"] + number
-        if "body" in theirs:
-            theirs["body"] = np.where(theirs["body"] + apart > 0, theirs["body"] + shift, 0)
+        theirs["body"] = bodies
         self.replace({name: np.concatenate([a, theirs[name]]) for name, a in self.arrays().items()})
         self.regions += tuple(r.joined(first) for r in other.regions)
         self.lattices += other.lattices

@@ -17,17 +17,16 @@ class Several(Selecting):
     bodies: int = 1
     arrangements: int
 
-    def _make_room(self, other: Points, apart: bool) -> int:
-        """Both sets know how many bodies there will be; by what the numbers of the other's grow. Those that
-        are apart from its first one stay so."""
-        before, more = self.bodies, other.bodies - 1 + apart
-        shift = before - 1 + apart
-        for one in (self, other):
-            if before + more > 1 and "body" not in vars(one):
-                one.body = np.zeros(len(one), dtype=np.int32)
-        if before + more > 1:
-            self.bodies = other.bodies = before + more
-        return shift
+    def _join_bodies(self, other: Several, apart: bool) -> np.ndarray:
+        """Numbers (n,) that another set's bodies get here; its first one is welded to the first one here
+        unless it is `apart`."""
+        theirs = other.body if other.bodies > 1 else np.zeros(len(other), dtype=np.int32)
+        moved = theirs + (self.bodies - 1 + apart)
+        count = self.bodies + other.bodies - 1 + apart
+        if count > 1 and self.bodies == 1:
+            self.body = np.zeros(len(self), dtype=np.int32)
+        self.bodies = count
+        return (moved if apart else np.where(theirs > 0, moved, 0)).astype(np.int32)
 
     @collective("separate", compare=True)
     def separate(self, selection: Selection) -> None:
@@ -42,7 +41,7 @@ class Several(Selecting):
         if not 0 < len(selection) < self.total:
             whole = "all points" if len(selection) else "no point"
             raise InputError(f"selection: contains {whole}; some, but not all, can be a body of their own")
-        if "body" not in vars(self):
+        if self.bodies == 1:
             self.body = np.zeros(len(self), dtype=np.int32)
         self.body = self.body.copy()
         self.body[self.rows(selection)] = self.bodies
