@@ -248,8 +248,8 @@ def _boxes_of(piece: Piece, grid: Grid, bodies: int) -> tuple[Boxes, ...]:
     for part in parts:
         if not isinstance(part, Boxes) or len(part.count) != grid.dim:
             raise InputError(
-                f"{piece.name}: acts on {shown(part)}; on a grid boxes of {grid.dim}-dimensional lattice nodes "
-                "are needed"
+                f"{piece.name}: acts on {shown(part)}; on a grid boxes of {grid.dim}-dimensional lattice "
+                "nodes are needed"
             )
         numbers = part.numbers(grid)
         if numbers.size and not 0 <= numbers.min() <= numbers.max() <= last:

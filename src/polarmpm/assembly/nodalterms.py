@@ -143,19 +143,21 @@ class NodalTerms:
     # tangent ----------------------------------------------------------------------------------------
     def batches(self) -> list[native.Batch]:
         """The boxes of lattice nodes as `sparsity.build` reads them."""
-        return [_batch(boxes, rows) for piece, all_rows in self._parts() for boxes, rows in _of(piece, all_rows)]
+        return [
+            _batch(boxes, rows) for piece, all_rows in self._parts() for boxes, rows in _of(piece, all_rows)
+        ]
 
     def crossing(self) -> np.ndarray:
         """Pairs of local nodes (k, 2) of different bodies that pieces couple, either way."""
-        found = [np.zeros((0, 2), dtype=np.int64)]
+        found: list[np.ndarray] = [np.zeros((0, 2), dtype=np.int64)]
         for piece, rows in self._parts():
             if isinstance(piece.boxes, BoxPairs):
                 n = int(np.prod(piece.boxes.parts[0].count))
                 one, other = np.broadcast_arrays(rows[:, :n, None], rows[:, None, n:])
                 pairs = np.stack([one.ravel(), other.ravel()], axis=1)
                 found += [pairs, pairs[:, ::-1]]
-        pairs = np.unique(np.concatenate(found), axis=0)
-        return pairs
+        every: np.ndarray = np.unique(np.concatenate(found), axis=0)
+        return every
 
     def bind(
         self,

@@ -17,7 +17,6 @@ from ..kernels import native
 from ..tools.parallel import Route
 from .patches import Patches
 
-
 _CROSSING = -1  # code of a pair of nodes that no lattice distance tells
 
 
@@ -180,7 +179,7 @@ def build(
     if symmetric:
         keep = nodes.number[row] <= nodes.number[col]
         row, code, col = row[keep], code[keep], col[keep]
-    pairs = row, code, col
+    pairs: tuple[np.ndarray, ...] = row, code, col
     if crossing is not None and len(crossing):
         a, b = crossing.T
         if symmetric:

@@ -17,6 +17,11 @@ class Several(Selecting):
     bodies: int = 1
     arrangements: int
 
+    @property
+    def total(self) -> int:
+        """Number of points of all ranks. Collective."""
+        raise NotImplementedError
+
     def _join_bodies(self, other: Several, apart: bool) -> np.ndarray:
         """Numbers (n,) that another set's bodies get here; its first one is welded to the first one here
         unless it is `apart`."""

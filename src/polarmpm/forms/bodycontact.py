@@ -1,9 +1,9 @@
 """The weak form at a site of one body in contact with another: UFL in, compiled residual and tangent out.
 
-The unknown is y = (r, G): by how much more the site has moved than the place of the other body that it faces,
-and the gradient of that body's displacement there. Places are seen in the other body's frame, xi = R^T (x - c),
-whose turn R since the beginning of the step is that of its material (to the second order of the step's
-strains). Gap and slip don't change when both bodies move as one, whatever they do: so the forces' sum and
+The unknown is y = (r, G): by how much more the site has moved than the place of the other body that it
+faces, and the gradient of that body's displacement there. With the other body's normal n, which follows its
+surface, and directions t in this, of which the first one is a line of its material, the gap is (x - c) . n
+and the site's place on it (x - c) . t. Neither changes when both bodies move as one: so the forces' sum and
 moment are zero, to rounding.
 """
 
@@ -28,27 +28,29 @@ class BodyContactForm(SurfaceForm):
     """Normal force from a potential of the gap; friction by return mapping. Forces are per undeformed area.
 
     Data: place minus the other body's (m) at y = 0; the other body's deformation since increments count, at
-    the beginning of the step, inverted, row by row; its normal then; `CONSTANTS`; multiplier (Pa), elastic
-    slip and xi at the end of the last step (m).
+    the beginning of the step, inverted, row by row; its normal then, in space also a direction in its
+    surface; `CONSTANTS`; multiplier (Pa), elastic slip and x - c at the beginning of the step (m).
     """
 
     parts = (Part("displacement", 0), Part("displacement", 1))
 
     def __init__(self, layout: Layout, friction: bool):
         self.friction, self.symmetric, d = friction, not friction, layout.dim
-        super().__init__(layout, d, d * d, d, len(CONSTANTS), 1 + 2 * d)
+        super().__init__(layout, d, d * d, d if d == 2 else 2 * d, len(CONSTANTS), 1 + 2 * d)
 
-    def _frame(self) -> tuple[Any, Any, Any]:
-        """Gap (m), outward normal of the other body, and its turn since the beginning of the step."""
-        d, (place, before, normal, *_) = self.layout.dim, self.coefficients
+    def _frame(self) -> tuple[Any, Any, list[Any], list[Any]]:
+        """x - c (m), the other body's normal, directions in its surface, and those at first."""
+        d, (place, before, directions, *_) = self.layout.dim, self.coefficients
         moved = ufl.Identity(d) + self.slots.derivative(self.y, "displacement")
         f = ufl.dot(moved, matrix(before, d, d))
-        cofactor = kin.cofactor(f)
-        outward = ufl.dot(cofactor, ufl.as_vector([normal[i] for i in range(d)]))
-        outward = outward / ufl.sqrt(ufl.dot(outward, outward))
-        turn = 0.5 * (f + cofactor / ufl.det(f))  # a step of Newton's towards the polar rotation
+        n = ufl.as_vector([directions[i] for i in range(d)])
+        first = ufl.as_vector([-n[1], n[0]] if d == 2 else [directions[d + i] for i in range(d)])
+        normal, along = _unit(ufl.dot(kin.cofactor(f), n)), _unit(ufl.dot(f, first))
+        now, then = [along], [first]
+        if d == 3:
+            now, then = [along, ufl.cross(normal, along)], [first, ufl.cross(n, first)]
         apart = ufl.as_vector([place[i] for i in range(d)]) + self._displacement(self.y)
-        return ufl.dot(apart, outward), outward, (turn, ufl.dot(turn.T, apart))
+        return apart, normal, now, then
 
     def _normal(self, gap: Any) -> tuple[Any, Any]:
         """Energy per area (J/m^2) and pressure (Pa) of a gap."""
@@ -58,22 +60,24 @@ class BodyContactForm(SurfaceForm):
         pressure = ufl.conditional(ufl.gt(force, 0.0), force, 0.0)
         return pressure**2 / (2 * k), pressure
 
-    def _resistance(self, pressure: Any, xi: Any) -> Any:
-        """Traction (Pa) against the slip, in the other body's frame."""
-        normal, constants, history = self.coefficients[2:]
+    def _resistance(self, pressure: Any) -> tuple[Any, Any]:
+        """Traction (Pa) against the slip along the directions in the surface, and places along them."""
+        apart, _, now, then = self._frame()
+        constants, history = self.coefficients[3:]
         d = self.layout.dim
         k, mu = (constants[CONSTANTS.index(name)] for name in ("stiffness", "friction"))
         before, last = (ufl.as_vector([history[1 + k * d + i] for i in range(d)]) for k in (0, 1))
-        n = ufl.as_vector([normal[i] for i in range(d)])
-        slip = before + xi - last
-        return capped(k * (slip - ufl.dot(slip, n) * n), mu * pressure)
+        places = [ufl.dot(apart, t) for t in now]
+        slip = [s + ufl.dot(before - last, t) for s, t in zip(places, then, strict=True)]
+        return capped(k * ufl.as_vector(slip), mu * pressure), ufl.as_vector(places)
 
     def virtual_work(self) -> Any:
-        gap, _, (_, xi) = self._frame()
-        energy, pressure = self._normal(gap)
+        apart, normal, *_ = self._frame()
+        energy, pressure = self._normal(ufl.dot(apart, normal))
         work = ufl.derivative(energy, self.y, self.test)
         if self.friction:
-            work += ufl.dot(self._resistance(pressure, xi), ufl.derivative(xi, self.y, self.test))
+            against, places = self._resistance(pressure)
+            work += ufl.dot(against, ufl.derivative(places, self.y, self.test))
         return work
 
     @property
@@ -85,13 +89,19 @@ class BodyContactForm(SurfaceForm):
     def teller(self, comm: MPI.Comm) -> Kernel:
         """Kernel (y, data...) -> gap (m), pressure (Pa), traction on the site's body (Pa), and elastic slip
         (m) in space. Collective."""
-        gap, outward, (turn, xi) = self._frame()
+        apart, normal, now, _ = self._frame()
+        gap = ufl.dot(apart, normal)
         _, pressure = self._normal(gap)
-        traction, slip = pressure * outward, 0.0 * outward
+        traction, slip = pressure * normal, 0.0 * normal
         if self.friction:
-            resistance = ufl.dot(turn, self._resistance(pressure, xi))
+            against, _ = self._resistance(pressure)
+            resistance = sum((against[i] * t for i, t in enumerate(now[1:], 1)), against[0] * now[0])
             traction = traction - resistance
             slip = resistance / self.coefficients[3][CONSTANTS.index("stiffness")]
         values = [gap, pressure, traction, slip]
         inputs = self.size + sum(self.data)
         return compile_expressions(values, self._terminals(), inputs, self.space.domain, comm)
+
+
+def _unit(v: Any) -> Any:
+    return v / ufl.sqrt(ufl.dot(v, v))

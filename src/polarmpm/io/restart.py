@@ -22,7 +22,7 @@ from mpi4py import MPI
 import h5py
 import numpy as np
 
-from ..bodies.points import MOTION_FIELDS
+from ..bodies.pointfields import MOTION_FIELDS
 from ..bodies.reference import Reference
 from ..errors import InputError
 from ..problems.base import Problem

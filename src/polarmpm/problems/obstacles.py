@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..bodies.corners import outer_corners
-from ..bodies.nearby import of_nearest
+from ..bodies.nearby import behind, of_nearest
 from ..errors import InputError
 from ..forms.contact import Law
 from ..forms.rest import stiffness_across
@@ -118,7 +118,7 @@ def _sites(problem: Any, name: str, on: Any) -> tuple[Surface, np.ndarray | None
         x, area, normal, parents = outer_corners(problem.points)
         return Surface(x, area, normal), parents
     surface = surface_given(problem, name, on)
-    return surface, parents_of(problem, name, surface.x, np.zeros_like(surface.x))
+    return surface, parents_of(problem, name, surface)
 
 
 def surface_given(problem: Any, name: str, on: Any) -> Surface:
@@ -139,18 +139,22 @@ def _everywhere(x: np.ndarray) -> np.ndarray:
     return np.ones(len(x), dtype=bool)
 
 
-def parents_of(problem: Any, name: str, x: np.ndarray, inward: np.ndarray) -> np.ndarray:
-    """Ids of the points nearest to sites at x (n, d) (m), of the body that is behind them. Collective."""
+def parents_of(problem: Any, name: str, surface: Surface) -> np.ndarray:
+    """Ids of the points nearest to the sites, of the body that is behind them. Collective."""
     points = problem.points
     place, volume = (points.x, points.volume) if problem.progress.step else (points.X, points.volume0)
     size = volume ** (1.0 / points.dim)
     aside = np.array(_ASIDE[: points.dim]) * 1e-6 * problem.cell_size
     values = np.column_stack([points.id.astype(float), size])
-    distance, found = of_nearest(problem.comm, place, values, x + inward + aside)
+    if points.bodies == 1:
+        distance, found = of_nearest(problem.comm, place, values, surface.x + aside)
+    else:
+        normal = surface.normal
+        distance, found, _ = behind(problem.comm, place, points.body, values, surface.x + aside, normal)
     far = distance > 2.0 * np.maximum(found[:, 1], problem.cell_size)
     if np.any(far):
         at = int(np.argmax(distance * far))
-        where = tuple(float(round(c, 9)) for c in x[at])
+        where = tuple(float(round(c, 9)) for c in surface.x[at])
         raise InputError(
             f"{name}: on: surface point {at} at {where} lies {distance[at]:.4g} m from the nearest material "
             f"point ({int(far.sum())} such in all): it isn't on this body"

@@ -14,8 +14,6 @@ from ..terms.bodycontact import BodyContact
 from ..tools import checks
 from .obstacles import SKIN, STIFF, parents_of, stiffest, surface_given
 
-_BEHIND = 0.1  # cells by which a place on a surface is moved inwards, to see whose it is
-
 
 def add_body_contact(problem: Any, a: Any, b: Any, on: Any, options: dict[str, Any]) -> BodyContact:
     """See `Contact.contact`. Collective."""
@@ -29,8 +27,8 @@ def add_body_contact(problem: Any, a: Any, b: Any, on: Any, options: dict[str, A
         )
     if problem.points.bodies == 1:
         raise InputError(
-            "contact: the points are one body; make a body of its own of some: points.separate(selection), or "
-            "points.join(other, apart=True), before the problem is made"
+            "contact: the points are one body; make a body of its own of some, before the problem is made: "
+            "points.separate(selection), or points.join(other, apart=True)"
         )
     friction = checks.number(f"{name}: friction", options["friction"], least=0.0)
     gap = options["gap"]
@@ -43,7 +41,9 @@ def add_body_contact(problem: Any, a: Any, b: Any, on: Any, options: dict[str, A
     for side in range(int(sides.max()) + 1) if a is None else (0, 1):
         if not np.any(sides == side):
             whose = f"body {side}" if a is None else "ab"[side]
-            raise InputError(f"{name}: {whose} has no place on {'its' if on is None else 'the given'} surface")
+            raise InputError(
+                f"{name}: {whose} has no place on {'its' if on is None else 'the given'} surface"
+            )
     if len(np.unique(sides[kept])) < 2:
         raise InputError(f"{name}: the surfaces are of one body only; those of two at least are needed")
     surface = Surface(surface.x[kept], surface.area[kept], surface.normal[kept])
@@ -73,15 +73,17 @@ def _surfaces(problem: Any, name: str, on: Any) -> tuple[Surface, np.ndarray]:
     if on is None:
         x, area, normal, parents, _ = outer_faces(problem.points)
         if not len(x):
-            raise InputError(f"{name}: on: the points have no domains, whose faces could touch; give surfaces")
+            raise InputError(
+                f"{name}: on: the points have no domains, whose faces could touch; give surfaces"
+            )
         return Surface(x, area, normal), parents
     given = on if isinstance(on, list | tuple) else [on]
     if not given:
         raise checks.refuse(f"{name}: on", on, "surfaces of the bodies are needed")
     parts = [surface_given(problem, name, one) for one in given]
     x, area, normal = (np.concatenate([getattr(p, k) for p in parts]) for k in ("x", "area", "normal"))
-    inward = -_BEHIND * problem.cell_size * normal
-    return Surface(x, area, normal), parents_of(problem, name, x, inward)
+    surface = Surface(x, area, normal)
+    return surface, parents_of(problem, name, surface)
 
 
 def _of_points(problem: Any, ids: np.ndarray, values: np.ndarray) -> np.ndarray:

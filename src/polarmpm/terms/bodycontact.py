@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any
 
 from mpi4py import MPI
@@ -53,7 +54,9 @@ class BodyContact(Sites):
     linear = False
     external = True  # its forces count in convergence measures, and its work as an obstacle's
     proportional = False
+    parents: np.ndarray
     sums: np.ndarray
+    _balanced: np.ndarray | None
 
     def __init__(
         self,
@@ -86,6 +89,11 @@ class BodyContact(Sites):
         self._span = _SPAN * np.sqrt(d - 1) * self.surface.area ** (1.0 / (d - 1))
         self.partner, self.gap = np.full(n, -1, dtype=np.int64), np.full(n, np.inf)
         self._moved, self._told, self._balanced = self._nothing(), self._nothing_told(), None
+        self._factor = 0.0
+
+    def still(self, factor: float) -> BodyContact:
+        """The same for a problem that goes on from time 0."""
+        return copy(self)
 
     def make_form(self) -> BodyContactForm:
         return BodyContactForm(self.layout, self._friction)
@@ -143,7 +151,8 @@ class BodyContact(Sites):
     def _look(self) -> None:
         """Find the sites' partners, and the places of the other bodies that they face."""
         x, normal = self.x, self.normals()
-        reach, far = _REACH * self._size, _FAR * self._size
+        deepest = max(0.0, -float(self.gap.min()))  # soft springs let sites in by more than cells
+        reach, far = _REACH * self._size, _FAR * self._size + 1.5 * deepest
         found = partners.find(x, normal, self._span, self.sides, reach, far)
         self.partner, self._free = found.site, found.free
         self.gap = found.gap
@@ -220,7 +229,10 @@ class BodyContact(Sites):
         turned = np.linalg.inv(np.eye(d) + before[:, d:].reshape(-1, d, d))
         history = np.hstack([self._trial[rows, None], self.slip[rows], start + before[:, :d]])
         constants = np.tile(self._constants, (len(rows), 1))
-        return [y, start, turned.reshape(-1, d * d), self.against[rows], constants, history]
+        directions = self.against[rows]
+        if d == 3:
+            directions = np.hstack([directions, _beside(directions)])
+        return [y, start, turned.reshape(-1, d * d), directions, constants, history]
 
     def evaluated(self, columns: list[np.ndarray]) -> np.ndarray:
         """Residual and tangent (m, size + size^2) per area."""
@@ -298,3 +310,11 @@ class BodyContact(Sites):
         self.sums = np.zeros_like(self.sums)
         np.add.at(self.sums, self.body, of_site)
         np.subtract.at(self.sums, self.body[self.partner[at]], of_site[at])
+
+
+def _beside(normal: np.ndarray) -> np.ndarray:
+    """Unit vectors (n, 3) at right angles to others."""
+    axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+    across = np.cross(normal, axis)
+    unit: np.ndarray = across / np.linalg.norm(across, axis=1, keepdims=True)
+    return unit

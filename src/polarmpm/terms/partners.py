@@ -35,7 +35,7 @@ def find(
     Args:
         span: how far (m) from its middle a site's piece of the surface reaches (n,).
         side: number of the body, or group of bodies, of each (n,).
-        reach: largest distance (m) from a partner's plane.
+        reach: largest distance (m) before a partner's plane.
         far: how far (m) sites are looked for.
     """
     n = len(x)
@@ -50,7 +50,7 @@ def find(
     aside = np.linalg.norm(away - gap[:, None] * normal[master], axis=1)
     free = np.maximum(_from_others(x, side), far)
     np.minimum.at(free, slave, distance)
-    keep = (np.abs(gap) <= reach) & (aside <= span[master])
+    keep = (gap <= reach) & (aside <= span[master])
     slave, master, gap = slave[keep], master[keep], gap[keep]
     order = np.lexsort((master, np.rint(distance[keep] / (_TIE * far)), slave))
     slave, first = np.unique(slave[order], return_index=True)

@@ -13,7 +13,7 @@ import numpy as np
 from ..basis.base import Basis, Weights
 from ..bodies.elements import Elements
 from ..bodies.facets import FacetSurface
-from ..bodies.nearby import of_nearest
+from ..bodies.nearby import behind
 from ..bodies.points import Points
 from ..errors import InputError
 from ..geometry.grid import Grid, box_indices
@@ -21,7 +21,6 @@ from ..kinematics.layout import Layout
 from .base import Boxes, Carried, Places, Setting
 
 _INWARD = 1e-6  # cells: a point on a plane of the grid belongs to the cell behind it, against its normal
-_INSIDE = 0.1  # cells by which a place on a surface is moved inwards, to see whose it is
 # cells by which a face may lie ahead of those that material points reach: at first, later
 _AHEAD = (0.5, 1.0)
 
@@ -135,13 +134,11 @@ class GridSetting(Setting):
         """`Basis.at` of cells (n, d) of whatever body."""
         return self.basis.at(self.grid, x, self.grid.node_index(self.grid.node_number(cells)))
 
-    def _bodies_at(self, x: np.ndarray) -> np.ndarray:
-        """Numbers (n,) of the bodies whose points are nearest to places (n, d) (m). Collective."""
+    def _bodies_at(self, x: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """Numbers (n,) of the bodies behind places (n, d) (m) on surfaces. Collective."""
         if self.points.bodies == 1:
             return np.zeros(len(x), dtype=np.int64)
-        found = of_nearest(self.comm, self._x, self.points.body[:, None].astype(float), x)[1]
-        bodies: np.ndarray = found[:, 0].astype(np.int64)
-        return bodies
+        return behind(self.comm, self._x, self.points.body, np.zeros((len(self._x), 0)), x, normal)[2]
 
     def _find(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
         """Rank (n,) and lattice index (n, d) of the cell that weights each place: the nearest of those that
@@ -154,7 +151,7 @@ class GridSetting(Setting):
         around = box_indices((3,) * grid.dim) - 1
         index = np.floor(xi).astype(np.int64)[:, None] + around
         inside = np.all((index >= 0) & (index < np.array(grid.shape)), axis=2)
-        body = self._bodies_at(x - turned * (_INSIDE * min(grid.smallest)))
+        body = self._bodies_at(x, turned)
         of_body = grid.of_bodies(index.reshape(-1, grid.dim), np.repeat(body, index.shape[1]))
         here = inside & np.isin(grid.cell_number(of_body).reshape(inside.shape), self.reached)
         lowest = np.where(here, self.comm.rank, size)
