@@ -58,6 +58,7 @@ from .solvers.newton import Controls
 from .solvers.resetting import EverySteps, Never, WhenDistorted
 from .solvers.stepping import Step
 from .terms.base import Boxes, Piece, Term
+from .terms.bodycontact import BodyContact
 from .terms.ghost import GhostPenalty
 from .terms.obstacles import Obstacle
 from .terms.surfaceterms import SurfaceTerm
@@ -100,6 +101,7 @@ __all__ = [
     "PUBLISHED",
     "ArrudaBoyce",
     "Basis",
+    "BodyContact",
     "Box",
     "Boxes",
     "CamClay",

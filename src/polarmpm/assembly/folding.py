@@ -25,10 +25,10 @@ class Folding:
 
     def __init__(self, pattern: Pattern, ties: Ties):
         nodes, block = ties.nodes, pattern.block
-        row, code, col = _pairs(pattern, nodes, np.any(ties.tied, axis=1))
+        row, place, col = _pairs(pattern, nodes, np.any(ties.tied, axis=1))
         i, j = (a.ravel() for a in np.divmod(np.arange(block * block), block))
-        row, col, code = (a[:, None] for a in (row, col, code))
-        source = self._position(pattern, row, code, i, j)
+        row, col, place = (a[:, None] for a in (row, col, place))
+        source = self._position(pattern, row, place, i, j)
         involved = ties.tied[row, i] | ties.tied[col, j]
         if pattern.symmetric:
             involved &= (row != col) | (i <= j)
@@ -42,12 +42,8 @@ class Folding:
             once = (r == c) & (p == q)  # else it stands for two, which both go to a diagonal
             weight = np.where((a == b) & (p == q) & ~once, 2.0, 1.0) * weight
             a, b, p, q = np.where(swap, (b, a, q, p), (a, b, p, q))
-        index, reach = nodes.grid.node_index(nodes.lattice), pattern.matrix.reach
-        away = index[b] - index[a] + reach
-        inside = np.all((away >= 0) & (away <= 2 * reach), axis=1)
-        sides = (2 * reach + 1,) * index.shape[1]
-        to = np.ravel_multi_index(tuple(np.where(inside[:, None], away, 0).T), sides)
-        if not np.all(inside & (pattern.matrix.kept["place"][a, to] >= 0)):
+        to = _places(pattern, nodes, a, b)
+        if not np.all(to >= 0):
             raise InputError(
                 "a term acts on nodes at a plane with a slope or symmetry support without those of the next "
                 "layer; its boxes have to reach into the body by as many nodes as the basis has in a cell"
@@ -57,12 +53,11 @@ class Folding:
 
     @staticmethod
     def _position(
-        pattern: Pattern, row: np.ndarray, code: np.ndarray, i: np.ndarray, j: np.ndarray
+        pattern: Pattern, row: np.ndarray, place: np.ndarray, i: np.ndarray, j: np.ndarray
     ) -> np.ndarray:
-        """Of entries (i, j) of the blocks of rows and codes in the values."""
-        kept = pattern.matrix.kept
-        column = kept["place"][row, code].astype(np.int64) * pattern.block
-        position: np.ndarray = kept["row_start"][row * pattern.block + i] + column + j
+        """Of entries (i, j) of the blocks at places in the nodes' rows in the values."""
+        start = pattern.matrix.kept["row_start"][row * pattern.block + i]
+        position: np.ndarray = start + place.astype(np.int64) * pattern.block + j
         return position
 
     def fold(self, values: np.ndarray) -> None:
@@ -72,10 +67,24 @@ class Folding:
         values[self._source] = 0.0
 
 
+def _places(pattern: Pattern, nodes: ActiveNodes, row: np.ndarray, col: np.ndarray) -> np.ndarray:
+    """Where the blocks of pairs of nodes (n,) stand in the first ones' rows; -1: nowhere."""
+    index, reach = nodes.grid.node_index(nodes.lattice), pattern.matrix.reach
+    body = nodes.lattice // nodes.grid.numbers
+    away = index[col] - index[row] + reach
+    inside = np.all((away >= 0) & (away <= 2 * reach), axis=1) & (body[col] == body[row])
+    sides = (2 * reach + 1,) * index.shape[1]
+    to = np.ravel_multi_index(tuple(np.where(inside[:, None], away, 0).T), sides)
+    found: np.ndarray = np.where(
+        inside, pattern.matrix.kept["place"][row, to], pattern.crossing_column(row, col)
+    )
+    return found
+
+
 def _pairs(
     pattern: Pattern, nodes: ActiveNodes, tied: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, codes and columns of all blocks of a pattern that a tied node (nodes,) has a part in."""
+    """Rows of all blocks of a pattern that a tied node (nodes,) has a part in, their places, and columns."""
     reach = pattern.matrix.reach
     side = 2 * reach + 1
     steps = (box_indices((side,) * nodes.grid.dim) - reach) @ nodes.grid.strides
@@ -83,6 +92,9 @@ def _pairs(
     rows = np.unique(near[near >= 0])
     at, code = np.nonzero(pattern.matrix.kept["place"][rows] >= 0)
     row = rows[at]
-    col = nodes.find(nodes.lattice[row] + steps[code])
+    col, place = nodes.find(nodes.lattice[row] + steps[code]), pattern.matrix.kept["place"][row, code]
+    if pattern.crossing is not None and pattern.crossing_columns is not None:
+        row, col = (np.concatenate(two) for two in zip((row, col), pattern.crossing.T, strict=True))
+        place = np.concatenate([place, pattern.crossing_columns])
     which = tied[row] | tied[col]
-    return row[which], code[which], col[which]
+    return row[which], place[which], col[which]

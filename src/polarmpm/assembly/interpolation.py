@@ -28,11 +28,11 @@ from ..kernels import native
 from ..kinematics.layout import Layout
 from ..kinematics.motion import Motion
 from ..materials.base import parameter_values
-from ..terms.base import Boxes, Piece, Term, pieces_of
+from ..terms.base import Boxes, BoxPairs, Piece, Term, pieces_of
 from ..terms.settings import GridSetting
-from ..tools import checks
 from ..tools.checks import shown
 from ..tools.parallel import errors_on_all_ranks
+from .bodyweights import patches_of_bodies, weights_of_bodies
 from .nodesets import Groups, group_points, node_sets_of, ownership_priorities, reached_cells
 from .patches import Patches
 from .pointboxes import PointBoxes, has_boxes
@@ -89,14 +89,11 @@ class Interpolation:
         self.grid, self.points, self.basis, self.forms = grid, points, basis, forms
         self.layout: Layout = forms[0].layout.with_second(False)
         self.reference = r = reference or Reference.of(points, self.layout.block)
-        cells = basis.supporting_cells(grid, r.x) if basis.sliver else None
         half = basis.domains(r.F, points.half_length0) if basis.uses_domains else None
         half = half if half is None else np.minimum(half, most_growth * points.half_length0)
         second = any(form.layout.second for form in forms)
         filled = boxes and has_boxes(points)
-        with errors_on_all_ranks(grid.comm):
-            w = basis.weights(grid, r.x, half, cells, 3 if filled or second else 2)
-            checks.instance(f"basis {basis.name!r}: weights", w, Weights, "Weights are")
+        w, cells = weights_of_bodies(grid, basis, points, r.x, half, 3 if filled or second else 2)
         order, groups = group_points(points.material, w)
         reached = partial(reached_cells, grid, groups, basis)
         setting = GridSetting(grid, basis, self.layout, points, w, reached, r.x)
@@ -106,7 +103,7 @@ class Interpolation:
                 piece.fresh = not term.committed
                 self.pieces.append(piece)
         with errors_on_all_ranks(grid.comm):
-            of_pieces = [_boxes_of(piece, grid) for piece in self.pieces]
+            of_pieces = [b for piece in self.pieces for b in _boxes_of(piece, grid, points.bodies)]
         more = [b.numbers(grid).ravel() for b in of_pieces]
         touched, node_sets, node_offsets = node_sets_of(grid, groups, more)
         priorities = ownership_priorities(grid, groups, touched) if grid.comm.size > 1 else None
@@ -164,7 +161,7 @@ class Interpolation:
         out: list[Patches | None] = [None] * len(self.batches)
         if not any(form.scalars for form in self.forms):
             return out
-        index, places = self.basis.patches(self.grid, self.reference.x, cells)
+        index, places = patches_of_bodies(self.grid, self.basis, self.points, self.reference.x, cells)
         for k, b in enumerate(self.batches):
             if b.form.scalars:
                 out[k] = Patches(
@@ -244,17 +241,21 @@ class Interpolation:
         motion.move(self.points, self.reference, inc)
 
 
-def _boxes_of(piece: Piece, grid: Grid) -> Boxes:
-    boxes = piece.boxes
-    if not isinstance(boxes, Boxes) or len(boxes.count) != grid.dim:
-        raise InputError(
-            f"{piece.name}: acts on {shown(boxes)}; on a grid boxes of {grid.dim}-dimensional lattice nodes "
-            "are needed"
-        )
-    numbers, last = boxes.numbers(grid), int(grid.node_number(np.array(grid.shape) + MARGIN))
-    if numbers.size and not 0 <= numbers.min() <= numbers.max() <= last:
-        raise InputError(f"{piece.name}: acts on nodes that the lattice doesn't have")
-    return boxes
+def _boxes_of(piece: Piece, grid: Grid, bodies: int) -> tuple[Boxes, ...]:
+    parts = piece.boxes.parts if isinstance(piece.boxes, BoxPairs) else (piece.boxes,)
+    last = int(grid.node_number(np.array(grid.shape) + MARGIN)) + (bodies - 1) * grid.numbers
+    boxes = []
+    for part in parts:
+        if not isinstance(part, Boxes) or len(part.count) != grid.dim:
+            raise InputError(
+                f"{piece.name}: acts on {shown(part)}; on a grid boxes of {grid.dim}-dimensional lattice "
+                "nodes are needed"
+            )
+        numbers = part.numbers(grid)
+        if numbers.size and not 0 <= numbers.min() <= numbers.max() <= last:
+            raise InputError(f"{piece.name}: acts on nodes that the lattice doesn't have")
+        boxes.append(part)
+    return tuple(boxes)
 
 
 def _gather(batch: native.Batch, x: np.ndarray, framed: int, z: np.ndarray, value: np.ndarray | None) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import LocalFailure
 from ..kernels import native
-from ..terms.base import Boxes, NodeSets, Piece, forces_of, matrices_of, multiply
+from ..terms.base import Boxes, BoxPairs, NodeSets, Piece, forces_of, matrices_of, multiply
 
 
 @dataclass
@@ -103,6 +103,11 @@ class NodalTerms:
         if names:
             raise LocalFailure(f"{names[0]}: a place of the body has gone through it")
 
+    def starts(self, x: np.ndarray) -> None:
+        """Tell all pieces the increments (nodes, b) at which a step begins. Local."""
+        for piece, rows in self._parts():
+            piece.starts(x[rows])
+
     def balanced(self, x: np.ndarray) -> None:
         """Tell all pieces the increments (nodes, b) at which forces are in balance, before those of the
         step's end. Local."""
@@ -138,27 +143,28 @@ class NodalTerms:
     # tangent ----------------------------------------------------------------------------------------
     def batches(self) -> list[native.Batch]:
         """The boxes of lattice nodes as `sparsity.build` reads them."""
-        return [self._batch(piece.boxes, rows) for piece, rows in self._parts()]
+        return [
+            _batch(boxes, rows) for piece, all_rows in self._parts() for boxes, rows in _of(piece, all_rows)
+        ]
 
-    def _batch(self, boxes: NodeSets, rows: np.ndarray) -> native.Batch:
-        assert isinstance(boxes, Boxes)
-        m, n = rows.shape
-        batch = native.Batch()
-        native.fill(
-            batch,
-            dim=len(boxes.count),
-            ngroups=m,
-            count=np.tile(np.array(boxes.count, dtype=np.int32), (m, 1)),
-            node_offsets=np.arange(m + 1, dtype=np.int64) * n,
-            nodes=rows.astype(np.int32).ravel(),
-        )
-        return batch
+    def crossing(self) -> np.ndarray:
+        """Pairs of local nodes (k, 2) of different bodies that pieces couple, either way."""
+        found: list[np.ndarray] = [np.zeros((0, 2), dtype=np.int64)]
+        for piece, rows in self._parts():
+            if isinstance(piece.boxes, BoxPairs):
+                n = int(np.prod(piece.boxes.parts[0].count))
+                one, other = np.broadcast_arrays(rows[:, :n, None], rows[:, None, n:])
+                pairs = np.stack([one.ravel(), other.ravel()], axis=1)
+                found += [pairs, pairs[:, ::-1]]
+        every: np.ndarray = np.unique(np.concatenate(found), axis=0)
+        return every
 
     def bind(
         self,
         matrix: native.Matrix,
         fixed: np.ndarray,
         block_columns: Callable[[np.ndarray], np.ndarray] | None = None,
+        crossing: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
     ) -> None:
         """Find the places of all entries in the values of a pattern's matrix.
 
@@ -167,11 +173,12 @@ class NodalTerms:
 
         Args:
             block_columns: of sets of nodes (m, n), (m, n, n); None: they are boxes of lattice nodes.
+            crossing: block columns of pairs of nodes of different bodies, by their rows.
         """
         held = fixed.astype(bool)
         self._places = []
         for piece, rows in self._parts():
-            columns = block_columns(rows) if block_columns else _columns(piece, rows, matrix)
+            columns = block_columns(rows) if block_columns else _columns(piece, rows, matrix, crossing)
             self._places.append(self._find(piece, rows, matrix, held, columns))
 
     def _find(
@@ -216,9 +223,47 @@ class NodalTerms:
         return out
 
 
-def _columns(piece: Piece, rows: np.ndarray, matrix: native.Matrix) -> np.ndarray:
-    assert isinstance(piece.boxes, Boxes)
-    return columns_of_boxes(rows, piece.boxes.offsets, matrix)
+def _of(piece: Piece, rows: np.ndarray) -> list[tuple[NodeSets, np.ndarray]]:
+    """Boxes that a piece acts on, with their nodes' rows."""
+    if not isinstance(piece.boxes, BoxPairs):
+        return [(piece.boxes, rows)]
+    n = int(np.prod(piece.boxes.parts[0].count))
+    return list(zip(piece.boxes.parts, (rows[:, :n], rows[:, n:]), strict=True))
+
+
+def _batch(boxes: NodeSets, rows: np.ndarray) -> native.Batch:
+    assert isinstance(boxes, Boxes)
+    m, n = rows.shape
+    batch = native.Batch()
+    native.fill(
+        batch,
+        dim=len(boxes.count),
+        ngroups=m,
+        count=np.tile(np.array(boxes.count, dtype=np.int32), (m, 1)),
+        node_offsets=np.arange(m + 1, dtype=np.int64) * n,
+        nodes=rows.astype(np.int32).ravel(),
+    )
+    return batch
+
+
+def _columns(
+    piece: Piece,
+    rows: np.ndarray,
+    matrix: native.Matrix,
+    crossing: Callable[[np.ndarray, np.ndarray], np.ndarray] | None,
+) -> np.ndarray:
+    parts = _of(piece, rows)
+    within = []
+    for boxes, some in parts:
+        assert isinstance(boxes, Boxes)
+        within.append(columns_of_boxes(some, boxes.offsets, matrix))
+    if len(parts) == 1:
+        return within[0]
+    assert crossing is not None
+    (_, one), (_, other) = parts
+    pair = np.broadcast_arrays(one[:, :, None], other[:, None])
+    back = np.broadcast_arrays(other[:, :, None], one[:, None])
+    return np.block([[within[0], crossing(*pair)], [crossing(*back), within[1]]])
 
 
 def columns_of_boxes(rows: np.ndarray, offsets: np.ndarray, matrix: native.Matrix) -> np.ndarray:

@@ -62,11 +62,13 @@ class PointSystem(OnPattern, LoadedPoints):
                 interpolation.reach,
                 whole,
                 [patches for patches in interpolation.patches if patches is not None],
+                self.terms.crossing(),
             )
             self._hold_unreached()
             self._fixed = np.ascontiguousarray(prescribed.fixed, dtype=np.uint8)
             native.fill(self.pattern.matrix, fixed=self._fixed)
-            self.terms.bind(self.pattern.matrix, prescribed.fixed)
+            pattern = self.pattern
+            self.terms.bind(pattern.matrix, prescribed.fixed, crossing=pattern.crossing_column)
             self._folding: Folding | None = None
             if prescribed.ties is not None:
                 with errors_on_all_ranks(self.comm):

@@ -17,6 +17,8 @@ from ..kernels import native
 from ..tools.parallel import Route
 from .patches import Patches
 
+_CROSSING = -1  # code of a pair of nodes that no lattice distance tells
+
 
 @dataclass
 class Pattern:
@@ -42,7 +44,20 @@ class Pattern:
     ghost_order: np.ndarray | None = None  # entries of each ghost block in the buffer
     received_at: np.ndarray | None = None  # where entries of received blocks go; -1: nowhere
     halves: tuple[np.ndarray, ...] | None = None  # pairs of nodes, and their blocks in either's rows
+    crossing: np.ndarray | None = None  # pairs of local nodes of different bodies, (k, 2), ascending
+    crossing_columns: np.ndarray | None = None  # their block columns (k,)
     reached: np.ndarray | None = None  # nodes (nodes,) that something of this rank reaches; None: all
+
+    def crossing_column(self, row: np.ndarray, col: np.ndarray) -> np.ndarray:
+        """Block columns of pairs of local nodes of different bodies, in the rows of the first ones; -1 where
+        there are none."""
+        count = max(len(self.nodes), 1)
+        if self.crossing is None or self.crossing_columns is None or not len(self.crossing):
+            return np.full(np.shape(row), -1, dtype=np.int64)
+        keys, wanted = self.crossing @ np.array([count, 1]), row.astype(np.int64) * count + col
+        at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        found: np.ndarray = np.where(keys[at] == wanted, self.crossing_columns[at], -1)
+        return found
 
     @property
     def owned_entries(self) -> int:
@@ -138,6 +153,7 @@ def build(
     reach: int,
     whole: bool = False,
     patches: Sequence[Patches] = (),
+    crossing: np.ndarray | None = None,
 ) -> Pattern:
     """Pattern of the node sets of all batches and patches. Collective.
 
@@ -145,6 +161,7 @@ def build(
         symmetric: the sums over the points are; rows hold their upper triangle only, unless `whole`. Then
             `Pattern.mirror` has to be called once they are made.
         reach: the largest lattice distance of two nodes of one set.
+        crossing: pairs of local nodes (k, 2) of different bodies that are coupled, too, ascending.
     """
     half, symmetric = symmetric, symmetric and not whole
     grid, side = nodes.grid, 2 * reach + 1
@@ -162,7 +179,15 @@ def build(
     if symmetric:
         keep = nodes.number[row] <= nodes.number[col]
         row, code, col = row[keep], code[keep], col[keep]
-    pattern = of_pairs(nodes, block, symmetric, reach, codes, (row, code, col))
+    pairs: tuple[np.ndarray, ...] = row, code, col
+    if crossing is not None and len(crossing):
+        a, b = crossing.T
+        if symmetric:
+            a, b = crossing[nodes.number[a] <= nodes.number[b]].T
+        pairs = tuple(map(np.concatenate, ((row, a), (code, np.full(len(a), _CROSSING)), (col, b))))
+        order = np.argsort(pairs[0], kind="stable")
+        pairs = tuple(p[order] for p in pairs)
+    pattern = of_pairs(nodes, block, symmetric, reach, codes, pairs)
     native.fill(pattern.matrix, half=int(half))
     pattern.reached = reached
     if half and whole:
@@ -222,7 +247,8 @@ def _assemble_pattern(
     starts[: nodes.owned * block] = indptr[:-1] - trim
     place = np.full((len(nodes), codes), -1, dtype=np.int32)
     at = np.searchsorted(keys, nodes.number[row[mine]] * total + nodes.number[col[mine]])
-    place[row[mine], code[mine]] = at - offsets[row[mine]]
+    column = np.zeros(len(row), dtype=np.int64)
+    column[mine] = at - offsets[row[mine]]
     # ghost rows: full blocks, each contiguous, in the order in which they are listed
     ghosts = np.flatnonzero(~mine)
     count = len(ghosts)
@@ -239,8 +265,13 @@ def _assemble_pattern(
     )
     if route is not None:
         pattern.route = route
-        pattern.ghost_order = _place_ghosts(pattern, row[ghosts], code[ghosts], place, starts)
+        pattern.ghost_order, column[ghosts] = _place_ghosts(pattern, row[ghosts], starts)
         pattern.received_at = _received_positions(pattern, ghost_pairs, keys, offsets, total)
+    near, far = code != _CROSSING, code == _CROSSING
+    place[row[near], code[near]] = column[near]
+    apart = np.stack([row[far], col[far]], axis=1)
+    order = np.lexsort(apart.T[::-1])
+    pattern.crossing, pattern.crossing_columns = apart[order], column[far][order]
     native.fill(
         pattern.matrix,
         symmetric=int(symmetric),
@@ -285,24 +316,22 @@ def _diagonal(
     return at
 
 
-def _place_ghosts(
-    pattern: Pattern, row: np.ndarray, code: np.ndarray, place: np.ndarray, starts: np.ndarray
-) -> np.ndarray:
+def _place_ghosts(pattern: Pattern, row: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Address the blocks of ghost rows; a node's row of k blocks is an array [component][k][component].
 
-    Returns the positions in the buffer of each block's entries, (blocks, block * block).
+    Returns the positions in the buffer of each block's entries, (blocks, block * block), and the block
+    columns.
     """
     block, base = pattern.block, pattern.owned_entries
     unique, begin, count = np.unique(row, return_index=True, return_counts=True)
-    place[row, code] = np.arange(len(row)) - np.repeat(begin, count)
+    k = np.arange(len(row)) - np.repeat(begin, count)
     for c in range(block):
         starts[unique * block + c] = base + begin * block * block + c * count * block
-    k = place[row, code]
     start = np.repeat(begin * block * block, count) + k * block
     length = np.repeat(count * block, count)
     i, j = np.divmod(np.arange(block * block), block)
     positions: np.ndarray = start[:, None] + length[:, None] * i + j
-    return positions
+    return positions, k
 
 
 def _received_positions(

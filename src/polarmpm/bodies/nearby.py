@@ -26,6 +26,38 @@ def of_nearest(
     return least, found
 
 
+def behind(
+    comm: MPI.Comm,
+    points: np.ndarray,
+    body: np.ndarray,
+    values: np.ndarray,
+    x: np.ndarray,
+    normal: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of places x (n, d) on surfaces with outward normals (n, d): distance (m) (n,) to the nearest point of
+    the body that is behind them, that point's values (n, k), and the body's number (n,). `body` (np,) are the
+    numbers of this rank's points. Collective."""
+    numbers = sorted(set().union(*comm.allgather(set(np.unique(body).tolist()))))
+    out: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+    most = np.full(len(x), np.inf)
+    for one in numbers:
+        mine = body == one
+        distance, found = of_nearest(comm, points[mine], np.hstack([values, points])[mine], x)
+        away = np.sum((found[:, values.shape[1] :] - x) * normal, axis=1)
+        order = np.where(away > 0.0, 1e3, 1.0) * distance  # in front of the surface: of another body
+        if out is None:
+            out = distance, found[:, : values.shape[1]], np.full(len(x), one)
+        else:
+            nearer = order < most
+            out = tuple(  # type: ignore[assignment]
+                np.where(nearer.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+                for old, new in zip(out, (distance, found[:, : values.shape[1]], one), strict=True)
+            )
+        most = np.minimum(most, order)
+    assert out is not None
+    return out
+
+
 def _nearest(points: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Row of the nearest point (n,), and its distance; infinite without points."""
     row, distance = np.zeros(len(x), dtype=np.int64), np.full(len(x), np.inf)

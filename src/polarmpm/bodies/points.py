@@ -23,47 +23,18 @@ from ..materials.base import Material, check_material
 from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import Route, communicator_named, errors_on_all_ranks, name_of
+from .pointfields import (
+    BODY_FIELDS,
+    COUNTED_FIELDS,
+    FIELDS,
+    MOTION_FIELDS,
+    PLASTIC_FIELDS,
+    SECOND_FIELDS,
+)
 from .regions import Regions
 from .revolution import check_axisymmetric
-from .selecting import Selecting
 from .selection import Selection, fingerprint
-
-# name -> (shape after the point axis; "d" is the space dimension, type)
-FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
-    "id": ((), np.int64),
-    "material": ((), np.int32),
-    "X": (("d",), float),
-    "x": (("d",), float),
-    "F": ((3, 3), float),
-    "q": ((4,), float),
-    "wryness": ((3, 3), float),
-    "volume0": ((), float),
-    "half_length0": (("d",), float),
-    "half_axes0": (("d", "d"), float),
-    "unresolved": ((), float),
-}
-
-# what bodies with plastic materials have beside it
-PLASTIC_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
-    "plastic_F": ((3, 3), float),
-    "plastic_wryness": ((3, 3), float),
-    "hardening": ((), float),
-    "dissipation": ((), float),
-}
-
-# what bodies with second-gradient materials have beside it
-SECOND_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {"grad_F": ((3, 3, 3), float)}
-
-# what bodies in motion have beside it
-MOTION_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
-    "velocity": (("d",), float),
-    "acceleration": (("d",), float),
-    "spin": ((3,), float),
-    "spin_rate": ((3,), float),
-}
-
-# what bodies have whose displacements don't count from their initial positions
-COUNTED_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {"counted_from": (("d",), float)}
+from .several import Several
 
 _PRIVATE = (
     "_has_plastic_state",
@@ -72,7 +43,7 @@ _PRIVATE = (
 )  # what copies take along besides public attributes
 
 
-class Points(Selecting):
+class Points(Several):
     """Material points of one body.
 
     Attributes:
@@ -101,6 +72,8 @@ class Points(Selecting):
         velocity, acceleration: (m/s, m/s^2), vectors, and spin, spin_rate: of the microrotation (rad/s,
             rad/s^2), (np, 3); only once a dynamic problem has been made of the body. Accelerations are those
             of the method in time, not forces over masses.
+        body: number of the body that a point belongs to, scalar; only once some are apart (`separate`).
+        bodies: how many there are: bodies share no nodes, and meet through `problem.contact` alone.
         axisymmetric: the body is one of revolution, x the radius and y along the axis: volumes are those of
             whole turns, and F and the wryness have their hoop components in the third row and column.
         regions, surfaces: physical groups of the mesh that the points come from; see `region` and `surface`.
@@ -308,6 +281,7 @@ class Points(Selecting):
         found = {**FIELDS, **PLASTIC_FIELDS} if self.plastic else FIELDS
         found = {**found, **SECOND_FIELDS} if self.second_gradient else found
         found = {**found, **MOTION_FIELDS} if self.moving else found
+        found = {**found, **BODY_FIELDS} if self.bodies > 1 else found
         return {**found, **COUNTED_FIELDS} if "counted_from" in vars(self) else found
 
     def plastic_state(self, rows: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -364,10 +338,13 @@ class Points(Selecting):
         last = self.comm.allreduce(int(self.id.max(initial=-1)), op=MPI.MAX)
         self._last_id = max(last, self._last_id)
 
-    @collective("join")
-    def join(self, other: Points) -> None:
+    @collective("join", compare=True)
+    def join(self, other: Points, *, apart: bool = False) -> None:
         """Add the points of another set (another material, say); their ids follow on. Before a problem is
         made of them; collective.
+
+        Args:
+            apart: they are a body of their own, see `separate`. Default: where both touch, they are welded.
 
         Raises:
             InputError: no points, these points themselves, or points that don't go together with them.
@@ -382,7 +359,8 @@ class Points(Selecting):
         if other.axisymmetric != self.axisymmetric:
             which = "other" if other.axisymmetric else "these points"
             raise InputError(f"other: of both only {which} are a body of revolution (axisymmetric)")
-        known = self.fingerprints()
+        apart, known = checks.flag("apart", apart), self.fingerprints()
+        bodies = self._join_bodies(other, apart)
         self.remember_ids()
         first = self._last_id + 1
         number, mine = len(self.materials), self.materials
@@ -396,6 +374,7 @@ class Points(Selecting):
         other.materials = other.materials[number:]
         theirs["id"] = theirs["id"] + first
         theirs["material"] = theirs["material"] + number
+        theirs["body"] = bodies
         self.replace({name: np.concatenate([a, theirs[name]]) for name, a in self.arrays().items()})
         self.regions += tuple(r.joined(first) for r in other.regions)
         self.lattices += other.lattices

@@ -115,7 +115,7 @@ class ContactForm(SurfaceForm):
         before, last = (ufl.as_vector([history[1 + k * d + i] for i in range(d)]) for k in (0, 1))
         slip = before + xi - last
         trial = k * (slip - ufl.dot(slip, normal) * normal)
-        return _capped(trial, mu * pressure)
+        return capped(trial, mu * pressure)
 
     def _couple(self, pressure: Any, normal: Any) -> Any:
         """Couple traction (N/m) against turns relative to the obstacle."""
@@ -126,13 +126,13 @@ class ContactForm(SurfaceForm):
         w = self._rotation(self.y)
         turn = ufl.as_vector([turns[i] + w[i] - turns[r + i] - pose[first + i] for i in range(r)])
         if r == 1:
-            return _capped(k * turn, rolling * pressure)
+            return capped(k * turn, rolling * pressure)
         about_normal = ufl.dot(turn, normal) * normal
         out = ufl.as_vector([0.0 * pressure] * r)
         if self.law.rolling:
-            out = out + _capped(k * (turn - about_normal), rolling * pressure)
+            out = out + capped(k * (turn - about_normal), rolling * pressure)
         if self.law.drilling:
-            out = out + _capped(k * about_normal, drilling * pressure)
+            out = out + capped(k * about_normal, drilling * pressure)
         return out
 
     def virtual_work(self) -> Any:
@@ -176,7 +176,7 @@ class ContactForm(SurfaceForm):
         return compile_expressions(values, terminals, inputs, self.space.domain, comm)
 
 
-def _capped(trial: Any, most: Any) -> Any:
+def capped(trial: Any, most: Any) -> Any:
     """A vector, no longer than `most`."""
     length = ufl.sqrt(ufl.dot(trial, trial) + _TINY)
     scale = ufl.conditional(ufl.le(length, most), 1.0, most / length)

@@ -172,12 +172,8 @@ class Grid:
         return GradedGrid(origin, mean, shape, comm, tuple(tuple(map(float, a)) for a in axes))
 
     def __repr__(self) -> str:
-        cells, sizes, lower, upper = (
-            separator.join(f"{v:.6g}" for v in values)
-            for separator, values in (
-                (" x ", self.shape), (" x ", self.cell), (", ", self.lower), (", ", self.upper),
-            )
-        )  # fmt: skip
+        rows = (" x ", self.shape), (" x ", self.cell), (", ", self.lower), (", ", self.upper)
+        cells, sizes, lower, upper = (join.join(f"{v:.6g}" for v in values) for join, values in rows)
         return f"<Grid: {cells} cells of {sizes} m, from ({lower}) to ({upper}) m>"
 
     def __copy__(self) -> Grid:
@@ -312,14 +308,25 @@ class Grid:
         sides = self._sides
         return np.array([int(np.prod(sides[i + 1 :])) for i in range(self.dim)], dtype=np.int64)
 
+    @property
+    def numbers(self) -> int:
+        """Lattice numbers of a body's nodes: those of body b begin at b times this."""
+        return math.prod(int(n) for n in self._sides)
+
+    def of_bodies(self, index: np.ndarray, body: np.ndarray) -> np.ndarray:
+        """Indices (n, d) whose `node_number` is that of bodies (n,), each with a copy of the lattice."""
+        moved = np.array(index, dtype=np.int64)
+        moved[:, 0] += self._sides[0] * np.asarray(body, dtype=np.int64)
+        return moved
+
     def node_number(self, index: np.ndarray) -> np.ndarray:
         """Lattice number of nodes (n, d), counted from the origin; MARGIN nodes beyond each wall exist."""
         number: np.ndarray = (np.asarray(index, dtype=np.int64) + MARGIN) @ self.strides
         return number
 
     def node_index(self, number: np.ndarray) -> np.ndarray:
-        """Inverse of `node_number`: (n,) -> (n, d)."""
-        rest, out = np.asarray(number, dtype=np.int64), []
+        """Inverse of `node_number`: (n,) -> (n, d), of whatever body (`of_bodies`)."""
+        rest, out = np.asarray(number, dtype=np.int64) % self.numbers, []
         for stride in self.strides:
             out.append(rest // stride - MARGIN)
             rest = rest % stride

@@ -91,7 +91,8 @@ def _public(thing: Any) -> dict[str, Any]:
 def _points(problem: Problem) -> dict[str, Any]:
     p = problem.points
     sums = problem.comm.allreduce(np.array([len(p), p.volume0.sum()]))
-    return {"number of points": int(sums[0]), "reference volume": float(sums[1])}
+    bodies = {"bodies": p.bodies} if p.bodies > 1 else {}
+    return {"number of points": int(sums[0]), "reference volume": float(sums[1]), **bodies}
 
 
 def _terms(terms: Sequence[Term]) -> dict[str, Any]:
@@ -258,11 +259,13 @@ def check_points(problem: Any, rows: dict[str, np.ndarray], path: Any, allow: fr
         if not np.all(known_anywhere(comm, ids, wanted)):
             raise InputError(f"restart file {path}: its points don't have all those that bear loads here")
         return
-    mine = np.column_stack([np.ones(len(p)), p.X, p.volume0, p.material])
+    body = p.body if p.bodies > 1 else np.zeros(len(p))
+    mine = np.column_stack([np.ones(len(p)), p.X, p.volume0, p.material, body])
     here = values_by_number(comm, p.id, mine, ids)
     X, volume, material = (rows[f"points/{name}"] for name in ("X", "volume0", "material"))
-    there, cell = np.column_stack([np.ones(len(ids)), X, volume, material]), problem.initial_grid.smallest
-    slack = _NEAR * np.array([1, *cell, np.prod(cell), 1])
+    body, cell = rows.get("points/body", np.zeros(len(ids))), problem.initial_grid.smallest
+    there = np.column_stack([np.ones(len(ids)), X, volume, material, body])
+    slack = _NEAR * np.array([1, *cell, np.prod(cell), 1, 1])
     off = np.any(np.abs(here - there) > slack, axis=1)
     if np.any(off):
         at = int(np.argmax(off))
@@ -275,8 +278,8 @@ def check_points(problem: Any, rows: dict[str, np.ndarray], path: Any, allow: fr
 def _differs(number: int, there: np.ndarray, here: np.ndarray) -> str:
     if not here[0]:
         return f"point {number} isn't in this problem"
-    if np.any(there[1:-2] != here[1:-2]):
-        places = (", ".join(f"{c:.9g}" for c in row[1:-2]) for row in (there, here))
+    if np.any(there[1:-3] != here[1:-3]):
+        places = (", ".join(f"{c:.9g}" for c in row[1:-3]) for row in (there, here))
         return "point {} was seeded at ({}), this problem has it at ({})".format(number, *places)
-    name, k = ("volume", -2) if there[-2] != here[-2] else ("material", -1)
+    name, k = next((n, k) for n, k in (("volume", -3), ("material", -2), ("body", -1)) if there[k] != here[k])
     return f"the {name} of point {number} is {there[k]:.9g}, this problem has {here[k]:.9g}"

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ..bodies.points import COUNTED_FIELDS, MOTION_FIELDS, PLASTIC_FIELDS, Points
+from ..bodies.pointfields import COUNTED_FIELDS, MOTION_FIELDS, PLASTIC_FIELDS
+from ..bodies.points import Points
 from ..errors import InputError
 from ..problems.elements import QuasiStaticFEM
 from ..tools.parallel import raise_on_all_ranks, values_by_number

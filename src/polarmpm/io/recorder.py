@@ -13,7 +13,7 @@ from ..geometry.cells import corner_numbers, occupied_cells
 from ..problems.base import Problem
 from ..problems.elements import QuasiStaticFEM
 from ..solvers.stepping import Step
-from ..terms.obstacles import Obstacle
+from ..terms.sites import Sites
 from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import values_by_number
@@ -162,10 +162,10 @@ class Recorder:
         """All ranks know all sites; each writes some of them."""
         comm, dim = self.problem.comm, self.problem.layout.dim
         own = slice(comm.rank, None, comm.size)
-        obstacles = [term for term in self.problem.terms if isinstance(term, Obstacle)]
+        obstacles = [term for term in self.problem.terms if isinstance(term, Sites)]
         names = ("gap", "pressure", "area", "traction", "couple")
         data = {"obstacle": [np.full(len(one.gap), k + 1)[own] for k, one in enumerate(obstacles)]}
-        data |= {name: [np.nan_to_num(getattr(one, name))[own] for one in obstacles] for name in names}
+        data |= {name: [np.nan_to_num(getattr(one, name), posinf=_FAR)[own] for one in obstacles] for name in names}
         joined = {name: np.concatenate(parts) for name, parts in data.items() if parts}
         for name in ("traction", "couple"):
             values = joined.get(name, np.zeros((0, 0)))

@@ -22,7 +22,7 @@ from mpi4py import MPI
 import h5py
 import numpy as np
 
-from ..bodies.points import MOTION_FIELDS
+from ..bodies.pointfields import MOTION_FIELDS
 from ..bodies.reference import Reference
 from ..errors import InputError
 from ..problems.base import Problem
@@ -272,7 +272,7 @@ def _unyielded(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Plastic state of points that were elastic in the run before, second gradients of those without."""
     n = len(rows["points/id"])
     none = {"plastic_wryness": np.zeros((n, 3, 3)), "hardening": np.zeros(n), "dissipation": np.zeros(n)}
-    none["grad_F"] = np.zeros((n, 3, 3, 3))
+    none["grad_F"], none["body"] = np.zeros((n, 3, 3, 3)), np.zeros(n, dtype=np.int32)
     d = rows["points/X"].shape[1]
     none |= {name: np.zeros((n, d if shape == ("d",) else 3)) for name, (shape, _) in MOTION_FIELDS.items()}
     return {"plastic_F": np.tile(np.eye(3), (n, 1, 1)), **none}

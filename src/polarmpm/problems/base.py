@@ -152,7 +152,7 @@ class Problem(Results):
 
         def make() -> NodalSystem:
             self._use_materials(self._settled)
-            system = self._prepare()
+            system = self._ready()
             self._change_materials(factor)
             self._put_loads(system, factor)
             system.set_prescribed(self._prescribed_at(system, factor))
@@ -212,7 +212,7 @@ class Problem(Results):
 
     def _attempt(self, factor: float) -> Outcome:
         self._use_materials(self._settled)
-        system = self._prepare()
+        system = self._ready()
         with self.timer("conditions"):
             self._change_materials(factor)
             start = self._begin(system, factor)
@@ -304,7 +304,7 @@ class Problem(Results):
 
     def _attempt_along(self, length: float, to: float | None, kink: bool) -> tuple[Outcome, float]:
         self._use_materials(self._settled)
-        system, p = self._prepare(), self.progress
+        system, p = self._ready(), self.progress
         with self.timer("conditions"):
             self._change_materials(p.factor)
             ends = []
@@ -326,6 +326,12 @@ class Problem(Results):
         if outcome.converged and moved is not None:  # what relaxed before tells nothing about the path
             self._last_x = self.points.x - moved
         return outcome, path.factor
+
+    def _ready(self) -> NodalSystem:
+        """The system of the next step, whose terms know where it begins."""
+        system = self._prepare()
+        system.terms.starts(system.x)
+        return system
 
     def _begin(self, system: NodalSystem, factor: float) -> StepStart:
         """Set the loads of a step; in the first one they grow from nothing, but for a body at rest."""

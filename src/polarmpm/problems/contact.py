@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from ..bodies.selection import Selection
 from ..geometry.shapes import Shape
+from ..terms.bodycontact import BodyContact
 from ..terms.obstacles import Obstacle
 from ..tools.meetings import collective
 from .conditions import Conditions
 from .obstacles import add_obstacle
+from .touching import add_body_contact
 
 
 class Contact(Conditions):
-    """Obstacles of a problem. All methods are collective."""
+    """Obstacles, and contact of bodies with each other. All methods are collective."""
 
     @collective("obstacle", compare=True)
     def obstacle(
@@ -76,3 +79,41 @@ class Contact(Conditions):
             "name": name,
         }
         return add_obstacle(self, phi, on, options)
+
+    @collective("contact", compare=True)
+    def contact(
+        self,
+        a: Selection | None = None,
+        b: Selection | None = None,
+        *,
+        on: Any = None,
+        friction: float = 0.0,
+        stiffness: float | None = None,
+        gap: float | None = None,
+        name: str | None = None,
+    ) -> BodyContact:
+        """Contact of bodies with each other, that is of points which are several bodies (`points.separate`,
+        `points.join(other, apart=True)`; docs/contact.md). A body has no contact with itself.
+
+        Args:
+            a, b: points of different bodies, whose surfaces touch each other. Default: all bodies do.
+            on: the bodies' surfaces: a `Surface`, the name of a group of facets of the points' mesh, or a
+                list of such. Default: the faces of the points' domains that no others of their body share.
+            friction: Coulomb's coefficient.
+            stiffness: pressure per depth (Pa/m); default: ten times lam + 2 mu of the softer body over a
+                cell.
+            gap: largest gap and depth (m) of places under pressure in a converged step (augmented Lagrange
+                method). Default: springs alone, whose depth is pressure / stiffness.
+            name: for messages and results.
+
+        Returns:
+            The contact, for `release`; its `force`, `gap`, `pressure` and `traction` are those of the last
+            step.
+
+        Raises:
+            InputError: something that isn't so; points that are one body; finite elements. When the next step
+                begins: bodies that are inside of each other.
+        """
+        self._check_outside("contact")
+        options = {"friction": friction, "stiffness": stiffness, "gap": gap, "name": name}
+        return add_body_contact(self, a, b, on, options)

@@ -57,6 +57,14 @@ def check_second_gradients(points: Points, basis: Basis) -> None:
         )
 
 
+def check_bodies(points: Points, assembly: str) -> None:
+    """Raise InputError for an assembly that has one field for all bodies."""
+    if points.bodies > 1 and assembly != "direct":
+        raise InputError(
+            f"assembly = {assembly!r}: of points that are {points.bodies} bodies 'direct' is allowed"
+        )
+
+
 def check_revolution(grid: Grid, points: Points, assembly: str) -> None:
     """Raise InputError for a grid or a setting that a body of revolution can't have."""
     if not points.axisymmetric:

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ..bodies.corners import outer_corners
-from ..bodies.nearby import of_nearest
+from ..bodies.nearby import behind, of_nearest
 from ..errors import InputError
 from ..forms.contact import Law
 from ..forms.rest import stiffness_across
 from ..geometry.shapes import shape_of
 from ..geometry.surfaces import Surface
+from ..materials.base import Material
 from ..terms.obstacles import Obstacle
 from ..tools import checks
 from .surfaces import Loaded
 
-_STIFF = 10.0  # default of the penalty: times the body's stiffness over a cell
-_SKIN = 1e-9  # cells by which springs are ahead of the surface
+STIFF = 10.0  # default of the penalty: times the body's stiffness over a cell
+SKIN = 1e-9  # cells by which springs are ahead of the surface
 _ASIDE = (0.61803, 0.38197, 0.23607)  # by which ties between the points beside a site are broken
 
 
@@ -72,7 +74,7 @@ def _law(problem: Loaded, name: str, given: dict[str, Any]) -> tuple[Law, dict[s
     if gap is not None:
         gap = checks.number(f"{name}: gap", gap, above=0.0)
     if stiffness is None:
-        stiffness = _STIFF * _modulus(problem, name) / problem.cell_size
+        stiffness = STIFF * stiffest(problem, name, problem.points.materials) / problem.cell_size
     stiffness = checks.number(f"{name}: stiffness", stiffness, above=0.0)
     law = Law(numbers["friction"] > 0, numbers["rolling"] > 0, numbers["drilling"] > 0, barrier is not None)
     turning = stiffness * problem.cell_size**2
@@ -81,15 +83,15 @@ def _law(problem: Loaded, name: str, given: dict[str, Any]) -> tuple[Law, dict[s
         "stiffness": stiffness,
         "tangential": stiffness,
         "turning": turning,
-        "distance": _SKIN * problem.cell_size if barrier is None else barrier,
+        "distance": SKIN * problem.cell_size if barrier is None else barrier,
     }
     return law, constants, gap
 
 
-def _modulus(problem: Any, name: str) -> float:
-    """The stiffest of the materials, lam + 2 mu (Pa). Collective."""
+def stiffest(problem: Any, name: str, materials: Sequence[Material]) -> float:
+    """The stiffest of some materials, lam + 2 mu (Pa). Collective."""
     most, dim = 0.0, problem.layout.dim
-    for material in problem.points.materials:
+    for material in materials:
         p = material.moduli("lam", "mu")
         if len(p) == 2:
             most = max(most, p["lam"] + 2 * p["mu"])
@@ -99,7 +101,7 @@ def _modulus(problem: Any, name: str) -> float:
         else:
             most = max(most, float(stiffness_across(material, dim, np.eye(dim), problem.comm)[0].max()))
     if not most > 0.0:
-        kinds = ", ".join(dict.fromkeys(type(m).__name__ for m in problem.points.materials))
+        kinds = ", ".join(dict.fromkeys(type(m).__name__ for m in materials))
         raise InputError(
             f"{name}: stiffness: {kinds} has no stiffness in the undeformed state; give stiffness"
         )
@@ -115,6 +117,12 @@ def _sites(problem: Any, name: str, on: Any) -> tuple[Surface, np.ndarray | None
     if on is None:
         x, area, normal, parents = outer_corners(problem.points)
         return Surface(x, area, normal), parents
+    surface = surface_given(problem, name, on)
+    return surface, parents_of(problem, name, surface)
+
+
+def surface_given(problem: Any, name: str, on: Any) -> Surface:
+    """The surface of a body of material points that is meant by `on`."""
     surface = problem._named(on)
     if not isinstance(surface, Surface):
         raise checks.refuse(
@@ -124,21 +132,25 @@ def _sites(problem: Any, name: str, on: Any) -> tuple[Surface, np.ndarray | None
         raise InputError(
             f"{name}: the surface has {surface.dim} dimensions, the body has {problem.layout.dim}"
         )
-    return surface, _parents(problem, name, surface)
+    return surface
 
 
 def _everywhere(x: np.ndarray) -> np.ndarray:
     return np.ones(len(x), dtype=bool)
 
 
-def _parents(problem: Any, name: str, surface: Surface) -> np.ndarray:
-    """Ids of the points nearest to the sites. Collective."""
+def parents_of(problem: Any, name: str, surface: Surface) -> np.ndarray:
+    """Ids of the points nearest to the sites, of the body that is behind them. Collective."""
     points = problem.points
     place, volume = (points.x, points.volume) if problem.progress.step else (points.X, points.volume0)
     size = volume ** (1.0 / points.dim)
     aside = np.array(_ASIDE[: points.dim]) * 1e-6 * problem.cell_size
     values = np.column_stack([points.id.astype(float), size])
-    distance, found = of_nearest(problem.comm, place, values, surface.x + aside)
+    if points.bodies == 1:
+        distance, found = of_nearest(problem.comm, place, values, surface.x + aside)
+    else:
+        normal = surface.normal
+        distance, found, _ = behind(problem.comm, place, points.body, values, surface.x + aside, normal)
     far = distance > 2.0 * np.maximum(found[:, 1], problem.cell_size)
     if np.any(far):
         at = int(np.argmax(distance * far))

@@ -11,6 +11,7 @@ import numpy as np
 from ..assembly import carrying
 from ..assembly.interpolation import Interpolation
 from ..assembly.loadedpoints import LoadedPoints
+from ..assembly.pointboxes import BoxTangent
 from ..assembly.points import PointSystem
 from ..assembly.transfer import motion_of
 from ..basis.base import Basis
@@ -30,6 +31,7 @@ from ..geometry.planes import Plane, PlaneSpec
 from ..kernels.kernel import Kernel
 from ..kinematics.motion import Motion
 from ..tools.disposal import dispose_of_dropped
+from ..tools.parallel import values_by_number
 from . import initial, slopes
 from .balancing import BalancedResets
 from .base import Problem
@@ -92,7 +94,7 @@ class OnGrid(Problem):
 
     def _prepare(self) -> LoadedPoints:
         """The system of the present grid; reset if that is due, renewed if conditions have changed."""
-        p, old = self.progress, self._system
+        p, old, regroup = self.progress, self._system, any(term.regroup for term in self._working_terms)
         if self.points.arrangements != self._arrangement:
             raise InputError(
                 "points: others have joined them, or they were given another material after the problem had "
@@ -101,13 +103,15 @@ class OnGrid(Problem):
         if old is not None and not p.reset_due:
             if self._seal is not None:
                 self._seal.check(self.points)
-            if not self._stale:
+            if not self._stale and not regroup:
                 return old
         dispose_of_dropped(self.comm)
         self._compile()
         reset = old is None or p.reset_due
         if old is None or reset:
             self._system = self._reset()
+        elif regroup:
+            self._system = self._regrouped(old)
         else:
             self._drop_pieces(old.interpolation)
             self._system = self._build(old.interpolation, old.x)
@@ -120,6 +124,28 @@ class OnGrid(Problem):
         if reset:
             self._tell_of_reset()
         return self._system
+
+    def _regrouped(self, old: LoadedPoints) -> LoadedPoints:
+        """The same system where terms act on other nodes than before; increments go on. Collective."""
+        lattice, boxes = old.nodes.lattice[: old.nodes.owned], old.box_tangent
+        values = [old.x, old.carried] + ([] if boxes is None else [boxes.x, boxes.before])
+        rows = np.hstack([v[: old.nodes.owned] for v in values])
+        made = self._continued(old.interpolation.reference, lattice, rows)
+        self._drop_pieces(made.interpolation)
+        return made
+
+    def _continued(self, reference: Reference, lattice: np.ndarray, rows: np.ndarray) -> LoadedPoints:
+        """The system of the last reset's state, whose nodes of lattice numbers (n,) have increments and
+        carried forces (n, 2 block), then those of `BoxTangent` where one is kept. Collective."""
+        interpolation = self._interpolate(reference)
+        here = values_by_number(self.comm, lattice, rows, interpolation.nodes.lattice)
+        x, carried, *of_boxes = np.hsplit(here, here.shape[1] // self.layout.block)
+        made = self._build(interpolation, x)
+        made.carried[:] = carried
+        if of_boxes:
+            x, before = map(np.ascontiguousarray, of_boxes)
+            made.box_tangent = BoxTangent(x, before, self.progress.box_solutions)
+        return made
 
     def _reset(self) -> LoadedPoints:
         """The system of a new grid, from whose nodes increments count."""

@@ -10,7 +10,6 @@ from mpi4py import MPI
 import numpy as np
 
 from ..assembly.loadedpoints import LoadedPoints
-from ..assembly.pointboxes import BoxTangent
 from ..basis.base import Basis
 from ..basis.registry import basis_of
 from ..bodies.partition import LoadShares
@@ -35,13 +34,14 @@ from ..terms.base import Term
 from ..terms.ghost import Ghost, GhostPenalty, make_penalty
 from ..tools import checks
 from ..tools.meetings import collective
-from ..tools.parallel import errors_on_all_ranks, values_by_number
+from ..tools.parallel import errors_on_all_ranks
 from .balancing import BalancedResets
 from .boxes import BoxRecord
 from .conservation import Conservation
 from .described import described, of_rank
 from .fitting import (
     check_assembly,
+    check_bodies,
     check_body,
     check_boxes,
     check_revolution,
@@ -129,6 +129,7 @@ class QuasiStatic(Staged):
         self._moving = MovingGrid(grid)
         self.basis, self.policy = basis_of(basis), make_policy(reset)
         self.assembly, self.solver = check_assembly(assembly, self.basis), check_solver(solver)
+        check_bodies(points, self.assembly)
         check_second_gradients(points, self.basis)
         check_revolution(grid, points, assembly)
         super().__init__(grid.comm, points, grid.dim, controls)
@@ -424,14 +425,7 @@ class QuasiStatic(Staged):
             progress.reset_due = True
             return
         self._compile()
-        interpolation = self._interpolate(reference)
-        here = values_by_number(self.comm, lattice, values, interpolation.nodes.lattice)
-        x, carried, *of_boxes = np.hsplit(here, here.shape[1] // self.layout.block)
-        self._system, self._stale = self._build(interpolation, x), False
-        self._system.carried[:] = carried
-        if of_boxes:
-            x, before = map(np.ascontiguousarray, of_boxes)
-            self._system.box_tangent = BoxTangent(x, before, progress.box_solutions)
+        self._system, self._stale = self._continued(reference, lattice, values), False
 
     # results --------------------------------------------------------------------------------------
     @collective("fields")

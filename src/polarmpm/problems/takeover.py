@@ -14,6 +14,7 @@ from ..conditions.supports import Support
 from ..errors import InputError
 from ..terms.base import Term
 from ..terms.ghost import Ghost
+from ..terms.bodycontact import BodyContact
 from ..terms.obstacles import Obstacle
 from ..tools import checks
 from .given import Given
@@ -31,7 +32,7 @@ def check(problem: Any, kind: type) -> None:
         raise InputError("of: no load step has been solved yet; give conditions to a dynamic problem itself")
     if any(isinstance(load, HandedOver) or load.amplitude.fade is not None for load in before.loads):
         raise InputError("of: some conditions are still fading; let them fade out first")
-    terms = [term.name for term in before.terms if not isinstance(term, Ghost | Obstacle)]
+    terms = [term.name for term in before.terms if not isinstance(term, Ghost | Obstacle | BodyContact)]
     if terms:
         raise InputError(
             f"of: {terms[0]}: conditions on surfaces, and terms of one's own, can't be taken over; "
@@ -50,7 +51,7 @@ def take_conditions(made: Any, before: Any) -> None:
     for given in before.given:
         if given.released is not None:
             continue
-        if isinstance(given.condition, Obstacle):
+        if isinstance(given.condition, Obstacle | BodyContact):
             stays = given.condition.still(factor)
             made._terms.append(stays)
             made.given.add(Given(stays.name, stays, 0.0), "surface")

@@ -78,6 +78,21 @@ class Boxes:
         return nodes.local(numbers.ravel()).reshape(numbers.shape)
 
 
+@dataclass(frozen=True)
+class BoxPairs:
+    """Sets of nodes that are two boxes of lattice nodes each, in different bodies.
+
+    Attributes:
+        parts: the first boxes of all sets, and the second ones.
+    """
+
+    parts: tuple[Boxes, Boxes]
+
+    def rows(self, nodes: ActiveNodes) -> np.ndarray:
+        """Local rows of the nodes (m, n), those of the first boxes first."""
+        return np.hstack([part.rows(nodes) for part in self.parts])
+
+
 class Piece(ABC):
     """What a term contributes until increments begin to count afresh.
 
@@ -119,6 +134,9 @@ class Piece(ABC):
 
     def commit(self, x: np.ndarray) -> None:  # noqa: B027
         """Take note of the increments (m, n, b) of a converged step. Collective."""
+
+    def starts(self, x: np.ndarray) -> None:  # noqa: B027
+        """A step begins at increments (m, n, b). Local."""
 
     def balanced(self, x: np.ndarray) -> None:  # noqa: B027
         """In dynamics: forces are in balance at increments (m, n, b), before the step ends. Local."""
@@ -220,6 +238,8 @@ class Term(ABC):
             factor doesn't depend on the increments: the arc-length method can take it.
         committed: it has taken part in a converged step; the problem sees to it.
         taken: it belongs to a problem.
+        regroup: its pieces don't act on the right nodes any more: the next step is to begin with new ones,
+            without a reset; the same on all ranks.
         renew: its pieces don't fit the present state any more: the next step is to begin with a reset; the
             same
             on all ranks.
@@ -233,6 +253,7 @@ class Term(ABC):
     committed: bool = False
     taken: bool = False
     renew: bool = False
+    regroup: bool = False
     rows: dict[str, np.ndarray]
 
     def __new__(cls, *arguments: Any, **options: Any) -> Self:

@@ -22,7 +22,7 @@ class SitePiece(Piece):
 
     def __init__(self, term: Any, carried: Carried, at: np.ndarray, near: bool):
         self.term, self.near, self.name = term, near, term.name
-        self.rows, self.boxes = carried.rows[at], _some(carried.boxes, at)
+        self.rows, self.boxes = carried.rows[at], some_boxes(carried.boxes, at)
         self.carried, self.external = term.carried, term.external
         self.symmetric, self.linear = term.form.symmetric or not near, not near
         self.guarded, self.refines, self.kinked = near and term.law.barrier, True, True
@@ -81,7 +81,7 @@ class SitePiece(Piece):
         self.term.put_multipliers()
 
 
-def _some(boxes: Any, at: np.ndarray) -> Any:
+def some_boxes(boxes: Any, at: np.ndarray) -> Any:
     """Some of the sets of nodes."""
     if hasattr(boxes, "lowest"):
         return type(boxes)(boxes.count, boxes.lowest[at])

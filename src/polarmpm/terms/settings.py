@@ -13,6 +13,7 @@ import numpy as np
 from ..basis.base import Basis, Weights
 from ..bodies.elements import Elements
 from ..bodies.facets import FacetSurface
+from ..bodies.nearby import behind
 from ..bodies.points import Points
 from ..errors import InputError
 from ..geometry.grid import Grid, box_indices
@@ -69,9 +70,7 @@ class GridSetting(Setting):
         owner, cells = self._find(places)
         rows = np.flatnonzero(owner == self.comm.rank)
         x = places.surface.x[rows] + places.displacement[rows]
-        count = (self.basis.functions,) * self.grid.dim
-        table = self.basis.at(self.grid, x, cells[rows])
-        return Carried(rows, Boxes(count, self.grid.node_number(cells[rows])), table)
+        return Carried(rows, self.boxes(cells[rows]), self.at(x, cells[rows]))
 
     def deformations(self, parents: np.ndarray) -> np.ndarray:
         """Deformation gradients (n, d, d) of material points of given ids (n,). Collective."""
@@ -98,18 +97,48 @@ class GridSetting(Setting):
         Raises:
             InputError: a point isn't there.
         """
+        rows, cells = self._cells_beside(name, parents)
+        return Carried(rows, self.boxes(cells), self.at(x[rows], cells))
+
+    def _cells_beside(self, name: str, parents: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which of some points, by ids (n,), are on this rank, and the lattice index of a cell of each; the
+        body's, see `Grid.of_bodies`. Collective."""
         at, here = self._rows_of(parents)
         if not np.all(self.comm.allreduce(here.astype(int))):
             raise InputError(
                 f"{name}: material points that carry its sites have left the body: release it, add it again"
             )
         rows = np.flatnonzero(here)
-        at, w, x = at[rows], self.weights, x[rows]
+        at, w = at[rows], self.weights
+        own = self.grid.cells_of(self._x[at])
+        if self.points.bodies > 1:
+            own = self.grid.of_bodies(own, self.points.body[at])
         # of the cells that weight a point its own, or the next to that: others may have no nodes
         last = np.maximum(w.lowest[at], w.lowest[at] + w.count[at] - self.basis.functions)
-        cells = np.clip(self.grid.cells_of(self._x[at]), w.lowest[at], last)
-        boxes = Boxes((self.basis.functions,) * self.grid.dim, self.grid.node_number(cells))
-        return Carried(rows, boxes, self.basis.at(self.grid, x, cells))
+        return rows, np.clip(own, w.lowest[at], last)
+
+    def cells_beside(self, name: str, parents: np.ndarray) -> np.ndarray:
+        """Lattice index (n, d) of the cells whose functions carry places beside points of given ids (n,), on
+        any rank; the bodies', see `Grid.of_bodies`. Collective."""
+        rows, cells = self._cells_beside(name, parents)
+        every = np.zeros((len(parents), self.grid.dim), dtype=np.int64)
+        every[rows] = cells
+        self.comm.Allreduce(MPI.IN_PLACE, every)
+        return every
+
+    def boxes(self, cells: np.ndarray) -> Boxes:
+        """Nodes of the functions of cells (n, d)."""
+        return Boxes((self.basis.functions,) * self.grid.dim, self.grid.node_number(cells))
+
+    def at(self, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        """`Basis.at` of cells (n, d) of whatever body."""
+        return self.basis.at(self.grid, x, self.grid.node_index(self.grid.node_number(cells)))
+
+    def _bodies_at(self, x: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """Numbers (n,) of the bodies behind places (n, d) (m) on surfaces. Collective."""
+        if self.points.bodies == 1:
+            return np.zeros(len(x), dtype=np.int64)
+        return behind(self.comm, self._x, self.points.body, np.zeros((len(self._x), 0)), x, normal)[2]
 
     def _find(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
         """Rank (n,) and lattice index (n, d) of the cell that weights each place: the nearest of those that
@@ -117,18 +146,21 @@ class GridSetting(Setting):
         grid, size, x = self.grid, self.comm.size, places.surface.x + places.displacement
         normal = places.surface.normal[:, :, None]
         turned = np.linalg.solve(np.swapaxes(places.deformation, 1, 2), normal)[:, :, 0]
-        xi = grid.local(x) - _INWARD * turned / np.linalg.norm(turned, axis=1, keepdims=True)
+        turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+        xi = grid.local(x) - _INWARD * turned
         around = box_indices((3,) * grid.dim) - 1
         index = np.floor(xi).astype(np.int64)[:, None] + around
         inside = np.all((index >= 0) & (index < np.array(grid.shape)), axis=2)
-        here = inside & np.isin(grid.cell_number(index), self.reached)
+        body = self._bodies_at(x, turned)
+        of_body = grid.of_bodies(index.reshape(-1, grid.dim), np.repeat(body, index.shape[1]))
+        here = inside & np.isin(grid.cell_number(of_body).reshape(inside.shape), self.reached)
         lowest = np.where(here, self.comm.rank, size)
         self.comm.Allreduce(MPI.IN_PLACE, lowest, op=MPI.MIN)
         beyond = np.maximum(np.maximum(index - xi[:, None], xi[:, None] - index - 1), 0.0)
         distance = np.where(lowest < size, np.linalg.norm(beyond, axis=2), np.inf)
         nearest = np.argmin(distance, axis=1)
         every = np.arange(len(x))
-        owner, cells = lowest[every, nearest], index[every, nearest]
+        owner, cells = lowest[every, nearest], grid.of_bodies(index[every, nearest], body)
         limit = _AHEAD[places.committed]
         owner[distance[every, nearest] > limit] = size
         if np.any(owner == size):

@@ -1,0 +1,320 @@
+"""Contact of bodies with each other: sites on their surfaces, each against the other's (docs/contact.md)."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..errors import InputError, LocalFailure
+from ..forms.bodycontact import CONSTANTS, BodyContactForm
+from ..geometry.surfaces import Surface
+from ..kernels.kernel import Kernel
+from ..kinematics.layout import Layout
+from ..kinematics.moments import moments
+from . import partners
+from .base import Piece, Setting
+from .bodypieces import FacingPiece, MovedPiece
+from .settings import GridSetting
+from .sites import Sites
+from .surfaceterms import undeformed_area
+
+_REACH = 1.0  # cells: sites that are nearer to another body when a step begins may touch it in the step
+_FAR = 1.6  # cells: so far other sites are looked for
+_SPAN = 1.05  # of a site's piece of the surface, beyond which it isn't there
+
+
+class BodyContact(Sites):
+    """Contact of bodies with each other; made by `problem.contact`.
+
+    Each site presses against the tangent plane of the nearest site of another body; as both bodies have
+    sites, each of them stands for half of its area.
+
+    Arrays are those of the last converged step, the same on all ranks, with one row for each of the sites:
+    places on the bodies' surfaces that they carry.
+
+    Attributes:
+        force, moment: of the other bodies on the first one (N), (d,), and about the origin (N m), (1,) in
+            the plane or (3,); on the first of the two selections, where some have been given.
+        forces, moments: the same for each body, (bodies, d) and (bodies, 1 or 3): their sum is zero.
+        gap: distances of the sites from the body that they face (m), (n,); negative in it, infinite where
+            there is none within a cell.
+        pressure: (Pa) per undeformed area, (n,).
+        traction: force on the site's body per undeformed area (Pa), (n, d), friction included.
+        x: where the sites are (m), (n, d).
+        area: of the undeformed body that they stand for (m^2; m in the plane), (n,).
+        body: number of each site's body, (n,), see `Points.body`.
+        partner: number of the site that each one faces, (n,); -1: there is none.
+        touching: sites with a pressure, (n,) bool.
+    """
+
+    linear = False
+    external = True  # its forces count in convergence measures, and its work as an obstacle's
+    proportional = False
+    parents: np.ndarray
+    sums: np.ndarray
+    _balanced: np.ndarray | None
+
+    def __init__(
+        self,
+        name: str,
+        surface: Surface,
+        parents: np.ndarray,
+        sides: np.ndarray,
+        body: np.ndarray,
+        constants: dict[str, float],
+        size: float,
+        gap: float | None,
+        current: bool,
+    ):
+        super().__init__(name, surface)
+        self.parents, self.sides, self.body, self.tolerance = parents, sides, body, gap
+        self._constants = np.array([constants[key] for key in CONSTANTS])
+        self._friction, self._size, self._current = constants["friction"] > 0.0, size, current
+        self._teller: Kernel | None = None
+
+    def __repr__(self) -> str:
+        return f"BodyContact({self.name!r}: {len(set(self.body))} bodies, {len(self.surface)} sites)"
+
+    def attach(self, layout: Layout, comm: MPI.Comm) -> None:
+        super().attach(layout, comm)
+        self._put_arrays()
+        n, d = len(self.surface), layout.dim
+        whole = undeformed_area(self.surface, layout)
+        self.seen_area = self.next_area = self.area_now = 0.5 * whole
+        self.sums = np.full((int(self.body.max()) + 1, d + (1 if d == 2 else 3)), np.nan)
+        self._span = _SPAN * np.sqrt(d - 1) * self.surface.area ** (1.0 / (d - 1))
+        self.partner, self.gap = np.full(n, -1, dtype=np.int64), np.full(n, np.inf)
+        self._moved, self._told, self._balanced = self._nothing(), self._nothing_told(), None
+        self._factor = 0.0
+
+    def still(self, factor: float) -> BodyContact:
+        """The same for a problem that goes on from time 0."""
+        return copy(self)
+
+    def make_form(self) -> BodyContactForm:
+        return BodyContactForm(self.layout, self._friction)
+
+    # results ------------------------------------------------------------------------------------------
+    @property
+    def reaction(self) -> tuple[np.ndarray, np.ndarray] | None:
+        return None if np.isnan(self.sums[0, 0]) else (self.force, np.zeros(self.layout.rotations))
+
+    @property
+    def forces(self) -> np.ndarray:
+        return self.sums[:, : self.layout.dim].copy()
+
+    @property
+    def moments(self) -> np.ndarray:
+        return self.sums[:, self.layout.dim :].copy()
+
+    @property
+    def _first(self) -> np.ndarray:
+        """Numbers of the bodies of the first side."""
+        first: np.ndarray = np.unique(self.body[self.sides == self.sides.min()])
+        return first
+
+    @property
+    def force(self) -> np.ndarray:
+        force: np.ndarray = self.forces[self._first].sum(axis=0)
+        return force
+
+    @property
+    def moment(self) -> np.ndarray:
+        moment: np.ndarray = self.moments[self._first].sum(axis=0)
+        return moment
+
+    def as_dict(self) -> dict[str, Any]:
+        """Columns of a table: force and moment on the first body, number of sites that touch, deepest
+        penetration."""
+        found = {"force": self.force, "moment": self.moment, "touching": int(self.touching.sum())}
+        return {**found, "penetration": self.penetration}
+
+    # between two resets -------------------------------------------------------------------------------
+    def _nothing(self) -> np.ndarray:
+        d = self.layout.dim
+        return np.zeros((len(self.surface), d + d * d))
+
+    def _nothing_told(self) -> np.ndarray:
+        assert isinstance(self.form, BodyContactForm)
+        return np.zeros((len(self.surface), sum(self.form.told.values())))
+
+    def normals(self) -> np.ndarray:
+        """Outward unit normals of the sites (n, d), as they are now."""
+        n = np.linalg.solve(np.swapaxes(self.F, 1, 2), self.surface.normal[:, :, None])[:, :, 0]
+        unit: np.ndarray = n / np.linalg.norm(n, axis=1, keepdims=True)
+        return unit
+
+    def _look(self) -> None:
+        """Find the sites' partners, and the places of the other bodies that they face."""
+        x, normal = self.x, self.normals()
+        deepest = max(0.0, -float(self.gap.min()))  # soft springs let sites in by more than cells
+        reach, far = _REACH * self._size, _FAR * self._size + 1.5 * deepest
+        found = partners.find(x, normal, self._span, self.sides, reach, far)
+        self.partner, self._free = found.site, found.free
+        self.gap = found.gap
+        at = np.flatnonzero(found.site >= 0)
+        j = found.site[at]
+        moved = self.F[j] @ np.linalg.inv(self._F_at[j])
+        away = x[at] - found.gap[at, None] * normal[j] - x[j]
+        back = np.linalg.solve(moved, away[:, :, None])[:, :, 0]
+        self.facing, self.against = np.zeros_like(x), np.zeros_like(x)
+        self.facing[at], self.against[at] = (self.surface.x + self._u_at)[j] + back, normal[j]
+
+    def _cells_faced(self) -> np.ndarray:
+        """Cells that carry what the sites face (n, d); without a partner none."""
+        missing = np.iinfo(np.int64).min
+        return np.where(self.partner[:, None] >= 0, self._cells[self.partner], missing)
+
+    def pieces(self, setting: Setting) -> list[Piece]:
+        assert isinstance(setting, GridSetting)
+        if self._kernel is None:
+            assert isinstance(self.form, BodyContactForm)
+            self._kernel, self._teller = self.form.compile(self.comm), self.form.teller(self.comm)
+        if np.array_equal(self.u, self._u_at):
+            # gradients of functions continued beyond the body would grow reset by reset
+            self.F = self._F_at = setting.deformations(self.parents)
+        if self._current and not self._checked:  # normals were given of the body as it is now
+            before = np.einsum("nji,nj->ni", self.F, self.surface.normal)
+            before /= np.linalg.norm(before, axis=1, keepdims=True)
+            self.surface = Surface(self.surface.x, self.surface.area, before)
+        self._cells = setting.cells_beside(self.name, self.parents)
+        self._look()
+        if not self._checked:
+            self._check_start()
+        self._grouped, self.regroup = self._cells_faced(), False
+        self._functions = setting.at
+        carried = setting.beside(self.name, self.parents, self.surface.x + self._u_at)
+        faces = self.partner[carried.rows] >= 0
+        boxes = setting.boxes(self._cells[self.partner[carried.rows[faces]]])
+        # the last one to be told of a converged step tells its contact
+        return [FacingPiece(self, carried, faces, boxes), MovedPiece(self, carried)]
+
+    def _check_start(self) -> None:
+        """Raise InputError where the bodies begin inside of each other."""
+        self._checked = True
+        deepest = int(np.argmin(self.gap))
+        if self.gap[deepest] < -0.5 * self._size:
+            place = tuple(float(round(c, 9)) for c in self.x[deepest])
+            one, other = self.body[deepest], self.body[self.partner[deepest]]
+            raise InputError(
+                f"{self.name}: bodies begin inside of each other: a site of body {one} at {place} lies "
+                f"{-self.gap[deepest]:.4g} m deep in body {other}, more than half a cell ({self._size:.4g} m)"
+            )
+
+    def table(self, rows: np.ndarray) -> np.ndarray:
+        """Values and gradients (1/m) of the functions at the places that sites `rows` face, (m, 1 + d, n)."""
+        at: np.ndarray = self._functions(self.facing[rows], self._grouped[rows])
+        return at
+
+    def values(self, factor: float) -> list[np.ndarray]:
+        return []
+
+    def set_factor(self, factor: float, carrying: bool = False) -> None:
+        self._trial = self.multiplier
+
+    def columns(
+        self, rows: np.ndarray, start: np.ndarray, y: np.ndarray, before: np.ndarray
+    ) -> list[np.ndarray]:
+        """Inputs of the kernels for sites `rows` at y (m, size).
+
+        Args:
+            start: by how much the sites are away from the places that they face at y = 0 (m, d).
+            before: y at the beginning of the step (m, size).
+        """
+        d = self.layout.dim
+        turned = np.linalg.inv(np.eye(d) + before[:, d:].reshape(-1, d, d))
+        history = np.hstack([self._trial[rows, None], self.slip[rows], start + before[:, :d]])
+        constants = np.tile(self._constants, (len(rows), 1))
+        directions = self.against[rows]
+        if d == 3:
+            directions = np.hstack([directions, _beside(directions)])
+        return [y, start, turned.reshape(-1, d * d), directions, constants, history]
+
+    def evaluated(self, columns: list[np.ndarray]) -> np.ndarray:
+        """Residual and tangent (m, size + size^2) per area."""
+        assert self._kernel is not None
+        return self._kernel(*columns) if len(columns[0]) else np.zeros((0, self._outputs))
+
+    def tell(self, columns: list[np.ndarray]) -> np.ndarray:
+        """What the form tells of sites, (m, size)."""
+        assert self._teller is not None
+        return self._teller(*columns) if len(columns[0]) else self._nothing_told()[:0]
+
+    # a step -------------------------------------------------------------------------------------------
+    def improve(self, told: np.ndarray, rows: np.ndarray) -> bool:
+        """After iterations have converged: improve the multipliers; whether they have changed."""
+        if self.tolerance is None:
+            return False
+        gap, pressure = told[:, 0], told[:, 1]
+        off = np.where(pressure > 0.0, np.abs(gap), np.maximum(-gap, 0.0))
+        if not np.any(off > self.tolerance):
+            return False
+        self._trial = self._trial.copy()
+        self._trial[rows] = pressure
+        return True
+
+    def check_way(self, moved: np.ndarray, rows: np.ndarray) -> None:
+        """Raise LocalFailure where a site that faced nothing may have gone through a surface, with
+        displacements (m, d) since increments count."""
+        way = np.linalg.norm(moved - (self.u - self._u_at)[rows], axis=1)
+        bad = (self.partner[rows] < 0) & (way > 0.5 * self._free[rows])
+        if np.any(bad):
+            raise LocalFailure(
+                f"{self.name}: a place of a body that was {self._free[rows][bad].min():.3g} m from another "
+                f"one has moved by {way[bad].max():.3g} m; smaller steps are needed"
+            )
+
+    def commit_told(self, told: np.ndarray, rows: np.ndarray) -> None:
+        """Take note of what has been told of sites `rows` at the end of a step."""
+        self._told = self._nothing_told()
+        self._told[rows] = told
+
+    def balance(self, told: np.ndarray, rows: np.ndarray) -> None:
+        """In dynamics: the same where forces are in balance."""
+        self._balanced = self._nothing_told()
+        self._balanced[rows] = told
+
+    def finish(self, moved: np.ndarray, rows: np.ndarray) -> None:
+        """The step has converged, with displacements and their gradients (m, d + d^2) of sites `rows` since
+        increments count. Collective."""
+        self._moved = self._nothing()
+        self._moved[rows] = moved
+        told = np.hstack([self._told, self._told if self._balanced is None else self._balanced])
+        every = np.hstack([self._moved, told])
+        self.comm.Allreduce(MPI.IN_PLACE, every)
+        trial: np.ndarray = np.where(self._trial != self.multiplier, self._trial, -np.inf)
+        self.comm.Allreduce(MPI.IN_PLACE, trial, op=MPI.MAX)
+        n, d, size = len(every), self.layout.dim, self._told.shape[1]
+        gradient = every[:, d : d + d * d].reshape(n, d, d)
+        self.u, self.F = self._u_at + every[:, :d], (np.eye(d) + gradient) @ self._F_at
+        end, balanced = every[:, d + d * d :][:, :size], every[:, d + d * d + size :]
+        touching = end[:, 1:2] > 0.0
+        multiplier = np.where(np.isfinite(trial), trial, self.multiplier)
+        self.multiplier = self._trial = np.where(touching[:, 0], multiplier, 0.0)
+        self.slip = np.where(touching, end[:, 2 + d :], 0.0)
+        self.pressure, self.traction = balanced[:, 1], balanced[:, 2 : 2 + d]
+        self._sum()
+        self._moved, self._told, self._balanced = self._nothing(), self._nothing_told(), None
+        self._look()
+        self.regroup = not np.array_equal(self._grouped, self._cells_faced())
+
+    def _sum(self) -> None:
+        """Forces and moments on the bodies. What a site does to the other body has its own line of action, as
+        gap and slip don't change when both turn as one."""
+        force, at = self.area[:, None] * self.traction, np.flatnonzero(self.partner >= 0)
+        of_site = np.hstack([force, moments(self.x, force, np.zeros((len(force), 0)))])
+        self.sums = np.zeros_like(self.sums)
+        np.add.at(self.sums, self.body, of_site)
+        np.subtract.at(self.sums, self.body[self.partner[at]], of_site[at])
+
+
+def _beside(normal: np.ndarray) -> np.ndarray:
+    """Unit vectors (n, 3) at right angles to others."""
+    axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+    across = np.cross(normal, axis)
+    unit: np.ndarray = across / np.linalg.norm(across, axis=1, keepdims=True)
+    return unit
