@@ -12,7 +12,6 @@ import pytest
 import polarmpm as pm
 from polarmpm.errors import InputError
 from tests.conftest import COMM, assert_repeated, by_id
-from tests.helpers.bodies import box
 
 LAM, MU = 6e6, 4e6
 HENCKY = pm.Hencky(lam=LAM, mu=MU)
@@ -266,8 +265,3 @@ def test_stages_that_cannot_be_are_refused() -> None:
         problem.release(stage)
     with pytest.raises(InputError, match="aren't of this body"):
         problem.remove(selection)
-    elements = pm.QuasiStaticFEM(pm.Elements(box("quadrilateral", (1, 1)), material=SOIL))
-    with pytest.raises(InputError, match="elements stay in their mesh"):
-        elements.remove(selection)
-    with pytest.raises(InputError, match="elements stay in their mesh"):
-        elements.add(points)

@@ -116,13 +116,13 @@ class ElementSystem(NodalSystem):
 
     def at_points(self, x: np.ndarray) -> np.ndarray:
         e = self.forms.elements
-        of_cells = x[e.cell_nodes[: len(e.body.owned_cells)]]
+        of_cells = x[e.live_nodes]
         values: np.ndarray = self._functions @ of_cells
         return values.reshape(len(of_cells) * len(self._functions), x.shape[1])
 
     def from_points(self, values: np.ndarray) -> np.ndarray:
         e = self.forms.elements
-        nodes, b = e.cell_nodes[: len(e.body.owned_cells)], values.shape[1]
+        nodes, b = e.live_nodes, values.shape[1]
         of_cells = self._functions.T @ values.reshape(len(nodes), len(self._functions), b)
         at = nodes.ravel()
         sums = [np.bincount(at, of_cells[:, :, i].ravel(), minlength=len(self.x)) for i in range(b)]

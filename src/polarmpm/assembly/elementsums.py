@@ -43,7 +43,7 @@ class SummedElements(OnPattern, ElementSystem):
         with self.timer("pattern"):
             large = self.is_large()
             several = self.comm.size > 1 and solver_of(solver, large).whole_rows
-            cells = forms.elements.cell_nodes[: len(forms.elements.body.owned_cells)].astype(np.int64)
+            cells = forms.elements.live_nodes.astype(np.int64)
             sums, whole = forms.symmetric, several or not symmetric
             self._mesh = MeshPattern(self.nodes, cells, self.terms.rows, self.layout.block, sums, whole)
             self.pattern = self._mesh.pattern
@@ -98,7 +98,7 @@ class SummedElements(OnPattern, ElementSystem):
 
     def mass_sets(self, mass: np.ndarray) -> Iterator[MassSets]:
         e, functions = self.forms.elements, self._functions
-        rows = e.cell_nodes[: len(e.body.owned_cells)].astype(np.int64)
+        rows = e.live_nodes.astype(np.int64)
         products = np.einsum("qi,qj->qij", functions, functions).reshape(len(functions), -1)
         of_cells = mass.T.reshape(2, len(rows), len(functions)) @ products
         n = rows.shape[1]
@@ -261,7 +261,8 @@ class LoadTangent:
         rows = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))
         at = self._mesh.entries(indptr, columns)
         free = self._free
-        self._kept = np.flatnonzero((free[rows + first] & free[columns]) | (rows + first == columns))
+        kept = (free[rows + first] & free[columns]) | (rows + first == columns)
+        self._kept = np.flatnonzero(kept & (at >= 0))  # nodes of elements that aren't in the body have none
         self._at = at[self._kept]
 
     def destroy(self) -> None:

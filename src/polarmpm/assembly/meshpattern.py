@@ -81,15 +81,18 @@ class MeshPattern:
 
     def entries(self, indptr: np.ndarray, indices: np.ndarray) -> np.ndarray:
         """Where entries of compressed sparse rows of the owned unknowns, with global columns, stand in the
-        values of the pattern."""
+        values of the pattern; -1: it hasn't got them."""
         p, size = self.pattern, self.nodes.total * self.pattern.block
 
         def keys(ends: np.ndarray, columns: np.ndarray) -> np.ndarray:
             found: np.ndarray = np.repeat(np.arange(len(ends) - 1), np.diff(ends)) * size + columns
             return found
 
-        at: np.ndarray = np.searchsorted(keys(p.indptr, p.indices), keys(indptr, indices))
-        return at
+        known, wanted = keys(p.indptr, p.indices), keys(indptr, indices)
+        at = np.searchsorted(known, wanted)
+        there = at < len(known)
+        there[there] = known[at[there]] == wanted[there]
+        return np.where(there, at, -1)
 
 
 def _codes(nodes: Nodes, cells: np.ndarray, half: bool) -> tuple[np.ndarray, int]:

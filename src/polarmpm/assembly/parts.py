@@ -149,7 +149,7 @@ def _sets(
     set of each."""
     if isinstance(system, ElementSystem):
         e = system.forms.elements
-        rows = e.cell_nodes[: len(e.body.owned_cells)].astype(np.int64)
+        rows = e.live_nodes.astype(np.int64)
         cells = np.repeat(np.arange(len(rows)), len(e.reference_points))
         yield rows, np.ones(rows.shape, dtype=bool), np.arange(len(points)), cells
         return

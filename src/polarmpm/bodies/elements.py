@@ -26,12 +26,13 @@ from .facets import Facets, FacetSurface
 from .points import Points
 from .regions import Regions, materials_of
 from .revolution import check_section, turned
+from .stagedmesh import StagedMesh
 
 # exact for the stiffness of undistorted elements: degree + 1 Gauss points a direction on boxes
 _QUADRATURE = {"tensor": (3, 5, 7), "simplex": (2, 4, 6)}
 
 
-class Elements:
+class Elements(StagedMesh):
     """A body meshed with finite elements; `QuasiStaticFEM` solves for it. Collective.
 
     Args:
@@ -96,6 +97,7 @@ class Elements:
         self.space = compat.function_space(self.mesh, self.layout.block, degree)
         self.nodes = SpaceNodes(self.space, self.dim)
         self.cell_nodes = compat.cell_dofs(self.space)
+        self.live = self.body.owned_cells.astype(np.int64)
         self.points = self._quadrature_points(materials, of_cell)
         self.moved: np.ndarray = np.zeros((len(self.nodes), self.dim))
         self.counted_from: np.ndarray | None = None
@@ -141,7 +143,7 @@ class Elements:
         """Typical edge (m): mean volume of a cell to the power of 1/d. Collective."""
         p = self.points
         volume = p.volume0 / (2 * np.pi * p.X[:, 0]) if self.axisymmetric else p.volume0
-        sums = self.comm.allreduce(np.array([volume.sum(), len(self.body.owned_cells)]))
+        sums = self.comm.allreduce(np.array([volume.sum(), len(self.live)]))
         return float((sums[0] / sums[1]) ** (1 / self.dim))
 
     # groups of facets -----------------------------------------------------------------------------
@@ -180,7 +182,7 @@ class Elements:
 
             with errors_on_all_ranks(self.comm):
                 found = dmesh.locate_entities_boundary(self.mesh, dim, marker)
-        return self._group(name, np.sort(np.asarray(found, dtype=np.int32)))
+        return self._group(name, self.live_facets(np.sort(np.asarray(found, dtype=np.int32))))
 
     def on_plane(self, spec: PlaneSpec) -> Callable[[np.ndarray], np.ndarray]:
         """Predicate of positions on a plane x_axis = value."""
@@ -199,7 +201,8 @@ class Elements:
         n = n / np.linalg.norm(n)
         if tolerance is not None:
             tolerance = number("tolerance", tolerance, least=0.0)
-        most = self.comm.allreduce((self.nodes.position @ n).max(initial=-np.inf), op=MPI.MAX)
+        place = self.nodes.position[self.reached()] if self.staged else self.nodes.position
+        most = self.comm.allreduce((place @ n).max(initial=-np.inf), op=MPI.MAX)
         limit = most - (1e-6 * self.cell_size if tolerance is None else tolerance)
 
         def farthest(x: np.ndarray) -> np.ndarray:
@@ -248,13 +251,13 @@ class Elements:
         """Cell tags of the materials' rows, counted from 1."""
         from dolfinx import mesh as dmesh
 
-        own, nq = self.body.owned_cells, len(self.reference_points)
+        own, nq = self.live.astype(np.int32), len(self.reference_points)
         return dmesh.meshtags(self.mesh, self.dim, own, self.points.material[::nq].astype(np.int32) + 1)
 
     def node_volumes(self) -> np.ndarray:
         """An equal share of its volume for each node of an element (nodes,), positive for all degrees; summed
         over this rank's elements."""
-        nodes = self.cell_nodes[: len(self.body.owned_cells)]
+        nodes = self.live_nodes
         of_cells = self.points.volume0.reshape(len(nodes), -1).sum(axis=1)
         share = np.repeat(of_cells / nodes.shape[1], nodes.shape[1])
         sums = np.bincount(nodes.ravel(), share, minlength=len(self.nodes))
@@ -282,7 +285,7 @@ class Elements:
     def cell_mean(self, values: np.ndarray) -> np.ndarray:
         """Means over each own cell (cells, ...), weighted by reference volume, of values at the quadrature
         points (np, ...)."""
-        shape = len(self.body.owned_cells), len(self.reference_points)
+        shape = len(self.live), len(self.reference_points)
         weights = self.points.volume0.reshape(shape)
         weights = weights / weights.sum(axis=1, keepdims=True)
         values = checks.numeric("values", values)

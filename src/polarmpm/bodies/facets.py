@@ -51,6 +51,7 @@ class Meshed(Protocol):
     degree: int
     quadrature_degree: int
     cell_nodes: np.ndarray
+    live: np.ndarray
 
 
 class FacetSurface(Surface):
@@ -74,7 +75,7 @@ class FacetSurface(Surface):
         """Positions, areas and normals on this rank's facets; and numbers, the same on any number of ranks,
         by which the points are told apart: of the cell, its facet and the point."""
         e = self.elements
-        cells, sides = _attached(e.mesh, e.dim, facets)
+        cells, sides = attached(e.mesh, e.dim, facets)
         mine = cells < len(e.body.owned_cells)
         cells, sides = cells[mine], sides[mine]
         rule = compat.facet_rule(e.body.cell, e.quadrature_degree)
@@ -153,7 +154,7 @@ def group_surfaces(
     corners = compat.facet_corners(body.cell)
     made: dict[str | int, Surface] = {}
     for tag in sorted(set().union(*comm.allgather(np.unique(values).tolist()))):
-        cells, sides = _attached(mesh, body.dim, np.intersect1d(tagged[values == tag], outer))
+        cells, sides = attached(mesh, body.dim, np.intersect1d(tagged[values == tag], outer))
         mine = cells < len(body.owned_cells)
         cells, sides = cells[mine], sides[mine]
         nodes = compat.cell_geometry(mesh)[cells[:, None], np.array(corners)[sides]] if len(cells) else None
@@ -168,7 +169,7 @@ def group_surfaces(
     return {**made, **{name: made[tag] for name, tag in named.items() if tag in made}}
 
 
-def _attached(mesh: Any, dim: int, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def attached(mesh: Any, dim: int, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Local cell of each boundary facet, and which of its facets it is."""
     topology = mesh.topology
     topology.create_connectivity(dim - 1, dim)

@@ -148,13 +148,15 @@ class NativeElementForms(KernelForms):
     def __init__(self, elements: Elements, forms: Sequence[PointForm] = ()):
         super().__init__(elements, forms)
         e, xi = elements, elements.reference_points
-        _, jacobian = compat.mesh_geometry(e.mesh, xi)
-        self._inverse = np.ascontiguousarray(np.linalg.inv(jacobian).reshape(-1, e.dim, e.dim))  # dxi/dX
+        _, jacobian = compat.mesh_geometry(e.mesh, xi, e.live)
+        inverse = np.linalg.inv(jacobian).reshape(len(e.live) * len(xi), e.dim, e.dim)
+        # dxi/dX, X being where an element is undeformed
+        self._inverse = np.ascontiguousarray(inverse if e.placed is None else inverse @ e.placed)
         table = compat.tabulate(e.body.cell, e.degree, xi)
         self._table = np.ascontiguousarray(np.swapaxes(table, 0, 1))  # [point][1 + d][node]
         self._axes: list[np.ndarray] = []  # of each material's points: dxi/dX, turned into the kernel's frame
         self._now = self._inverse  # of all points, not turned
-        self._whole = self._structure(None, np.arange(len(e.body.owned_cells)))
+        self._whole = self._structure(None, np.arange(len(e.live)))
         self.parts = []
         for form, rows in zip(self._point_forms, self._rows_of, strict=True):
             cells = rows[:: len(xi)] // len(xi)
@@ -179,7 +181,7 @@ class NativeElementForms(KernelForms):
             axes=self._inverse[at] if form is None else None,
             param=numbers,
             volume=np.ascontiguousarray(e.points.volume0[at]),
-            cells=np.ascontiguousarray(e.cell_nodes[cells], dtype=np.int32),
+            cells=np.ascontiguousarray(e.live_nodes[cells], dtype=np.int32),
         )
         return out
 
@@ -200,7 +202,8 @@ class NativeElementForms(KernelForms):
         those by x~ times Fbar, as of a material point with Fbar."""
         d, p = self.layout.dim, self.elements.points
         z, _ = self._gather_all(self._inverse, self.total.x.array)
-        true = np.eye(d) + self.layout.part(z, "displacement", 1)
+        start = np.eye(d) if self.elements.placed is None else self.elements.placed
+        true = start + self.layout.part(z, "displacement", 1)
         found = np.tile(np.eye(d), (len(p), 1, 1))
         for part in self.parts:
             if part.form.scalars:

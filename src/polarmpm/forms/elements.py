@@ -104,7 +104,9 @@ class ElementForms:
 
     def put_at_points(self, function: Any, values: np.ndarray) -> None:
         """Set a quadrature function from values (np, c) at the points."""
-        rows = compat.cell_dofs(function.function_space)[: len(self.elements.body.owned_cells)].ravel()
+        rows = compat.cell_dofs(function.function_space)[self.elements.live].ravel()
+        if self.elements.staged:
+            function.x.array[:] = 0.0  # of elements that aren't in the body
         function.x.array.reshape(-1, values.shape[1])[rows] = values
 
     def start_elastic(self, on: bool) -> bool:
@@ -241,7 +243,7 @@ class ElementForms:
                 components measured on the undeformed body: the part along the normal follows the normal, the
                 part in the surface is convected with it and keeps its size.
         """
-        ds, values = self.elements.surface_measure(facets.facets), _components(load)
+        ds, values = self._surface(facets), _components(load)
         if follows:
             normal = ufl.FacetNormal(self.elements.mesh)
             now = kin.convected(ufl.as_vector(values), normal, self._deformation())
@@ -254,8 +256,11 @@ class ElementForms:
         """Virtual work of a pressure (a scalar function) against the current normal."""
         area = ufl.dot(kin.cofactor(self._deformation()), ufl.FacetNormal(self.elements.mesh))
         force = [-pressure * self._hoop() * area[i] for i in range(self.layout.dim)]
-        ds = self.elements.surface_measure(facets.facets)
+        ds = self._surface(facets)
         return sum(f * self.test[i] for i, f in enumerate(force)) * self.elements.turn * ds
+
+    def _surface(self, facets: Facets) -> Any:
+        return self.elements.surface_measure(self.elements.live_facets(facets.facets))
 
     def _hoop(self) -> Any:
         """Stretch along the hoop on surfaces of a body of revolution."""

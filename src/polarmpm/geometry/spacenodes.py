@@ -16,6 +16,7 @@ class SpaceNodes:
         position: coordinates (m), (n, d).
         number: global numbers (n,); contiguous over the ranks.
         owner: ranks that own them (n,).
+        block: unknowns of a node; columns of what is exchanged.
         start: global number of the first owned node.
     """
 
@@ -32,7 +33,7 @@ class SpaceNodes:
         self.owner[self.owned :] = index_map.owners
         self.position = space.tabulate_dof_coordinates()[:, :dim].copy()
         self._work = fem.Function(space)
-        self._size = int(space.dofmap.index_map_bs)
+        self.block = int(space.dofmap.index_map_bs)
 
     def __len__(self) -> int:
         return len(self.position)
@@ -41,10 +42,10 @@ class SpaceNodes:
         """Add ghosts' rows of values (n, block) to their owners'; ghost rows keep their part. Collective."""
         self._work.x.array[:] = values.ravel()
         compat.add_reverse(self._work)
-        values[: self.owned] = self._work.x.array.reshape(-1, self._size)[: self.owned]
+        values[: self.owned] = self._work.x.array.reshape(-1, self.block)[: self.owned]
 
     def update_ghosts(self, values: np.ndarray) -> None:
         """Overwrite ghosts' rows of values (n, block) with their owners'. Collective."""
         self._work.x.array[:] = values.ravel()
         self._work.x.scatter_forward()
-        values[self.owned :] = self._work.x.array.reshape(-1, self._size)[self.owned :]
+        values[self.owned :] = self._work.x.array.reshape(-1, self.block)[self.owned :]

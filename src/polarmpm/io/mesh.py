@@ -32,7 +32,7 @@ def mesh_piece(elements: Elements, names: Sequence[str], at_points: dict[str, np
         names: of all fields.
         at_points: values at the quadrature points (np, ...) of the fields that aren't nodal.
     """
-    own, cell = elements.cell_nodes[: len(elements.body.owned_cells)], elements.body.cell
+    own, cell = elements.live_nodes, elements.body.cell
     degree = elements.degree if elements.degree < 3 else 1
     if degree != elements.degree:
         own = own[:, : _CORNERS[cell]]  # the first nodes
@@ -52,10 +52,11 @@ def mesh_piece(elements: Elements, names: Sequence[str], at_points: dict[str, np
 
 
 def _of_cells(elements: Elements, name: str, values: np.ndarray) -> np.ndarray:
-    shape = len(elements.body.owned_cells), len(elements.reference_points)
+    shape = len(elements.live), len(elements.reference_points)
     each = values.reshape(*shape, *values.shape[1:])
     if name == "id":
-        return elements.body.original_cells
+        numbers: np.ndarray = elements.body.original_cells[elements.live]
+        return numbers
     if name == "material":
         return each[:, 0]
     return each.sum(axis=1) if name == "volume" else elements.cell_mean(values)

@@ -20,6 +20,7 @@ from ..tools.parallel import raise_on_all_ranks, values_by_number
 _OF_POINTS = ("X", "x", "F", "q", "wryness", "material")
 _OF_CELLS = ("X", "displacement", "q")
 _MORE = ("counted_from", "carried")  # of nodes, in some states
+_STAGED = ("placed", "volume0")  # of points of a body from which elements have been taken
 _NEAR = 1e-10  # of a cell; farther apart, two positions aren't the same
 
 
@@ -38,9 +39,12 @@ def header(problem: QuasiStaticFEM) -> dict[str, Any]:
 def arrays(problem: QuasiStaticFEM) -> dict[str, np.ndarray]:
     """This rank's rows by name."""
     e = problem.elements
-    nodes = e.cell_nodes[: len(e.body.owned_cells)]
+    nodes = e.cell_nodes[: len(e.body.owned_cells)]  # those in the body, and others
     names = [name for name in ("id", *_names(e.points)) if hasattr(e.points, name)]
     out = {f"points/{name}": getattr(e.points, name) for name in names}
+    if e.staged:
+        placed = np.tile(np.eye(e.dim), (len(e.points), 1, 1)) if e.placed is None else e.placed
+        out |= {"points/placed": placed, "points/volume0": e.points.volume0}
     out["cells/id"] = e.body.original_cells
     kept = {f"kept/{name}": a for name, a in problem.kept().items()}
     if kept:
@@ -69,8 +73,9 @@ def find(problem: QuasiStaticFEM, rows: dict[str, np.ndarray], path: Any) -> Fou
     e, p = problem.elements, problem.points
     given = {name.partition("/")[2] for name in rows if name.startswith("points/")}
     of_points, has_points = _find(
-        problem, rows, "points", tuple(name for name in _names(p) if name in given), p.id
+        problem, rows, "points", tuple(name for name in (*_names(p), *_STAGED) if name in given), p.id
     )
+    _check_stage(problem, rows, path, has_points)
     names = tuple(name[5:] for name in rows if name.startswith("kept/") and name != "kept/id")
     kept, has_kept = _find(problem, rows, "kept", names, p.id) if names else ({}, True)
     numbers = e.body.original_local_cells
@@ -82,7 +87,7 @@ def find(problem: QuasiStaticFEM, rows: dict[str, np.ndarray], path: Any) -> Fou
         has_points
         and has_cells
         and has_kept
-        and np.all(np.abs(of_points["X"] - p.X) <= near)
+        and ("placed" in given or np.all(np.abs(of_points["X"] - p.X) <= near))
         and np.all(np.abs(of_cells["X"] - e.nodes.position[e.cell_nodes]) <= near)
     ):
         error = InputError(f"restart file {path}: another mesh; its cells aren't where they were")
@@ -92,13 +97,26 @@ def find(problem: QuasiStaticFEM, rows: dict[str, np.ndarray], path: Any) -> Fou
     return Found(of_points, of_cells, kept)
 
 
+def _check_stage(problem: QuasiStaticFEM, rows: dict[str, np.ndarray], path: Any, all_there: bool) -> None:
+    """Refuse a state of other elements of the mesh. Collective."""
+    comm, count = problem.comm, len(problem.elements.reference_points)
+    saved, here = comm.allreduce(np.array([len(rows["points/id"]), len(problem.points)])) // count
+    if saved != here or ("points/placed" in rows and not comm.allreduce(int(all_there)) == comm.size):
+        raise InputError(
+            f"restart file {path}: its body has {saved} elements, this one {here}, or others: the script is "
+            "to remove and add the same ones before it reads the file"
+        )
+
+
 def put(problem: QuasiStaticFEM, found: Found) -> None:
     """Put a state into the elements."""
     e, p, of_cells = problem.elements, problem.points, found.of_cells
     for name in set(COUNTED_FIELDS) & set(vars(p)):
         delattr(p, name)  # displacements count as in the file
-    for name in set(found.of_points) - {"X", "material"}:
+    own = {"material", *_STAGED} | (set() if "placed" in found.of_points else {"X"})
+    for name in set(found.of_points) - own:
         setattr(p, name, found.of_points[name])
+    e.restore_stage(*(found.of_points.get(name) for name in _STAGED))
     problem.keep(found.kept)
     e.moved, e.q = np.zeros_like(e.moved), np.zeros_like(e.q)
     # backwards, so that a node gets what this rank's own cells say, which come first

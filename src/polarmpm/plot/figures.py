@@ -197,7 +197,7 @@ def _number_at(elements: Elements, at: str) -> int:
     checks.instance("elements", elements, Elements, "a meshed body, polarmpm.Elements(...), is")
     counts = {
         "nodes": len(elements.nodes),
-        "cells": len(elements.body.owned_cells),
+        "cells": len(elements.live),
         "points": len(elements.points),
     }
     if not isinstance(at, str) or at not in counts:

@@ -52,7 +52,7 @@ def gather_faces(elements: Elements, values: np.ndarray | None, nodal: bool) -> 
         values: of the local nodes, or of the own cells.
     """
     e = elements
-    cells = e.cell_nodes[: len(e.body.owned_cells)]
+    cells = e.live_nodes
     corners, rings = _rings(e.body.cell, e.degree)
     cell, face = (a.ravel() for a in np.indices((len(cells), len(rings))))
     if e.dim == 3:

@@ -85,8 +85,9 @@ def find_behind(problem: Body, surface: Surface) -> Found:
 def _of_cells(comm: MPI.Comm, points: Points, surface: FacetSurface) -> np.ndarray:
     """Rows of the materials of the elements behind each point of a surface (n,). Collective."""
     material = np.zeros(len(surface), dtype=np.int64)
-    in_cell = len(points) // max(1, len(surface.elements.body.owned_cells))
-    material[surface.rows] = points.material[surface.cells * in_cell]
+    live = surface.elements.live
+    in_cell = len(points) // max(1, len(live))
+    material[surface.rows] = points.material[np.searchsorted(live, surface.cells) * in_cell]
     comm.Allreduce(MPI.IN_PLACE, material)
     return material
 

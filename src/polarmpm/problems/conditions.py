@@ -268,8 +268,6 @@ class Conditions(Keeping, Whole, Turns):
             InputError: not a term, one that is in a problem already, or one that doesn't fit this problem.
         """
         self._check_outside("add")
-        if isinstance(term, Points):
-            raise InputError("add: points join bodies of material points; elements stay in their mesh")
         if not isinstance(term, Term):
             raise InputError(
                 f"term = {shown(term)} is not a Term; derive from polarmpm.Term or polarmpm.SurfaceTerm"

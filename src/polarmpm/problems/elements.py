@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -21,6 +21,7 @@ from ..conditions.supports import Support
 from ..errors import InputError
 from ..forms.elementkernels import NativeElementForms
 from ..forms.trial import try_energy
+from ..geometry.nodes import Nodes
 from ..geometry.planes import PlaneSpec
 from ..geometry.surfaces import Surface
 from ..kinematics import rotations
@@ -36,9 +37,9 @@ from ..tools.disposal import dispose_of_dropped
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from . import faceslopes, initial
-from .base import Problem
 from .conditions import AXIS
 from .described import described, of_rank
+from .elementstages import StagedElements
 from .facetloads import SurfaceLoad, Varying, carried_so_far, forms_of_loads
 from .given import Present
 from .locking import check_locking, warn_of_plastic_locking
@@ -49,7 +50,7 @@ from .whole import Changing
 ASSEMBLIES = ("native", "dolfinx")
 
 
-class QuasiStaticFEM(Problem):
+class QuasiStaticFEM(StagedElements):
     """Equilibrium of a mesh of finite elements under slowly changing loads. All methods are collective.
 
     Attributes:
@@ -181,13 +182,19 @@ class QuasiStaticFEM(Problem):
     def _admit(self, where: Any, support: Support) -> None:
         with errors_on_all_ranks(self.comm):
             prescribed = Prescribed(self.elements.nodes, [support], self.layout, self.comm)
-        own = self.elements.nodes.owned
-        check_held(prescribed, np.ones(own), self.progress.step)
+        here = self.elements.reached()[: self.elements.nodes.owned]
+        check_held(prescribed, here.astype(float), self.progress.step)
 
-    def add(self, term: Term, *, counts: str | None = None) -> None:
+    def _prescribed(self, nodes: Nodes, supports: Sequence[Support] | None = None) -> Prescribed:
+        made = super()._prescribed(nodes, supports)
+        if self.elements.staged:
+            made.fixed[~self.elements.reached()] = True
+        return made
+
+    def _add_term(self, term: Term, counts: str | None) -> None:
         if isinstance(term, SurfaceCondition):
             check_facets(term, self.elements)
-        super().add(term, counts=counts)
+        super()._add_term(term, counts)
         if isinstance(term, SurfaceCondition) and self.progress.step:
             term.start_from(*carried_so_far(self.elements, term))
 
@@ -329,7 +336,7 @@ class QuasiStaticFEM(Problem):
         with errors_on_all_ranks(self.comm):
             if of_points is not None:
                 forces, couples = of_points
-                density = np.concatenate([forces, couples], axis=1) / self.points.volume0[:, None]
+                density = np.concatenate([forces, couples], axis=1) / self.elements.mesh_volume[:, None]
                 self.forms.put_at_points(self._body, density)
             for load in self.surface_loads:
                 values = load.amplitude.at(factor, load.position) * load.share
@@ -411,6 +418,8 @@ class QuasiStaticFEM(Problem):
         if self._system is not None:
             self._system.destroy()
             self._system = None
+        if self.elements.staged:
+            self._renew_forms()  # they know the undeformed places
         self._rebase(None)
 
     # results --------------------------------------------------------------------------------------
@@ -433,5 +442,5 @@ class QuasiStaticFEM(Problem):
 
     def __repr__(self) -> str:
         e = self.elements
-        cells = f"{len(e.body.owned_cells)} {e.body.cell}s{of_rank(self.comm)}, degree {e.degree}"
+        cells = f"{len(e.live)} {e.body.cell}s{of_rank(self.comm)}, degree {e.degree}"
         return described(self, cells)

@@ -43,6 +43,7 @@ class Initial(Changeable):
     timer: Timer
     at_rest = balanced_at_rest = False
     typical_force = 0.0
+    carried_is_found = False  # what elements carry along isn't looked for again
     _initial_energy = 0.0  # J, that the stress has stored
 
     @collective("initial_stress", compare=True)
@@ -110,14 +111,6 @@ class Initial(Changeable):
         self._count_from_here()
         self._stale = True  # supports know the nodes' motion
 
-    def remove(self, selection: Any, *, over: float | None = None, until: float | None = None) -> Any:
-        """Take points out of the body; not of elements.
-
-        Raises:
-            InputError: always, of elements.
-        """
-        raise InputError("remove: elements stay in their mesh; excavation and fill are for material points")
-
     def _count_from_here(self) -> None:
         self.points.counted_from = self.points.x.copy()
 
@@ -129,7 +122,7 @@ class Initial(Changeable):
         self._stress_points(self.points, stress, overconsolidation)
         self.first_materials = self._settled = self.points.materials
         self._renew_forms()
-        self.typical_force = self._typical(stress)
+        self.typical_force, self.carried_is_found = self._typical(stress), False
         stored = self.energy()  # type: ignore[attr-defined]
         self.progress.external_work += stored - self._initial_energy
         self._initial_energy = stored
@@ -235,7 +228,8 @@ def _hardening(material: Any, stress: np.ndarray, ratio: float) -> np.ndarray:
 def carried(problem: Any, system: NodalSystem, before: np.ndarray | None) -> np.ndarray | None:
     """Forces (nodes, block) on the nodes of elements that hold an initial stress, as far as the elements
     can't balance it; put into the system. Those of before the first step are found anew. Collective."""
-    if problem.at_rest and problem.balanced_at_rest and not problem.progress.step:
+    found = problem.progress.step or problem.carried_is_found
+    if problem.at_rest and problem.balanced_at_rest and not found:
         problem._put_loads(system, problem.progress.factor)
         act_from_the_beginning(system.terms.pieces)
         check_equilibrium(problem, system, _OF_ELEMENTS)

@@ -134,7 +134,7 @@ def report(
     elements = {}
     if isinstance(problem, QuasiStaticFEM):
         known = ("elements", "degree", "steps")
-        elements = {"elements": comm.allreduce(len(problem.elements.body.owned_cells))}
+        elements = {"elements": comm.allreduce(len(problem.elements.live))}
     summary = {
         "case": case,
         "parameters": {**{k: getattr(args, k) for k in known if k in args}, "ranks": comm.size, **parameters},
