@@ -57,6 +57,7 @@ class Problem(Results):
             checks.instance("controls", controls, Controls, "polarmpm.Controls(...), or None, is")
         self.controls, self.timer = controls or Controls(), Timer()
         self.observers: list[Observer] = []
+        self._probes: dict[str, Any] = {}
         self.rows: dict[str, np.ndarray] = {}
         self.steps: list[Step] = []
         self._fields = StateFields(comm)
