@@ -57,7 +57,7 @@ class Table:
         path: of the file; missing folders are made, an old file is overwritten by the first row.
         problem: whose probes (`problem.probe`) have columns, also those that are made later, before the
             first row.
-        comm: of the ranks that record, by default the problem's; rank 0 writes.
+        comm: of the ranks that record, where no problem is given; rank 0 writes.
         **columns: functions without arguments, called on all ranks, that return a number, a vector or a
             dictionary of them; a vector `tip` becomes the columns tip_x, tip_y and tip_z (tip_0, tip_1, ...
             beyond three), a tensor (3, 3) `s` s_xx, s_xy and so on, a dictionary `energies` the columns
@@ -69,7 +69,7 @@ class Table:
 
     @collective(
         "Table",
-        comm=lambda self, path, problem=None, *, comm=None, **columns: _comm_of(problem, comm),
+        comm=lambda self, path, problem=None, *, comm=MPI.COMM_WORLD, **columns: _comm_of(problem, comm),
         compare=True,
     )
     def __init__(
@@ -77,7 +77,7 @@ class Table:
         path: str | os.PathLike[str],
         problem: Problem | None = None,
         *,
-        comm: MPI.Comm | None = None,
+        comm: MPI.Comm = MPI.COMM_WORLD,
         **columns: Callable[[], Any],
     ):
         if problem is not None:
@@ -219,10 +219,9 @@ class Table:
         return b"".join(lines)[:size]
 
 
-def _comm_of(problem: Any, comm: MPI.Comm | None) -> MPI.Comm:
-    if comm is None:
-        comm = getattr(problem, "comm", MPI.COMM_WORLD)
-    return comm
+def _comm_of(problem: Any, comm: MPI.Comm) -> MPI.Comm:
+    of_problem: MPI.Comm = getattr(problem, "comm", comm)
+    return of_problem
 
 
 def _of_step(step: Step) -> tuple[Any, ...]:
