@@ -113,6 +113,15 @@ class Results(Initial, Face):
             return e.reaction(support, point)
         raise InputError(f"reaction: no load step has been solved yet with {support.name}")
 
+    def trust(self) -> str:
+        """How far the run can be trusted, in a line."""
+        if not self.progress.step:
+            return "no measure of trust: no step yet"
+        return (
+            "in equilibrium to the tolerances; what the mesh leaves out isn't measured: compare with cells "
+            "of half the size (docs/accuracy.md)"
+        )
+
     @collective("balance", compare=True)
     def balance(self, about: Any = None) -> Balance:
         """Loads, reactions and what else acts on the body in the last converged step: forces, and moments
