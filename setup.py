@@ -1,11 +1,17 @@
-"""Builds the one compiled file of the package; everything else is in pyproject.toml."""
+"""Builds the one compiled file of the package, and states the licence; the rest is in pyproject.toml."""
 
 from glob import glob
 
+import setuptools
 from setuptools import Extension, setup
 
-# A plain shared library, loaded with ctypes: it needs neither Python's nor NumPy's headers.
+# setuptools knows SPDX expressions from 77 on; Debian 12's 66 would refuse one in pyproject.toml.
+NEW = int(setuptools.__version__.split(".")[0]) >= 77
+LICENCE = {"license_expression": "MIT"} if NEW else {"license": "MIT"}
+
 setup(
+    **LICENCE,
+    # a plain shared library, loaded with ctypes: it needs neither Python's nor NumPy's headers
     ext_modules=[
         Extension(
             "polarmpm.kernels._native",
@@ -14,5 +20,5 @@ setup(
             # Python's own flags hold -fwrapv, with which the loops' addresses cost a fifth of a residual
             extra_compile_args=["-O3", "-std=gnu11", "-fno-math-errno", "-fno-wrapv"],
         )
-    ]
+    ],
 )

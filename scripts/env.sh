@@ -1,15 +1,24 @@
-# The environment in which everything runs. Source it from the repository's root: . scripts/env.sh
+# The environment in which everything runs. Source it in the repository's root: . scripts/env.sh
+# It changes the variables below and nothing else; those that a shell has set already stay, but for the search path.
+
+if ! grep -q '^name = "polarmpm"' "$PWD/pyproject.toml" 2>/dev/null || [ ! -f "$PWD/scripts/env.sh" ]; then
+  echo "env.sh: $PWD isn't polarmpm's folder; cd to the repository's root first, then: . scripts/env.sh" >&2
+  # shellcheck disable=SC2317 # where it is run instead of sourced
+  return 1 2>/dev/null || exit 1
+fi
 
 # /usr/bin comes before what follows it on PATH: the compiler and mpirun must be the ones that the
 # distribution's dolfinx was built with. Packages in ~/.local would hide those of the distribution.
-export PATH="$PWD/.venv/bin:/usr/bin:$PATH"
+case $PATH in
+  "$PWD/.venv/bin:/usr/bin:"*) ;;
+  *) export PATH="$PWD/.venv/bin:/usr/bin:$PATH" ;;
+esac
 export PYTHONNOUSERSITE=1
 
 # OpenBLAS' threads make MUMPS several times slower. The hash seed only makes runs repeatable: keys in the cache
 # of compiled forms don't depend on it.
-export OMP_NUM_THREADS=1
-export PYTHONHASHSEED=0
-export MPLBACKEND="${MPLBACKEND:-agg}"
+export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"
+export PYTHONHASHSEED="${PYTHONHASHSEED:-0}"
 
 # OpenMPI 4 (OMPI_MCA_*) and 5 (PRTE_MCA_*): run as root, run more ranks than there are cores, and don't pin ranks
 # to cores, because two runs at the same time would be pinned to the same ones.
@@ -19,10 +28,7 @@ export OMPI_MCA_rmaps_base_oversubscribe=1 PRTE_MCA_rmaps_default_mapping_policy
 export OMPI_MCA_mpi_yield_when_idle=1
 export OMPI_MCA_hwloc_base_binding_policy=none PRTE_MCA_hwloc_default_binding_policy=none
 
-# dolfinx reads the time that a process waits for another one's JIT compile from here (written by setup.sh).
-export XDG_CONFIG_HOME="$PWD/.venv/config"
-
-# The JIT cache is in its default place, ~/.cache/fenics, unless there's no home to write to.
+# Compiled code is kept in its default place, ~/.cache/polarmpm, unless there's no home to write to.
 if [ ! -w "${HOME:-/nonexistent}" ]; then
-  export XDG_CACHE_HOME="${XDG_CACHE_HOME:-$PWD/.cache}"
+  export POLARMPM_CACHE="${POLARMPM_CACHE:-$PWD/.cache/polarmpm}"
 fi

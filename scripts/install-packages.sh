@@ -26,7 +26,32 @@ fi
 
 echo "set-up: installing $missing(on a fresh system 550 MB to download, some minutes)"
 log=$(mktemp)
-trap 'rm -f "$log"' EXIT
+watcher=
+done_() {
+  [ -z "$watcher" ] || kill "$watcher" 2>/dev/null || true
+  rm -f "$log"
+}
+trap done_ EXIT
+trap 'exit 1' INT TERM
+
+# A line every ten seconds while apt-get works, of what its log has: a silent minute looks like a fault.
+progress() {
+  while sleep 10; do
+    total=$(sed -n 's/.* \([0-9][0-9]*\) newly installed.*/\1/p' "$log" | tail -n 1)
+    fetched=$(grep -c '^Get:' "$log" || true)
+    unpacked=$(grep -c '^Unpacking ' "$log" || true)
+    ready=$(grep -c '^Setting up ' "$log" || true)
+    if [ -z "$total" ]; then
+      echo "set-up: reading the lists of packages"
+    elif [ "$unpacked" = 0 ]; then
+      echo "set-up: about $fetched files fetched, $total packages wanted"
+    else
+      echo "set-up: $unpacked of $total packages unpacked, $ready set up"
+    fi
+  done
+}
+progress &
+watcher=$!
 export DEBIAN_FRONTEND=noninteractive
 apt_get() {
   apt-get -q -o Acquire::Retries=5 -o DPkg::Lock::Timeout=600 -o Dpkg::Use-Pty=0 "$@" >>"$log" 2>&1 </dev/null

@@ -28,12 +28,6 @@ rm -f "$stamp"
 # All dependencies are Debian's, so nothing is to be fetched; neither are the build tools.
 .venv/bin/python -m pip --quiet --disable-pip-version-check --no-cache-dir install \
   --no-index --no-deps --no-build-isolation --editable .
-# dolfinx' processes wait for another one's JIT compile for 10 s by default, which isn't enough on a busy machine.
-# 0.5 and the later releases read different files.
-mkdir -p .venv/config/dolfinx
-for name in jit_parameters jit_options; do
-  echo '{"timeout": 600}' >".venv/config/dolfinx/dolfinx_$name.json"
-done
 # That both are found; polarmpm isn't imported, so that work in progress on it doesn't stop its installation.
 (. scripts/env.sh && cd / && python -c 'import dolfinx, importlib.util as u; assert u.find_spec("polarmpm")')
 installation >"$stamp"

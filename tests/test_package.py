@@ -1,7 +1,12 @@
 """The package can be imported, and one place states its version."""
 
+import json
 import re
+import subprocess
+import tomllib
 from pathlib import Path
+
+import pytest
 
 import polarmpm
 
@@ -38,3 +43,55 @@ def test_changelog_has_this_version_on_top():
 
 def _numbers(version: str) -> list[int]:
     return [int(n) for n in version.split(".")]
+
+
+# installation -------------------------------------------------------------------------------------------
+def sourced(folder: Path, command: str) -> subprocess.CompletedProcess:
+    script = f'. "{ROOT}/scripts/env.sh"; status=$?; {command}; exit $status'
+    return subprocess.run(["sh", "-c", script], cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_the_environment_refuses_other_folders(tmp_path):
+    """Paths of a foreign folder would hide the distribution's Python."""
+    done = sourced(tmp_path, "echo $PATH")
+    assert done.returncode == 1
+    assert "isn't polarmpm's folder" in done.stderr
+    assert str(tmp_path) not in done.stdout
+
+
+def test_the_environment_changes_its_own_variables_only():
+    before = {
+        "PATH": "/usr/bin:/bin",
+        "HOME": str(ROOT),
+        "OMP_NUM_THREADS": "3",
+        "XDG_CACHE_HOME": "/nowhere",
+    }
+    script = f'. "{ROOT}/scripts/env.sh" && env'
+    done = subprocess.run(
+        ["sh", "-c", script], cwd=ROOT, env=before, capture_output=True, text=True, check=True
+    )
+    after = dict(line.split("=", 1) for line in done.stdout.splitlines() if "=" in line)
+    changed = {name for name in after if after[name] != before.get(name)} - {"PWD", "OLDPWD", "SHLVL", "_"}
+    own = re.compile("PATH|PYTHONNOUSERSITE|PYTHONHASHSEED|OMP_NUM_THREADS|POLARMPM_.*|(OMPI|PRTE)_.*")
+    assert all(own.fullmatch(name) for name in changed), changed
+    assert "OMP_NUM_THREADS" not in changed
+    assert after["PATH"].startswith(str(ROOT / ".venv" / "bin"))
+
+
+def test_the_recipe_is_of_this_version_and_needs_what_pip_does():
+    yaml = pytest.importorskip("yaml")
+    recipe = yaml.safe_load((ROOT / "packaging" / "conda" / "recipe.yaml").read_text())
+    assert recipe["context"]["version"] == VERSION
+    assert recipe["about"]["license"] == "MIT"
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = {re.sub(r"^matplotlib\b", "matplotlib-base", need) for need in project["dependencies"]}
+    assert wanted <= {need.replace(" ", "") for need in recipe["requirements"]["run"]}
+    assert f"python {project['requires-python']}" in recipe["requirements"]["run"]
+
+
+def test_the_container_of_an_editor_builds_from_files_that_exist():
+    folder = ROOT / ".devcontainer"
+    told = json.loads((folder / "devcontainer.json").read_text())
+    text = (folder / told["build"]["dockerfile"]).read_text()
+    for line in re.findall(r"^COPY (.+)$", text, re.MULTILINE):
+        assert all((ROOT / name).exists() for name in line.split()[:-1]), line

@@ -313,6 +313,7 @@ def test_table_has_a_row_for_each_step(folder):
         "couple": lambda: np.array([4.0]),
         "modes": lambda: [1, 2, 3, 4],
         "work": lambda: state["k"],
+        "s": lambda: np.array([[1.0, 2.0], [3.0, 4.0]]),
     }
     with Table(path, **columns) as table:
         for state["k"], step in enumerate(steps(3), start=1):
@@ -321,12 +322,12 @@ def test_table_has_a_row_for_each_step(folder):
             COMM.barrier()
     with path.open(newline="") as file:
         header, *rows = csv.reader(file)
-    user = "tip_x tip_y tip_z tilt_x tilt_y couple modes_0 modes_1 modes_2 modes_3 work"
-    assert header == ["step", "factor", "iterations", "force", "energy", *user.split()]
+    user = "tip_x tip_y tip_z tilt_x tilt_y couple modes_0 modes_1 modes_2 modes_3 work s_xx s_xy s_yx s_yy"
+    assert header == ["step", "factor", "iterations", "newton_force", "newton_energy", *user.split()]
     assert rows[2][:3] == ["3", "1.0", "2"]
     table = read_table(path)
     np.testing.assert_array_equal(table["factor"], [1 / 3, 2 / 3, 1.0])
-    np.testing.assert_array_equal(table["force"], 1e-9 / np.arange(1, 4))
+    np.testing.assert_array_equal(table["newton_force"], 1e-9 / np.arange(1, 4))
     np.testing.assert_array_equal(table["tip_z"], np.arange(1, 4) * (1 / 3))
     np.testing.assert_array_equal(table["modes_3"], [4, 4, 4])
 
@@ -349,13 +350,13 @@ def test_table_of_a_run(folder):
 def test_table_refuses(folder):
     path = folder / "run.csv"
     (step,) = steps(1)
-    with pytest.raises(pm.InputError, match="column 'force' is taken"):
-        Table(path, force=lambda: 1.0)
+    with pytest.raises(pm.InputError, match="column 'newton_force' is taken"):
+        Table(path, newton_force=lambda: 1.0)
     with pytest.raises(pm.InputError, match=r"column 'tip' = 3: a function"):
         Table(path, tip=3)
     with pytest.raises(pm.InputError, match="with statement"):
         Table(path).record(step)
-    for value, shown in ((np.eye(3), r"shape \(3, 3\)"), ("much", "'much'")):
+    for value, shown in ((np.ones((2, 3)), r"shape \(2, 3\)"), ("much", "'much'")):
         with (
             Table(path, F=lambda value=value: value) as table,
             pytest.raises(pm.InputError, match=rf"column 'F': .*{shown} is neither"),

@@ -104,6 +104,7 @@ class Basis(ABC):
             0: there are none that suit.
         patch_linear: with linear functions; else with constants.
         patch_stiffness: of what holds elastic points to their patch, over the shear modulus.
+        costly: others reach the same error in less time (docs/accuracy.md), which problems say.
         fills_boxes: second derivatives are known (`curvatures`), so that points integrate over their own
             boxes.
         thin_reach: some points reach nodes by so little of their domains that balancing forces there by
@@ -118,6 +119,7 @@ class Basis(ABC):
     no_projection: str = ""
     no_slope: str = "it doesn't say which of its functions have a slope on a plane"
     locks: bool = False
+    costly: bool = False
     sliver: float = 0.0
     uses_domains: bool = False
     thin_reach: bool = False

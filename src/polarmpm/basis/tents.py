@@ -16,7 +16,7 @@ class Tents(Basis):
     degree = 1
     gradients_jump = True
     no_slope = "its functions have kinks at the planes of the grid, and no slope there"
-    locks = True
+    locks = costly = True
     patch = 1
     patch_stiffness = 0.5
 

@@ -34,6 +34,7 @@ class PointState:
         H: second gradient of the motion (1/m), 3 x 3 x 3; None of a material without second gradients.
         Q: microrotation; None of a classical material.
         Fe, Ge: elastic parts of F and Gamma, F and Gamma themselves of an elastic material.
+        Fp: plastic part of F; the identity of an elastic material.
         chi: hardening variable; None of an elastic material.
     """
 
@@ -45,6 +46,7 @@ class PointState:
         self.F, self.Gamma = matrix(f, 3, 3), matrix(wryness, 3, 3)
         self.Q = kin.quaternion_tensor([q[i] for i in range(4)]) if material.micropolar else None
         self.Fe, self.Ge, self.chi = _elastic_parts(self.F, self.Gamma, plastic)
+        self.Fp = matrix(plastic[0], 3, 3) if plastic else ufl.Identity(3)
 
     @cached_property
     def _stretch(self) -> Any:
@@ -139,6 +141,8 @@ class MaterialField:
         unit: of its values.
         plastic: computed of materials that can yield only, and zero of others.
         second_gradient: computed of materials with second gradients only, and zero of others.
+        after: a function of the computed rows (n, ...) in NumPy, which gives rows: for what UFL has no words
+            for, such as eigenvalues.
 
     Raises:
         InputError: no name, or not a function of one argument.
@@ -152,8 +156,12 @@ class MaterialField:
     unit: str = ""
     plastic: bool = False
     second_gradient: bool = False
+    after: Callable[[np.ndarray], np.ndarray] | None = None
 
     def __post_init__(self) -> None:
+        if self.after is not None:
+            name = f"MaterialField {self.name!r}: after"
+            checks.function(name, self.after, "a function of rows (n, ...) is", takes=("rows",))
         check_field(self, "a function of a PointState in UFL is", "state")
         checks.flag(f"MaterialField {self.name!r}: second_gradient", self.second_gradient)
 
@@ -173,6 +181,31 @@ def check_field(field: Any, what: str, takes: str) -> None:
     checks.flag(f"{kind} {name!r}: plastic", field.plastic)
 
 
+def _principal(rows: np.ndarray) -> np.ndarray:
+    """Eigenvalues (n, 3) of symmetric tensors (n, 3, 3), the largest first."""
+    values: np.ndarray = np.linalg.eigvalsh(rows)[:, ::-1]
+    return values
+
+
+def _half_logarithm(rows: np.ndarray) -> np.ndarray:
+    """ln(C)/2 (n, 3, 3) of symmetric, positive tensors."""
+    values, vectors = np.linalg.eigh(rows)
+    found: np.ndarray = np.einsum("nij,nj,nkj->nik", vectors, 0.5 * np.log(values), vectors)
+    return found
+
+
+def _equivalent(rows: np.ndarray) -> np.ndarray:
+    """sqrt(2/3 e : e) (n,) of the deviators e of ln(C)/2."""
+    strain = _half_logarithm(rows)
+    deviator = strain - np.trace(strain, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
+    size: np.ndarray = np.sqrt(2 / 3 * np.einsum("nij,nij->n", deviator, deviator))
+    return size
+
+
+def _plastic_metric(s: PointState) -> Any:
+    return ufl.dot(ufl.transpose(s.Fp), s.Fp)
+
+
 TABLE: dict[str, MaterialField] = {
     field.name: field
     for field in (
@@ -183,7 +216,12 @@ TABLE: dict[str, MaterialField] = {
         MaterialField("mean_pressure", lambda s: -ufl.tr(s.stress) / 3, "Pa"),
         MaterialField("p", lambda s: -ufl.tr(s.stress) / 3, "Pa"),  # as soils have it beside q
         MaterialField("q", lambda s: s.q, "Pa"),
+        MaterialField("von_mises", lambda s: s.q, "Pa"),  # the same, as metals have it
         MaterialField("lode_angle", lambda s: s.lode_angle, "rad"),
+        MaterialField("principal_stress", lambda s: ufl.sym(s.stress), "Pa", after=_principal),
+        MaterialField("skew_stress", lambda s: ufl.skew(s.stress), "Pa"),
+        MaterialField("plastic_strain", _plastic_metric, plastic=True, after=_half_logarithm),
+        MaterialField("equivalent_plastic_strain", _plastic_metric, plastic=True, after=_equivalent),
     )
 }
 MECHANICAL = tuple(TABLE[name] for name in ("energy", "stress", "couple_stress"))  # share a kernel
@@ -237,5 +275,24 @@ class FieldForm:
             shape = expression.ufl_shape
             last = first + int(np.prod(shape, dtype=int))
             out[field.name] = rows[:, first:last].reshape(len(rows), *shape)
+            if field.after is not None:
+                out[field.name] = _changed(field, out[field.name])
             first = last
         return out
+
+
+def _changed(field: MaterialField, rows: np.ndarray) -> np.ndarray:
+    """What a field's NumPy function makes of the computed rows.
+
+    Raises:
+        InputError: not numbers, or not a row for each point.
+    """
+    assert field.after is not None
+    with checks.evaluating(f"field {field.name!r}"):
+        values = np.asarray(field.after(rows))
+    if values.dtype.kind not in "biuf" or values.shape[:1] != (len(rows),) or 0 in values.shape[1:]:
+        raise InputError(
+            f"field {field.name!r}: after gives values of type {values.dtype} and shape {values.shape}; "
+            f"numbers, a row for each of the {len(rows)} points, are needed"
+        )
+    return values

@@ -120,8 +120,11 @@ def _of_motion(field: AnyField) -> bool:
     return isinstance(field, Field) and field.moving
 
 
-def field_arrays(problem: Any, fields: Sequence[AnyField]) -> dict[str, np.ndarray]:
-    """The local points' values of these fields by name, vectors with three components. Collective.
+def field_arrays(problem: Any, fields: Sequence[AnyField], pad: bool = True) -> dict[str, np.ndarray]:
+    """The local points' values of these fields by name. Collective.
+
+    Args:
+        pad: vectors get three components in the plane, too.
 
     Raises:
         InputError: a user's function doesn't give a row for each point; on every rank.
@@ -131,7 +134,7 @@ def field_arrays(problem: Any, fields: Sequence[AnyField]) -> dict[str, np.ndarr
     with errors_on_all_ranks(problem.comm):
         for field in fields:
             if isinstance(field, Field):
-                found[field.name] = _values(field, problem.points)
+                found[field.name] = _values(field, problem.points, pad)
     return {field.name: found[field.name] for field in fields}
 
 
@@ -147,7 +150,7 @@ def field_values(problem: Any, field: str | AnyField) -> np.ndarray:
     return field_arrays(problem, (chosen,))[chosen.name]
 
 
-def _values(field: Field, points: Points) -> np.ndarray:
+def _values(field: Field, points: Points, pad: bool) -> np.ndarray:
     with checks.evaluating(f"field {field.name!r}"):
         values = np.asarray(field.function(points))
     if values.dtype.kind not in "biuf":
@@ -159,6 +162,4 @@ def _values(field: Field, points: Points) -> np.ndarray:
         )
     if 0 in values.shape[1:]:
         raise InputError(f"field {field.name!r}: the shape {values.shape} has no values")
-    if values.dtype.kind not in "biuf":
-        raise InputError(f"field {field.name!r}: values of the type {values.dtype}; numbers are needed")
-    return padded(values) if values.ndim == 2 and values.shape[1] == points.dim else values
+    return padded(values) if pad and values.ndim == 2 and values.shape[1] == points.dim else values

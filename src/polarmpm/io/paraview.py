@@ -26,6 +26,7 @@ from .files import (
     remove_files,
     replace_file,
 )
+from .naming import component_names
 
 # dolfinx' nodes in VTK's order, by meshio's name of the cell: corners (in dolfinx with the first axis
 # running fastest), then edges, faces and the middle
@@ -84,9 +85,25 @@ def write_vtu(
         point_data={name: _rows(a) for name, a in (point_data or {}).items()},
         cell_data={name: [_rows(a)] for name, a in (cell_data or {}).items()},
     )
+    fields = {**(point_data or {}), **(cell_data or {})}
     with Replacement(path) as new:
         meshio.write(new.part, mesh, file_format="vtu", binary=True, compression="zlib")
+        _name_components(new.part, {name: component_names(name, a.shape[1:]) for name, a in fields.items()})
         new.finish()
+
+
+def _name_components(path: Path, names: dict[str, list[str]]) -> None:
+    """Name the components of tensors and principal values in a file that meshio has written, which knows no
+    names: "xx" in the place of "0". ParaView names those of vectors itself."""
+    told = {name: ends for name, ends in names.items() if len(ends) > 1 and ends != ["x", "y", "z"]}
+    if not told:
+        return
+    content = Path(path).read_bytes()
+    for name, ends in told.items():
+        mark = f' Name="{name}"'.encode()
+        named = "".join(f' ComponentName{k}="{end}"' for k, end in enumerate(ends)).encode()
+        content = content.replace(mark, mark + named, 1)
+    Path(path).write_bytes(content)
 
 
 def _rows(values: np.ndarray) -> np.ndarray:

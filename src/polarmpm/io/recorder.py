@@ -43,14 +43,15 @@ class Recorder:
         path: of the collection, ending in .pvd; missing folders are made.
         problem: whose states are written.
         fields: any of displacement (m), rotation (rotation vector, rad), F, stretch (U), wryness (1/m),
-            stress (Cauchy, Pa), couple_stress (N/m), mean_pressure (Pa), p (the same), q (Pa), lode_angle
-            (rad), energy (per reference volume, Pa), volume (m^3; m^2 in plane strain), id, material,
-            unresolved (share of the last step's work that is done inside a point's box); with plastic
-            materials hardening (chi) and dissipation (per reference volume, Pa); with second-gradient
-            materials grad_F (1/m) and double_stress (N/m); in dynamic problems velocity (m/s) and spin
-            (rad/s). Tensors have 9 components, row by row, grad_F and double_stress 27. A field of your own
-            is a `Field`, a function of the points, or a `MaterialField`, a UFL expression:
-            `pm.Field("J", lambda points: np.linalg.det(points.F))`,
+            stress (Cauchy, Pa), couple_stress (N/m), mean_pressure (Pa), p (the same), q (Pa), von_mises (the
+            same), lode_angle (rad), principal_stress (Pa, the largest first), skew_stress (Pa), energy (per
+            reference volume, Pa), volume (m^3; m^2 in plane strain), id, material, unresolved (share of the
+            last step's work that is done inside a point's box); with plastic materials hardening (chi),
+            plastic_strain (logarithmic), equivalent_plastic_strain and dissipation (per reference volume,
+            Pa); with second-gradient materials grad_F (1/m) and double_stress (N/m); in dynamic problems
+            velocity (m/s) and spin (rad/s). Tensors have 9 components, row by row, named xx, xy and so on,
+            grad_F and double_stress 27. A field of your own is a `Field`, a function of the points, or a
+            `MaterialField`, a UFL expression: `pm.Field("J", lambda points: np.linalg.det(points.F))`,
             `pm.MaterialField("deviator", lambda s: ufl.dev(s.stress), "Pa")`.
         grid: also write the occupied cells of the background grid to `arch_grid.pvd`, at their position
             at the last reset, with displacement_increment (m) and rotation_increment (rad) since then.

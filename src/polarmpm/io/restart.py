@@ -36,6 +36,7 @@ from ..tools.parallel import raise_on_all_ranks
 from . import container, meshstate
 from .files import reason
 from .identity import Facts, check_allowed, check_points, differences, made_of, refuse_differences
+from .probes import restore_probes
 
 _FORMAT = 9
 _KIND = f"format {_FORMAT}"
@@ -67,6 +68,7 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
     }
     found = problem.equilibrium_state()
     about["sizes"] = problem.step_sizes
+    about["probes"] = {name: probe.saved() for name, probe in problem.probes.items()}
     if found is not None:
         about["equilibrium"], rows = found
         arrays |= {f"equilibrium/{name}": a for name, a in rows.items()}
@@ -253,6 +255,7 @@ def _put(problem: Problem, saved: _Saved, path: Path, differing: frozenset[str])
     problem.restored = Restored(progress.step, known, problem.step_sizes)
     if "equilibrium" in saved.about:
         problem.restore_equilibrium(saved.about["equilibrium"], saved.group("equilibrium"))
+    restore_probes(problem, saved.about.get("probes", {}))
 
 
 def _put_points(problem: QuasiStatic, saved: _Saved, differing: frozenset[str]) -> None:

@@ -15,6 +15,7 @@ from mpi4py import MPI
 import numpy as np
 
 from ..errors import InputError
+from ..problems.base import Problem
 from ..solvers.stepping import Restored, Step
 from ..tools import checks
 from ..tools.caller import warn
@@ -29,17 +30,18 @@ from .files import (
     reason,
     replace_file,
 )
+from .naming import named_components
 
-_STEP_COLUMNS = ("step", "factor", "iterations", "force", "energy")
+_STEP_COLUMNS = ("step", "factor", "iterations", "newton_force", "newton_energy")
 
 
 class Table:
     """Load-displacement table; all methods are collective, rank 0 writes. Every row is on disk at once.
 
-    Columns: step, factor (load factor), iterations, force and energy (Newton's final measures, T
-    (2.53)-(2.54)), then the user's.
+    Columns: step, factor (load factor), iterations, newton_force and newton_energy (Newton's final measures,
+    T (2.53)-(2.54)), then those of the problem's probes, if it is given, then the user's.
 
-        with pm.Table("arch.csv", tip=lambda: points.mean_displacement(tip)) as table:
+        with pm.Table("arch.csv", problem, tip=lambda: points.mean_displacement(tip)) as table:
             for step in problem.march(10):
                 table.record(step)
 
@@ -53,26 +55,41 @@ class Table:
 
     Args:
         path: of the file; missing folders are made, an old file is overwritten by the first row.
-        comm: of the ranks that record; rank 0 writes.
+        problem: whose probes (`problem.probe`) have columns, also those that are made later, before the
+            first row.
+        comm: of the ranks that record, where no problem is given; rank 0 writes.
         **columns: functions without arguments, called on all ranks, that return a number, a vector or a
             dictionary of them; a vector `tip` becomes the columns tip_x, tip_y and tip_z (tip_0, tip_1, ...
-            beyond three), a dictionary `energies` the columns energies_stored and so on.
+            beyond three), a tensor (3, 3) `s` s_xx, s_xy and so on, a dictionary `energies` the columns
+            energies_stored and so on.
 
     Raises:
         InputError: a column's name is taken, or the file can't be written; on every rank alike.
     """
 
-    @collective("Table", comm=lambda self, path, *, comm=MPI.COMM_WORLD, **columns: comm, compare=True)
+    @collective(
+        "Table",
+        comm=lambda self, path, problem=None, *, comm=MPI.COMM_WORLD, **columns: _comm_of(problem, comm),
+        compare=True,
+    )
     def __init__(
-        self, path: str | os.PathLike[str], *, comm: MPI.Comm = MPI.COMM_WORLD, **columns: Callable[[], Any]
+        self,
+        path: str | os.PathLike[str],
+        problem: Problem | None = None,
+        *,
+        comm: MPI.Comm = MPI.COMM_WORLD,
+        **columns: Callable[[], Any],
     ):
+        if problem is not None:
+            checks.instance("problem", problem, Problem, "a problem, or None, is")
         for name, function in columns.items():
             if name in _STEP_COLUMNS:
                 raise InputError(f"column {name!r} is taken; there is one already in every table")
             if not callable(function):
                 raise InputError(f"column {name!r} = {function!r}: a function without arguments is needed")
-        self.comm, self.columns = checks.communicator("comm", comm), columns
-        self.path = check_output(comm, path)
+        self.comm, self.columns = checks.communicator("comm", _comm_of(problem, comm)), columns
+        self.problem = problem
+        self.path = check_output(self.comm, path)
         self._header: list[str] = []
         self._open = False
         self._size: int | None = None  # bytes of the file; None: this table has no row yet
@@ -104,7 +121,7 @@ class Table:
         check_writer(self.path, self._writer)
         row: dict[str, Any] = dict(zip(_STEP_COLUMNS, _of_step(step), strict=True))
         with errors_on_all_ranks(self.comm, f"the columns of the table {self.path}"):
-            for name, function in self.columns.items():
+            for name, function in {**self._of_probes(), **self.columns}.items():
                 for key, number in _expand(name, function()).items():
                     if key in row:
                         what = f"there are two of this name, one of them from {name!r}"
@@ -125,6 +142,13 @@ class Table:
         self._header = header
 
     __call__ = record
+
+    def _of_probes(self) -> dict[str, Callable[[], Any]]:
+        probes = {} if self.problem is None else self.problem.probes
+        both = sorted(set(probes) & {*self.columns, *_STEP_COLUMNS})
+        if both:
+            raise InputError(f"column {both[0]!r}: there is a probe of this name; give one of them another")
+        return probes
 
     # the file, on rank 0 ----------------------------------------------------------------------------
     def _write(self, run: Restored | None, header: list[str], values: list[Any]) -> None:
@@ -195,6 +219,11 @@ class Table:
         return b"".join(lines)[:size]
 
 
+def _comm_of(problem: Any, comm: MPI.Comm) -> MPI.Comm:
+    of_problem: MPI.Comm = getattr(problem, "comm", comm)
+    return of_problem
+
+
 def _of_step(step: Step) -> tuple[Any, ...]:
     force, energy = step.history[-1]
     return int(step.number), float(step.factor), step.iterations, float(force), float(energy)
@@ -225,6 +254,8 @@ def _expand(name: str, value: Any) -> dict[str, float]:
         good = False
     if not good:
         raise InputError(f"column {name!r}: {checks.shown(value)} is neither a number nor a vector")
+    if numbers.ndim in (2, 3) and len(set(numbers.shape)) == 1 and len(numbers) in (2, 3):
+        return {f"{name}_{end}": v for end, v in named_components(name, numbers).items()}
     if numbers.ndim > 1:
         raise InputError(f"column {name!r}: the shape {numbers.shape} is neither a number nor a vector")
     if numbers.ndim == 0:

@@ -4,20 +4,27 @@ from typing import Any
 
 from .figures import gather, load_displacement, plot_mesh, plot_points, save, subplots
 from .gridlines import plot_grid
-from .style import COLOURS, COLUMN, PAGE
+from .movies import Movie, movie
+from .style import COLOURS, COLUMN, PAGE, styled
+from .viewing import View, view
 
 __all__ = [
     "COLOURS",
     "COLUMN",
     "PAGE",
     "STYLE",
+    "Movie",
+    "View",
     "gather",
     "load_displacement",
+    "movie",
     "plot_grid",
     "plot_mesh",
     "plot_points",
     "save",
+    "styled",
     "subplots",
+    "view",
 ]
 
 

@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from .style import COLUMN
+
 GREY = "#9a9a9a"
 PALE = "#ececec"
-PLAIN = "#4c78a8"
+PLAIN = "#56b4e9"
+_MANY = 3000  # polygons
 # of the rendering in three dimensions
 _LIGHT = np.array([0.35, -0.65, 0.68])
 
@@ -18,11 +21,12 @@ def new_axes(span: np.ndarray | None, **options: Any) -> Any:
     """Axes of a new figure, whose size suits the body's."""
     from matplotlib.figure import Figure
 
-    size = (6.0, 4.2)
+    size = (COLUMN, 0.72 * COLUMN)
     if span is not None and len(span) == 3:
-        size = (7.2, 6.0)
+        size = (1.4 * COLUMN, 1.2 * COLUMN)
     elif span is not None:
-        size = (7.2, float(np.clip(6.0 * span[1] / span[0] + 1.4, 2.4, 8.0)))
+        width = COLUMN if span[1] > 0.5 * span[0] else 1.4 * COLUMN
+        size = (width, float(np.clip(0.85 * width * span[1] / span[0] + 0.8, 0.4 * width, 1.3 * width)))
     return Figure(size, constrained_layout=True).add_subplot(**options)
 
 
@@ -58,6 +62,8 @@ def rgba(mappable: Any, values: np.ndarray | None, count: int) -> np.ndarray:
 
 
 def colour_bar(ax: Any, mappable: Any, label: str, dim: int) -> None:
+    from matplotlib.ticker import MaxNLocator, ScalarFormatter
+
     below = {"ax": ax, "label": label, "location": "bottom", "pad": 0.02}
     if dim == 3:
         bar = ax.figure.colorbar(mappable, shrink=0.6, aspect=35, **below)
@@ -68,6 +74,11 @@ def colour_bar(ax: Any, mappable: Any, label: str, dim: int) -> None:
         place = ax.inset_axes([1.03, 0.0, 0.03, 1.0])
         bar = ax.figure.colorbar(mappable, cax=place, label=label)
     bar.outline.set_visible(False)
+    along = bar.ax.xaxis if bar.orientation == "horizontal" else bar.ax.yaxis
+    along.set_major_locator(MaxNLocator(6))
+    numbers = ScalarFormatter(useMathText=True)
+    numbers.set_powerlimits((-3, 4))  # 12 x 10^4 rather than 120000, which would run into its neighbour
+    along.set_major_formatter(numbers)
 
 
 # in the plane -------------------------------------------------------------------------------------
@@ -85,6 +96,7 @@ def flat_patches(ax: Any, polygons: np.ndarray, colour: Any) -> None:
 
     # edges of the fill's colour close the hairlines between neighbours
     patches = PolyCollection(polygons, facecolor=colour, edgecolor="face", linewidth=0.3, zorder=2)
+    patches.set_rasterized(len(polygons) > _MANY)  # an image in a .pdf, which would be large
     ax.add_collection(patches)
 
 
@@ -97,7 +109,7 @@ def flat_edges(ax: Any, polygons: np.ndarray) -> None:
 
 def finish_curves(ax: Any, fontsize: float | None = None) -> None:
     """Grid, a legend of what has a label, and no frame."""
-    ax.grid(color="0.88", linewidth=0.8)
+    ax.grid(color="0.88", linewidth=0.6)
     ax.set_axisbelow(True)
     if ax.get_legend_handles_labels()[1]:
         ax.legend(frameon=False, fontsize=fontsize)

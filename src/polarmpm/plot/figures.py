@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from functools import partial
 from io import BytesIO
 from typing import Any
 
@@ -26,10 +27,11 @@ from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks
 from . import drawing
 from .meshfaces import Faces, gather_faces
 from .options import Options, check_axes, check_curves, check_panels
+from .style import COLUMN, PAGE, styled
 
 _MOST_FACES = 60_000
 # corners of a box's faces, the first axis running fastest; lower and upper face of each axis
-_FACES = {
+BOX_FACES = {
     2: [[0, 2], [1, 3], [0, 1], [2, 3]],
     3: [[0, 2, 6, 4], [1, 3, 7, 5], [0, 1, 5, 4], [2, 3, 7, 6], [0, 1, 3, 2], [4, 5, 7, 6]],
 }
@@ -50,24 +52,33 @@ def subplots(
     solid: Sequence[int] = (),
     **options: Any,
 ) -> tuple[Any, Any]:
-    """A figure and its axes, as of `pyplot.subplots`, on every rank; no display is needed.
+    """A figure in `STYLE` and its axes, as of `pyplot.subplots`, on every rank; no display is needed.
+
+    What is drawn into it later takes matplotlib's settings of that time: `with plot.styled():` makes them
+    these.
 
     Args:
-        figsize: width and height (inches).
+        figsize: width and height (inches); default: as wide as a journal's column, or its page.
         solid: axes, counted row by row from 0, that are three-dimensional.
         **options: of `Figure.subplots`, without `solid`.
     """
     from matplotlib.figure import Figure  # not pyplot: no display, no global state
 
     rows, columns, solid = check_panels(rows, columns, figsize, solid)
-    figure = Figure(figsize or (6.0 * columns, 4.2 * rows), constrained_layout=True)
+    width = COLUMN if columns == 1 else PAGE
+    with styled():
+        figure = Figure(figsize or (width, 0.72 * width / columns * rows), constrained_layout=True)
+        return figure, _axes(figure, rows, columns, solid, options)
+
+
+def _axes(figure: Any, rows: int, columns: int, solid: Sequence[int], options: dict[str, Any]) -> Any:
     if not solid:
-        return figure, figure.subplots(rows, columns, **options)
+        return figure.subplots(rows, columns, **options)
     kind = {True: "3d", False: None}
     axes = [
         figure.add_subplot(rows, columns, k + 1, projection=kind[k in solid]) for k in range(rows * columns)
     ]
-    return figure, np.array(axes, dtype=object).reshape((rows, columns) if min(rows, columns) > 1 else -1)
+    return np.array(axes, dtype=object).reshape((rows, columns) if min(rows, columns) > 1 else -1)
 
 
 @collective("plot_points", comm=lambda points, *args, **options: points.comm)
@@ -110,23 +121,8 @@ def plot_points(
     options = Options(
         points.comm, points.dim, values, len(points), **look, undeformed=undeformed, domains=domains
     )
-    now = _boxes(points.x, points.F, points.half_length if domains else points.half_length0, domains)
-    X, half, corners = (gather(points.comm, options.factor * a) for a in (points.X, points.half_length0, now))
-    colour = None if options.values is None else gather(points.comm, options.values)
-    if X is None or half is None or corners is None:
-        return None
-    body = _Body(X, half, corners, colour)
-    mappable = drawing.colours(body.values, cmap, options.limits)
-    if points.dim == 2:
-        ax = ax or drawing.new_axes(body.span)
-        _draw_flat(ax, body, undeformed, mappable)
-    else:
-        ax = ax or drawing.new_axes(body.span, projection="3d")
-        _draw_solid(ax, body, undeformed, mappable, options.view)
-    drawing.name_axes(ax, points.dim, options.unit)
-    if mappable is not None and label is not None:
-        drawing.colour_bar(ax, mappable, label, points.dim)
-    return ax
+    body = points_scene(points, options.values, options.factor, domains)
+    return None if body is None else draw(body, ax, options, label, cmap, undeformed)
 
 
 @collective("plot_mesh", comm=lambda elements, *args, **options: elements.comm)
@@ -166,29 +162,55 @@ def plot_mesh(
     count = _number_at(elements, at)
     look = {"ax": ax, "label": label, "limits": limits, "cmap": cmap, "length": length, "view": view}
     options = Options(elements.comm, elements.dim, values, count, **look, undeformed=undeformed, edges=edges)
-    shown = options.values
-    if at == "points" and shown is not None:
-        shown = elements.cell_mean(shown)
-    faces = gather_faces(elements, shown, at == "nodes")
-    if faces is None:
+    faces = mesh_scene(elements, options.values, at, options.factor)
+    return None if faces is None else draw(faces, ax, options, label, cmap, undeformed, edges)
+
+
+def points_scene(
+    points: Points, values: np.ndarray | None, factor: float, domains: bool = False
+) -> Body | None:
+    """All points' boxes in units of 1/factor, on rank 0. Collective."""
+    now = _boxes(points.x, points.F, points.half_length if domains else points.half_length0, domains)
+    X, half, corners = (gather(points.comm, factor * a) for a in (points.X, points.half_length0, now))
+    colour = None if values is None else gather(points.comm, values)
+    if X is None or half is None or corners is None:
         return None
-    faces.scale(options.factor)
-    of_faces = faces.values if faces.of_nodes is None else faces.of_nodes
-    mappable = drawing.colours(of_faces, cmap, options.limits)
-    if elements.dim == 2:
-        ax = ax or drawing.new_axes(faces.span)
-        _draw_flat_mesh(ax, faces, undeformed, edges, mappable)
-    else:
-        ax = ax or drawing.new_axes(faces.span, projection="3d")
-        if undeformed:
-            drawing.solid_undeformed(ax, faces.before, faces.outward, options.view)
-        fill = drawing.rgba(mappable, faces.values, len(faces.now))
-        drawing.solid_faces(ax, faces.now, fill, edges)
-        drawn = [faces.now, faces.before] if undeformed else [faces.now]
-        drawing.finish_solid(ax, [a.reshape(-1, 3) for a in drawn], options.view)
-    drawing.name_axes(ax, elements.dim, options.unit)
-    if mappable is not None and label is not None:
-        drawing.colour_bar(ax, mappable, label, elements.dim)
+    return Body(X, half, corners, colour)
+
+
+def mesh_scene(elements: Elements, values: np.ndarray | None, at: str, factor: float) -> Faces | None:
+    """All faces in units of 1/factor, on rank 0. Collective."""
+    if at == "points" and values is not None:
+        values = elements.cell_mean(values)
+    faces = gather_faces(elements, values, at == "nodes")
+    if faces is not None:
+        faces.scale(factor)
+    return faces
+
+
+def draw(
+    scene: Body | Faces,
+    ax: Any,
+    options: Options,
+    label: str | None,
+    cmap: Any,
+    undeformed: bool,
+    edges: bool = True,
+) -> Any:
+    """Draw a gathered body, on rank 0; a new figure without axes."""
+    with styled():
+        dim, mappable = scene.dim, drawing.colours(scene.shown, cmap, options.limits)
+        ax = ax or drawing.new_axes(scene.span, **({"projection": "3d"} if dim == 3 else {}))
+        if isinstance(scene, Body):
+            part = _draw_flat if dim == 2 else partial(_draw_solid, view=options.view)
+            part(ax, scene, undeformed, mappable)
+        elif dim == 2:
+            _draw_flat_mesh(ax, scene, undeformed, edges, mappable)
+        else:
+            _draw_solid_mesh(ax, scene, undeformed, edges, mappable, options.view)
+        drawing.name_axes(ax, dim, options.unit)
+        if mappable is not None and label is not None:
+            drawing.colour_bar(ax, mappable, label, dim)
     return ax
 
 
@@ -235,32 +257,42 @@ def load_displacement(
     for name, text in (("xlabel", xlabel), ("ylabel", ylabel)):
         checks.instance(name, text, str, "a text is")
     check_axes(ax, solid=False)
-    ax = ax or drawing.new_axes(None)
-    marks = "osD^v<>"
-    for k, (name, (x, y)) in enumerate(curves.items()):
-        ax.plot(x, y, "-", marker=marks[k % len(marks)], markersize=4, linewidth=1.5, label=name)
-    for k, (name, (x, y)) in enumerate(reference.items()):
-        # the marks go around once more, so that they differ from those of the lines
-        style = {"marker": "x+*1234"[k % 7], "markersize": 7, "markeredgewidth": 1.4}
-        ax.plot(x, y, color="black", linestyle="none", label=name, zorder=3, **style)
-    ax.set_xlabel(xlabel)
-    ax.set_ylabel(ylabel)
-    drawing.finish_curves(ax)
+    with styled():
+        ax = ax or drawing.new_axes(None)
+        marks = "osD^v<>"
+        for k, (name, (x, y)) in enumerate(curves.items()):
+            ax.plot(x, y, "-", marker=marks[k % len(marks)], label=name)
+        for k, (name, (x, y)) in enumerate(reference.items()):
+            # the marks go around once more, so that they differ from those of the lines
+            style = {"marker": "x+*1234"[k % 7], "markersize": 5, "markeredgewidth": 1.0}
+            ax.plot(x, y, color="black", linestyle="none", label=name, zorder=3, **style)
+        ax.set_xlabel(xlabel)
+        ax.set_ylabel(ylabel)
+        drawing.finish_curves(ax)
     return ax
 
 
 @collective("save of a figure", comm=lambda *args, comm=MPI.COMM_WORLD, **options: comm)
 def save(
-    figure: Any, path: str | os.PathLike[str], *, dpi: float = 160, comm: MPI.Comm = MPI.COMM_WORLD
+    figure: Any,
+    path: str | os.PathLike[str],
+    *,
+    dpi: float = 220,
+    pdf: bool = True,
+    comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> None:
     """Write a figure (or the figure of axes) of rank 0 to a .png, .pdf or .svg file. Collective.
+
+    Args:
+        dpi: pixels an inch of a .png, and of what a .pdf has as an image.
+        pdf: write a .pdf beside a .png, which journals and LaTeX want.
 
     Raises:
         InputError: the file can't be written, or its kind is unknown; not a figure; on every rank alike.
         OutputError: the disc is full; an old file stays.
     """
     checks.communicator("comm", comm)
-    dpi = checks.number("dpi", dpi, above=0.0)
+    dpi, pdf = checks.number("dpi", dpi, above=0.0), checks.flag("pdf", pdf)
     with errors_on_all_ranks(comm):
         if comm.rank == 0 and not hasattr(getattr(figure, "figure", None), "savefig"):
             raise checks.refuse("figure", figure, "a figure of matplotlib, or axes of one, are needed")
@@ -272,10 +304,14 @@ def save(
             # axes in three dimensions forget the label of z when they tell their size
             extra = [ax.zaxis.label for ax in whole.axes if hasattr(ax, "zaxis")]
             extra += whole.get_default_bbox_extra_artists()
-            file, content = file if file.suffix else file.with_suffix(".png"), BytesIO()
-            options: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.15, "dpi": dpi}
-            whole.savefig(content, format=file.suffix[1:], bbox_extra_artists=extra, **options)
-            replace_file(file, content.getvalue())
+            png = file = file if file.suffix else file.with_suffix(".png")
+            options: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.05, "dpi": dpi}
+            files = [png, png.with_suffix(".pdf")] if pdf and png.suffix == ".png" else [png]
+            for file in files:
+                content = BytesIO()
+                with styled():
+                    whole.savefig(content, format=file.suffix[1:], bbox_extra_artists=extra, **options)
+                replace_file(file, content.getvalue())
         except OSError as e:
             error = not_written("figure", file, e)
         except ValueError as e:
@@ -294,19 +330,23 @@ def _boxes(x: np.ndarray, F: np.ndarray, half_length: np.ndarray, straight: bool
     return corners
 
 
-class _Body:
+class Body:
     """All points' boxes: undeformed centres and half-lengths, current corners, values."""
 
     def __init__(self, X: np.ndarray, half: np.ndarray, corners: np.ndarray, values: np.ndarray | None):
         self.X, self.half, self.corners, self.values = X, half, corners, values
         self.initial = box_corners(X, half)
-        self.dim = X.shape[1]
+        self.dim, self.shown = X.shape[1], values
+
+    def positions(self, undeformed: bool) -> list[np.ndarray]:
+        """Corners (n, d) of what is drawn."""
+        both = [self.corners, self.initial] if undeformed else [self.corners]
+        return [a.reshape(-1, self.dim) for a in both]
 
     @property
     def span(self) -> np.ndarray:
         """Size of the space that both states take."""
-        both = np.concatenate([self.initial, self.corners]).reshape(-1, self.dim)
-        size: np.ndarray = np.ptp(both, axis=0)
+        size: np.ndarray = np.ptp(np.concatenate(self.positions(True)), axis=0)
         return size
 
     def outer_faces(self) -> tuple[np.ndarray, np.ndarray]:
@@ -314,7 +354,7 @@ class _Body:
 
         On a uniform lattice that is the body's surface; boxes of other layouts overlap and keep all faces.
         """
-        faces = _FACES[self.dim]
+        faces = BOX_FACES[self.dim]
         centre = np.stack([self.initial[:, f].mean(axis=1) for f in faces], axis=1).reshape(-1, self.dim)
         # on a uniform lattice these are whole numbers up to rounding
         key = np.rint((centre - self.X[0]) / self.half.min(axis=0)).astype(np.int64)
@@ -324,7 +364,7 @@ class _Body:
 
 
 # drawing ------------------------------------------------------------------------------------------
-def _draw_flat(ax: Any, body: _Body, undeformed: bool, mappable: Any) -> None:
+def _draw_flat(ax: Any, body: Body, undeformed: bool, mappable: Any) -> None:
     ring = [0, 1, 3, 2]
     if undeformed:
         drawing.flat_undeformed(ax, body.initial[:, ring])
@@ -352,7 +392,7 @@ def _draw_flat_mesh(ax: Any, faces: Faces, undeformed: bool, edges: bool, mappab
     drawing.finish_flat(ax)
 
 
-def _draw_solid(ax: Any, body: _Body, undeformed: bool, mappable: Any, view: tuple[float, float]) -> None:
+def _draw_solid(ax: Any, body: Body, undeformed: bool, mappable: Any, view: tuple[float, float]) -> None:
     point, face = body.outer_faces()
     if len(point) > _MOST_FACES:
         if undeformed:
@@ -360,13 +400,24 @@ def _draw_solid(ax: Any, body: _Body, undeformed: bool, mappable: Any, view: tup
         colour = drawing.PLAIN if mappable is None else mappable.to_rgba(body.values)
         ax.scatter(*body.corners.mean(axis=1).T, s=1.0, c=colour, linewidth=0)
     else:
-        corner = np.array(_FACES[3])[face]
+        corner = np.array(BOX_FACES[3])[face]
         if undeformed:
             outward = np.eye(3)[face // 2] * (2.0 * (face % 2) - 1.0)[:, None]
             drawing.solid_undeformed(ax, body.initial[point[:, None], corner], outward, view)
         fill = drawing.rgba(mappable, body.values, len(body.X))[point]
         drawing.solid_faces(ax, body.corners[point[:, None], corner], fill)
     drawn = [body.corners, body.initial] if undeformed else [body.corners]
+    drawing.finish_solid(ax, [a.reshape(-1, 3) for a in drawn], view)
+
+
+def _draw_solid_mesh(
+    ax: Any, faces: Faces, undeformed: bool, edges: bool, mappable: Any, view: tuple[float, float]
+) -> None:
+    if undeformed:
+        drawing.solid_undeformed(ax, faces.before, faces.outward, view)
+    fill = drawing.rgba(mappable, faces.values, len(faces.now))
+    drawing.solid_faces(ax, faces.now, fill, edges)
+    drawn = [faces.now, faces.before] if undeformed else [faces.now]
     drawing.finish_solid(ax, [a.reshape(-1, 3) for a in drawn], view)
 
 

@@ -33,10 +33,23 @@ class Faces:
     of_nodes: np.ndarray | None = None
 
     @property
+    def dim(self) -> int:
+        return int(self.now.shape[2])
+
+    @property
+    def shown(self) -> np.ndarray | None:
+        """The values that have colours."""
+        return self.values if self.of_nodes is None else self.of_nodes
+
+    def positions(self, undeformed: bool) -> list[np.ndarray]:
+        """Nodes (n, d) of what is drawn."""
+        both = [self.now, self.before] if undeformed else [self.now]
+        return [a.reshape(-1, self.dim) for a in both]
+
+    @property
     def span(self) -> np.ndarray:
         """Size of the space that both states take."""
-        both = np.concatenate([self.before, self.now]).reshape(-1, self.now.shape[2])
-        size: np.ndarray = np.ptp(both, axis=0)
+        size: np.ndarray = np.ptp(np.concatenate(self.positions(True)), axis=0)
         return size
 
     def scale(self, factor: float) -> None:

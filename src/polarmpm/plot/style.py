@@ -1,7 +1,10 @@
-"""One look for all figures, such as journals print them: `pyplot.style.use(plot.STYLE)`."""
+"""One look for all figures, such as journals print them: `pyplot.style.use(plot.STYLE)`, or for a while
+`with plot.styled():`."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 # inches: one column and the whole page of the usual journals (90 and 190 mm)
@@ -37,6 +40,16 @@ def _style() -> dict[str, Any]:
         "image.cmap": "viridis",
         "pdf.fonttype": 42,  # text stays text
     }
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """What is drawn within, or in a function that it decorates, is in `STYLE`; matplotlib's settings are put
+    back at the end."""
+    from matplotlib import rc_context
+
+    with rc_context(_style()):
+        yield
 
 
 def __getattr__(name: str) -> Any:

@@ -46,6 +46,9 @@ class Problem(Results):
         steps: converged steps so far.
         observers: told what happens in the run, see `Observer`.
         rows: arrays (np, ...) of the script's own by name, one row for each of `points`.
+        report: a march says in a line, on standard error, how far it has come and how far to trust the
+            answer, unless it is called with progress=False; False turns that off. The level of the logger
+            "polarmpm" silences all lines.
         timer: CPU seconds of this rank by phase.
         failed_at: increments (nodes, block) at which the last attempt has failed, for its diagnosis.
     """
@@ -57,6 +60,8 @@ class Problem(Results):
             checks.instance("controls", controls, Controls, "polarmpm.Controls(...), or None, is")
         self.controls, self.timer = controls or Controls(), Timer()
         self.observers: list[Observer] = []
+        self._probes: dict[str, Any] = {}
+        self.report = True
         self.rows: dict[str, np.ndarray] = {}
         self.steps: list[Step] = []
         self._fields = StateFields(comm)
@@ -131,7 +136,8 @@ class Problem(Results):
             smallest: smallest adaptive step, relative to the first one.
             largest: load factor increment to which adaptive steps may grow.
             easy: an adaptive step of at most so many iterations lets the next one grow.
-            progress: show a progress bar (default: on a terminal).
+            progress: show a progress bar (default: on a terminal and in notebooks); False also leaves the
+                line at the end out, see `report`.
 
         Raises:
             InputError: an argument is out of range; later on: another march has taken steps since, or another

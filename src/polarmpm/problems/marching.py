@@ -11,6 +11,7 @@ from typing import Any
 from ..errors import NotConverged
 from ..solvers.stepping import Step
 from ..tools.caller import line_of_script
+from . import telling
 
 
 class March(Iterator[Step]):
@@ -26,7 +27,9 @@ class March(Iterator[Step]):
     def __init__(self, problem: Any, marching: Callable[..., Iterator[Step]], schedule: Any, way: str):
         self._problem, self._way = problem, way
         self._steps = marching(problem, schedule, partial(_explain, problem, way))
-        self._begun = False
+        self._begun = self._reported = False
+        self._taken: list[Step] = []
+        self._quiet = getattr(schedule, "progress", None) is False
         self._unused: Any = None
         if problem.comm.rank == 0:
             method = "march_arc_length" if way == "arc length" else "march"
@@ -37,7 +40,15 @@ class March(Iterator[Step]):
 
     def __next__(self) -> Step:
         self._used()
-        return next(self._steps)
+        try:
+            step = next(self._steps)
+        except StopIteration:
+            if not (self._reported or self._quiet) and self._problem.report:
+                telling.report(self._problem, self._taken)
+            self._reported = True
+            raise
+        self._taken.append(step)
+        return step
 
     def close(self) -> None:
         """End the march where it is."""

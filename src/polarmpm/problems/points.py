@@ -53,6 +53,7 @@ from .ongrid import Compiled
 from .stages import Staged
 from .state import Fields, Progress
 from .surfaces import add_load
+from .telling import note_settings
 from .whole import Changing
 
 _DISTORTED = WhenDistorted()
@@ -124,7 +125,7 @@ class QuasiStatic(Staged):
         locking: str | None = "auto",
     ):
         check_body(grid, points)
-        balanced_reset = checks.flag("balanced_reset", balanced_reset)
+        self.balanced_reset = checks.flag("balanced_reset", balanced_reset)
         self.grid = self.initial_grid = grid
         self._moving = MovingGrid(grid)
         self.basis, self.policy = basis_of(basis), make_policy(reset)
@@ -143,7 +144,6 @@ class QuasiStatic(Staged):
         self._size = 0.0  # largest gradient of the last step's increments on this rank
         self.load_shares = LoadShares(grid.comm, rebalance)
         self._conservation = Conservation(grid.comm)
-        self.balanced_reset = balanced_reset
         self.ghost = make_penalty(ghost, points.materials, self.layout, self.basis, assembly)
         if self.ghost:
             self.add(Ghost(self.ghost, self.layout))
@@ -158,6 +158,7 @@ class QuasiStatic(Staged):
         if self.load_shares.due() or self._in_patches:
             self._migrate()
         self._hold_axis()
+        note_settings(self)
 
     def _touches_axis(self) -> bool:
         return self.initial_grid.lower[0] == 0.0 and touches_axis(self.points)
@@ -316,8 +317,7 @@ class QuasiStatic(Staged):
         self.box_record.note(outcome.unresolved, self.progress.step, self._size)
 
     def trust(self) -> str:
-        """How far the run can be trusted, in a line: the largest share of a step's work that is done inside
-        the points' boxes, where neither the grid nor the points resolve it (docs/accuracy.md)."""
+        """In a line: the largest share of a step's work inside the points' boxes (docs/accuracy.md)."""
         return self.box_record.summary()
 
     def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:

@@ -19,7 +19,7 @@ from ..kinematics import rotations
 from ..kinematics.moments import moments
 from ..terms.obstacles import Obstacle
 from ..terms.surfaces import SurfaceSupport
-from ..tools.checks import vector
+from ..tools.checks import refuse, vector
 
 
 def _shown(values: np.ndarray) -> str:
@@ -66,6 +66,23 @@ class Reaction(tuple[np.ndarray, np.ndarray]):
     @property
     def couple(self) -> np.ndarray:
         return self[1]
+
+    def torque(self, axis: Any = None) -> float:
+        """The moment (N m) about an axis through `about`, in space of a direction (3,); in the plane there is
+        one axis.
+
+        Raises:
+            InputError: no direction, in space; or one in the plane.
+        """
+        if len(self.moment) == 1:
+            if axis is not None:
+                raise refuse("axis", axis, "in the plane there is one axis; None is needed")
+            return float(self.moment[0])
+        direction = vector("axis", axis, 3, "the direction of an axis")
+        length = float(np.linalg.norm(direction))
+        if not length > 0:
+            raise refuse("axis", axis, "a direction isn't zero")
+        return float(self.moment @ (direction / length))
 
     def as_dict(self) -> dict[str, np.ndarray]:
         """Columns of a table."""

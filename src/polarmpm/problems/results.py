@@ -11,12 +11,13 @@ from ..terms.obstacles import Obstacle
 from ..terms.surfaces import SurfaceSupport
 from ..tools.checks import shown
 from ..tools.meetings import collective
+from .face import Face
 from .initial import Initial
 from .reactions import Balance, Reaction, point_about, surface_reaction
 from .state import Fields, StateFields, choose_fields
 
 
-class Results(Initial):
+class Results(Initial, Face):
     """Results of a problem. All methods are collective."""
 
     _fields: StateFields
@@ -27,8 +28,10 @@ class Results(Initial):
 
         Args:
             *names: any of energy (Pa), stress (Pa), couple_stress (N/m), mean_pressure (Pa), p (the same), q
-                (Pa), lode_angle (rad) and, with second-gradient materials, double_stress (N/m), or a
-                `MaterialField`; default: energy and stresses.
+                (Pa), von_mises (the same), lode_angle (rad), principal_stress (Pa; of the symmetric part, the
+                largest first), skew_stress (Pa) and, with plastic materials, plastic_strain (ln(Fp^T Fp)/2)
+                and equivalent_plastic_strain (sqrt(2/3 e : e) of its deviator e), with second-gradient ones
+                double_stress (N/m), or a `MaterialField`; default: energy and stresses.
 
         Returns:
             The fields by name; `.energy`, `.stress` and `.couple_stress` for short.
@@ -109,6 +112,15 @@ class Results(Initial):
         elif e is not None and support in e.supports:
             return e.reaction(support, point)
         raise InputError(f"reaction: no load step has been solved yet with {support.name}")
+
+    def trust(self) -> str:
+        """How far the run can be trusted, in a line."""
+        if not self.progress.step:
+            return "no measure of trust: no step yet"
+        return (
+            "in equilibrium to the tolerances; what the mesh leaves out isn't measured: compare with cells "
+            "of half the size (docs/accuracy.md)"
+        )
 
     @collective("balance", compare=True)
     def balance(self, about: Any = None) -> Balance:

@@ -16,6 +16,7 @@ from ..forms.stresses import MECHANICAL, TABLE, FieldForm, MaterialField
 from ..kernels.kernel import Kernel
 from ..materials.base import parameter_values
 from ..tools.checks import shown
+from ..tools.parallel import errors_on_all_ranks
 
 
 @dataclass
@@ -132,7 +133,12 @@ class StateFields:
             second = (points.grad_F[rows],) if material.second_gradient else ()
             state = points.F[rows], points.q[rows], points.wryness[rows], *second, *plastic
             values = kernel(*state, numbers)
-            for name, part in form.split(values).items():
+            if any(field.after is not None for field in fields):
+                with errors_on_all_ranks(self.comm):  # which may be a script's function
+                    parts = form.split(values)
+            else:
+                parts = form.split(values)
+            for name, part in parts.items():
                 whole = out.setdefault(name, np.zeros((len(points), *part.shape[1:])))
                 whole[rows] = part
         return out

@@ -16,7 +16,6 @@ import platform
 import re
 import shutil
 import stat
-import sys
 import tempfile
 import threading
 import time
@@ -30,6 +29,7 @@ from mpi4py import MPI
 
 from ..errors import KernelError
 from .parallel import errors_on_all_ranks
+from .saying import say_once
 
 T = TypeVar("T")
 VARIABLE = "POLARMPM_CACHE"
@@ -40,25 +40,7 @@ _PROBE = 1 << 18  # bytes that a disc must take for a compiler's failure to be t
 _OLD = 86400.0  # seconds after which a work folder that nobody locks is given up
 _WORK, _UNLOCKED = ".polarmpm-work-", ".polarmpm-unlocked-"  # work folders: with the key's lock, or without
 _EARLIER = re.compile("tmp[a-z0-9_]{8}")  # work folders of earlier versions
-_log = logging.getLogger("polarmpm")
 _compiler = threading.RLock()  # locks on files are the process'
-
-
-# what is said -------------------------------------------------------------------------------------
-@cache
-def say_once(level: int, text: str) -> None:
-    """One line on standard error, or to the handlers of the logger "polarmpm" if it has been given some.
-
-    Its level silences it. The root logger's handlers aren't asked: ffcx gives it one when it's imported.
-    """
-    if _log.level == logging.NOTSET:
-        _log.setLevel(logging.INFO)  # silenced by a higher one
-    if not _log.isEnabledFor(level):
-        return
-    if _log.handlers:
-        _log.log(level, text)
-    elif sys.stderr is not None:
-        print(f"polarmpm: {text}", file=sys.stderr, flush=True)
 
 
 # folders ------------------------------------------------------------------------------------------
