@@ -21,6 +21,7 @@ from .errors import (
     KernelError,
     NotConserved,
     NotConverged,
+    NotDifferentiable,
     OutputError,
     PointsOutsideGrid,
     PolarMPMError,
@@ -72,6 +73,7 @@ if TYPE_CHECKING:
     from .materials.plastic import Continuation, Plastic, UserPlasticity
     from .materials.pyramids import MohrCoulomb, Tresca
     from .materials.regions import ConeApex, Edge, Region, SmoothPart, YieldSurface
+    from .sensitivity.runs import Sensitivity
     from .study.pilot import lines_from
 
 _LATER = {
@@ -80,6 +82,7 @@ _LATER = {
     **dict.fromkeys(("CamClay", "Houlsby"), "materials.clay"),
     **dict.fromkeys(("Continuation", "Plastic", "UserPlasticity"), "materials.plastic"),
     **dict.fromkeys(("ConeApex", "Edge", "Region", "SmoothPart", "YieldSurface"), "materials.regions"),
+    "Sensitivity": "sensitivity.runs",
     "lines_from": "study.pilot",
 }
 
@@ -133,6 +136,7 @@ __all__ = [
     "Never",
     "NotConserved",
     "NotConverged",
+    "NotDifferentiable",
     "Observer",
     "Obstacle",
     "OrientedMicropolar",
@@ -150,6 +154,7 @@ __all__ = [
     "Region",
     "SaintVenantKirchhoff",
     "Selection",
+    "Sensitivity",
     "Shape",
     "SmoothPart",
     "Solid",

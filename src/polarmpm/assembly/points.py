@@ -116,14 +116,14 @@ class PointSystem(OnPattern, LoadedPoints):
     def assemble(self, tangent: bool, lift: np.ndarray | None = None) -> Assembled:
         internal = np.zeros_like(self.x)
         lifted = None if lift is None else np.zeros_like(self.x)
-        matrix = self.pattern.matrix
+        matrix = self.pattern.matrix if tangent else None
         self.project_scalars(tangent=tangent)
-        if tangent:
+        if matrix is not None:
             native.fill(matrix, lift=lift)
             self._begin_tangent(lifted)
         for k, batch in enumerate(self.interpolation.batches):
-            self._assemble(k, batch, matrix if tangent else None, internal, lifted)
-        self.add_patches(matrix if tangent else None, internal, lifted)
+            self._assemble(k, batch, matrix, internal, lifted)
+        self.add_patches(matrix, internal, lifted)
         self._check_sides(internal)
         self._add_viscosity(tangent, internal, lifted)
         self.nodes.add_to_owners(internal)

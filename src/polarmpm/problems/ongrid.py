@@ -30,6 +30,7 @@ from ..geometry.planes import Plane, PlaneSpec
 from ..kernels.kernel import Kernel
 from ..kinematics.motion import Motion
 from ..tools.disposal import dispose_of_dropped
+from ..tools.parallel import Route
 from . import initial, slopes
 from .balancing import BalancedResets
 from .base import Problem
@@ -69,6 +70,8 @@ class OnGrid(Problem):
     _attempted: tuple[np.ndarray, np.ndarray] | None
     _converged_loads: tuple[np.ndarray, np.ndarray] | None
     _most_growth = np.inf  # of the points' domains
+    systems: Callable[..., LoadedPoints] | None = None  # what makes them; None: as `assembly` says
+    distribution: Callable[..., Route | None] = staticmethod(distribute)  # which rank gets which points
 
     def _beside(self, where: PlaneSpec) -> PlaneSpec:
         self.basis.check_plane(where, self.initial_grid)
@@ -204,7 +207,7 @@ class OnGrid(Problem):
         x, by_patch = None if reference is None else reference.x, {}
         if self._in_patches:
             by_patch["cells"] = self.basis.patches(self.grid, self.points.x if x is None else x)[0]
-        route = distribute(self.grid, self.points, x, **by_patch)
+        route = self.distribution(self.grid, self.points, x, **by_patch)
         self.load_shares.distributed()
         if route is None:
             return reference
@@ -255,7 +258,7 @@ class OnGrid(Problem):
         prescribed, c = self._prescribed(interpolation.nodes, supports), self._compiled
         if supports is None:
             self._check_held(interpolation, prescribed)
-        kind: Callable[..., LoadedPoints] = PointSystem
+        kind: Callable[..., LoadedPoints] = self.systems or PointSystem
         if self.assembly == "projection":
             # lazy import: direct sums need no assembler of dolfinx
             from ..assembly.projection import ProjectedSystem as kind
