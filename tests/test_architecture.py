@@ -14,10 +14,10 @@ from polarmpm.basis.registry import BASES
 PACKAGE = Path(polarmpm.__file__).parent
 ORDER = (
     *("errors", "tools", "solvers", "kernels", "geometry", "kinematics", "basis", "materials", "bodies"),
-    *("forms", "conditions", "terms", "assembly", "problems", "io", "plot"),
-    *("geotechnics", "study"),
+    *("forms", "conditions", "terms", "assembly", "problems", "sensitivity", "io", "plot"),
+    *("identification", "geotechnics", "study"),
 )
-USE = ("io", "plot", "geotechnics", "study")  # what the solver does without
+USE = ("sensitivity", "io", "plot", "identification", "geotechnics", "study")  # what the solver does without
 MODULE_LINES, FUNCTION_LINES = 450, 60
 
 Name = tuple[str, ...]

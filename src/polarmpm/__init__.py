@@ -68,6 +68,14 @@ ends.install()
 
 if TYPE_CHECKING:
     from . import geotechnics
+    from .identification.experiment import Experiment
+    from .identification.fitting import identify
+    from .identification.places import Places
+    from .identification.planning import Plan, plan
+    from .identification.profile import Profile
+    from .identification.reading import Curve, read_curve
+    from .identification.result import Compared, Fit, Outlier
+    from .identification.transforms import Bounds, Linear
     from .materials.clay import CamClay, Houlsby
     from .materials.cones import DruckerPrager, VonMises
     from .materials.plastic import Continuation, Plastic, UserPlasticity
@@ -83,6 +91,14 @@ _LATER = {
     **dict.fromkeys(("Continuation", "Plastic", "UserPlasticity"), "materials.plastic"),
     **dict.fromkeys(("ConeApex", "Edge", "Region", "SmoothPart", "YieldSurface"), "materials.regions"),
     "Sensitivity": "sensitivity.runs",
+    "Experiment": "identification.experiment",
+    "Profile": "identification.profile",
+    "identify": "identification.fitting",
+    **dict.fromkeys(("Bounds", "Linear"), "identification.transforms"),
+    **dict.fromkeys(("Compared", "Fit", "Outlier"), "identification.result"),
+    **dict.fromkeys(("Plan", "plan"), "identification.planning"),
+    **dict.fromkeys(("Curve", "read_curve"), "identification.reading"),
+    "Places": "identification.places",
     "lines_from": "study.pilot",
 }
 
@@ -103,12 +119,15 @@ __all__ = [
     "PUBLISHED",
     "ArrudaBoyce",
     "Basis",
+    "Bounds",
     "Box",
     "Boxes",
     "CamClay",
+    "Compared",
     "ConeApex",
     "Continuation",
     "Controls",
+    "Curve",
     "Cylinder",
     "DruckerPrager",
     "Dynamic",
@@ -117,9 +136,11 @@ __all__ = [
     "Elements",
     "ErrorOnAnotherRank",
     "EverySteps",
+    "Experiment",
     "Facets",
     "Field",
     "Finding",
+    "Fit",
     "GhostPenalty",
     "GradientElastic",
     "Grid",
@@ -128,6 +149,7 @@ __all__ = [
     "Houlsby",
     "InputError",
     "KernelError",
+    "Linear",
     "Material",
     "MaterialField",
     "MicropolarElastic",
@@ -140,13 +162,17 @@ __all__ = [
     "Observer",
     "Obstacle",
     "OrientedMicropolar",
+    "Outlier",
     "OutputError",
     "Piece",
+    "Places",
+    "Plan",
     "Plastic",
     "Points",
     "PointsOutsideGrid",
     "PolarMPMError",
     "Polygon",
+    "Profile",
     "QuasiStatic",
     "QuasiStaticFEM",
     "RanksApart",
@@ -174,10 +200,13 @@ __all__ = [
     "WhenDistorted",
     "YieldSurface",
     "geotechnics",
+    "identify",
     "lines",
     "lines_from",
     "load_restart",
+    "plan",
     "plane",
+    "read_curve",
     "register_basis",
     "register_solver",
     "save_restart",
