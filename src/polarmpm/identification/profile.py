@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import InputError
 from ..tools import checks
 from ..tools.meetings import collective
+from .drawing import profile_curve
 from .evaluating import Evaluator, probe
 from .experiment import experiments
 from .judging import quantile
@@ -47,6 +48,15 @@ class Profile:
             _crossing(values[least::-1], root[least::-1], z, -np.inf),
             _crossing(values[least:], root[least:], z, np.inf),
         )
+
+    def plot(self, ax: Any = None) -> Any:
+        """The rise of the misfit over the held values, with the levels of 68 and 95 %. Returns the axes, of
+        `polarmpm.plot`'s style; `plot.save` writes them.
+
+        Args:
+            ax: axes to draw into; None makes a figure.
+        """
+        return profile_curve(self, ax)
 
     def __str__(self) -> str:
         low, high = self.interval()

@@ -19,6 +19,7 @@ from ..io.files import check_output, not_written, replace_file
 from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import raise_on_all_ranks
+from .drawing import correlations, fit_against_data
 from .judging import Judgement, direction_in_words, quantile, unidentifiable
 from .profile import Profile, profile
 from .transforms import Free, told, untold
@@ -247,6 +248,24 @@ class Fit:
             InputError: no free parameter; no experiments.
         """
         return profile(self, name, points, reach, tests)
+
+    def plot_data(self, names: Any = None) -> Any:
+        """Measured and computed values: a panel for each observable, in which the experiments' curves lie; of
+        fields the computed over the measured values. Returns the axes, in an array, of `polarmpm.plot`'s
+        style; `plot.save(axes[0], path)` writes the figure.
+
+        Args:
+            names: of observables; None: all, at most twelve.
+        """
+        return fit_against_data(self, names)
+
+    def plot_correlation(self, ax: Any = None) -> Any:
+        """Correlations as a coloured table. Returns the axes.
+
+        Args:
+            ax: axes to draw into; None makes a figure.
+        """
+        return correlations(self, ax)
 
     def __str__(self) -> str:
         return fit_in_words(self)
