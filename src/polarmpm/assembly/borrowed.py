@@ -26,6 +26,8 @@ class BorrowedPoints(PointSystem):
             prescribed.
     """
 
+    borrows = True
+
     def __init__(
         self,
         interpolation: Interpolation,
@@ -46,6 +48,7 @@ class BorrowedPoints(PointSystem):
 
     def assemble_moduli(self, blocks: Sequence[np.ndarray], shift: float) -> None:
         """The leader has summed its own."""
+        self.moduli_shift = self._leader().moduli_shift
 
     def destroy(self) -> None:
         self.step.boxes = self.box_tangent = None

@@ -33,12 +33,16 @@ class LoadedPoints(ProjectedPoints):
 
     Attributes:
         initial: initial stresses of the points; None: there are none.
+        borrows: it has no tangent of its own, and solves with the factor of another one.
+        moduli_shift: of the last `assemble_moduli`, (owned nodes, block).
         box_tangent: of the last step, which serves in the next one; None: it is summed anew.
     """
 
     nodes: ActiveNodes
     initial: InitialStress | None = None
     box_tangent: BoxTangent | None = None
+    borrows = False
+    moduli_shift: np.ndarray | float = 0.0
 
     def __init__(
         self,

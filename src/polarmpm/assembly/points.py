@@ -234,13 +234,15 @@ class PointSystem(OnPattern, LoadedPoints):
                 raise MemoryError("no memory for the sums over material points")
         pattern.mirror()
         self._collect()
+        self.moduli_shift = np.zeros((self.nodes.owned, self.layout.block))
         if shift:
             share, ties = np.ones((self.nodes.owned, 1)), self.prescribed.ties
             if ties is not None:  # as of the whole body that planes of symmetry stand for
                 share[:, 0] = ties.share[: self.nodes.owned]
             most = (self.diagonal() / share).max(axis=0, initial=0.0)
             self.comm.Allreduce(MPI.IN_PLACE, most, op=MPI.MAX)
-            pattern.values[pattern.diagonal] += shift * (share * most).ravel()
+            self.moduli_shift = shift * (share * most)
+            pattern.values[pattern.diagonal] += self.moduli_shift.ravel()
 
     @property
     def diagonal_shift(self) -> float:
