@@ -21,9 +21,7 @@ from .system import NodalSystem
 
 _SOFTEST = 1e-8  # stiffness of directions that the material has none in (turns), over that of the others
 _SOLUTIONS = 2  # the shift leaves 1e-8 of r after the first one, an iterative solver its accuracy
-_ACCURACY = 1e-6
 _THIN = 1e-7  # shift of the matrix over its largest diagonal, where nodes are reached by too little
-_GRADIENTS, _MOST_GRADIENTS = 1e-11, 60  # of a borrowed factor: relative residual, iterations
 _RANK = 1e-10  # of the equations for closing forces
 
 
@@ -107,54 +105,17 @@ def carry_stress(system: LoadedPoints) -> None:
             moduli = [Moduli(system, k) for k in range(len(i.batches))]
             system.assemble_moduli([m.blocks for m in moduli], _THIN if thin else 0.0)
             for k in range(1 if thin else _SOLUTIONS):
-                w, before = _motion(system, moduli, left, k == 0), i.reference.initial_stress.copy()
+                w, before = system.carrying_motion(left, k, moduli), i.reference.initial_stress.copy()
                 initial.replace(before + _stresses(system, moduli, w))
                 now = system.imbalance()
                 if not _norm(system, now) < size:  # rounding is reached
                     initial.replace(before)
                     break
+                system.carried_by = [*system.carried_by[:k], w]
                 left, size = now, _norm(system, now)
     except SingularTangent:  # a body in parts that nothing holds
         return carry_forces(system)
     system.carried = left + closing(system, left)
-
-
-def _motion(system: LoadedPoints, moduli: Sequence[Moduli], left: np.ndarray, fresh: bool) -> np.ndarray:
-    """w (nodes, block), of K w = -left. With a factor of nearly the same matrix by conjugate gradients: what
-    the material resists little is so soft that the factor alone would be of no use. Collective."""
-    w = system.solve_free(-left, fresh, _ACCURACY)
-    if not system.borrows:
-        return w
-
-    def times(a: np.ndarray, b: np.ndarray) -> float:
-        return float(system.comm.allreduce(float(np.sum(a[: system.owned] * b[: system.owned]))))
-
-    def product(p: np.ndarray) -> np.ndarray:
-        return system.on_free(_forces(system, moduli, p))
-
-    rest = system.on_free(-left) - product(w)
-    size, along, square = _norm(system, left), np.zeros_like(w), 1.0
-    for k in range(_MOST_GRADIENTS):
-        if _norm(system, rest) <= _GRADIENTS * size:
-            break
-        z = system.solve_free(rest, False, _ACCURACY)
-        before, square = square, times(rest, z)
-        along = z if k == 0 else z + (square / before) * along
-        forces = product(along)
-        share = square / times(along, forces)
-        w, rest = w + share * along, rest - share * forces
-    return w
-
-
-def _forces(system: LoadedPoints, moduli: Sequence[Moduli], w: np.ndarray) -> np.ndarray:
-    """K w (nodes, block), complete on owned rows, of a system that doesn't have K. Collective."""
-    out, i = np.zeros_like(w), system.interpolation
-    for k, (b, a) in enumerate(zip(i.batches, moduli, strict=True)):
-        z = i.kernel_inputs(b, w)[:, : b.form.layout.unknowns]
-        system.add_given(k, a.work(z), False, out, None)
-    system.nodes.add_to_owners(out)
-    out[: system.owned] += system.moduli_shift * w[: system.owned]
-    return out
 
 
 def carry_forces(system: LoadedPoints) -> None:
