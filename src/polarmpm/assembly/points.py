@@ -23,7 +23,7 @@ from . import sparsity
 from .folding import Folding
 from .inertia import MassSets, point_sets
 from .interpolation import Interpolation, PointBatch
-from .loadedpoints import LoadedPoints
+from .loadedpoints import LoadedPoints, Shift
 from .onpattern import OnPattern
 from .pointboxes import BoxTangent
 from .system import Assembled
@@ -234,13 +234,16 @@ class PointSystem(OnPattern, LoadedPoints):
                 raise MemoryError("no memory for the sums over material points")
         pattern.mirror()
         self._collect()
+        self.moduli_shift = Shift()
         if shift:
             share, ties = np.ones((self.nodes.owned, 1)), self.prescribed.ties
             if ties is not None:  # as of the whole body that planes of symmetry stand for
                 share[:, 0] = ties.share[: self.nodes.owned]
-            most = (self.diagonal() / share).max(axis=0, initial=0.0)
+            self.unshifted = self.diagonal() / share
+            most = self.unshifted.max(axis=0, initial=0.0)
             self.comm.Allreduce(MPI.IN_PLACE, most, op=MPI.MAX)
             pattern.values[pattern.diagonal] += shift * (share * most).ravel()
+            self.moduli_shift = Shift(shift, share, most)
 
     @property
     def diagonal_shift(self) -> float:

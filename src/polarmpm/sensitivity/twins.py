@@ -32,7 +32,7 @@ from .leading import Along, Leader, Record
 CHORDS, MOST_CHORDS = 2, 10
 ENOUGH = 1e-7  # imbalance after the chord steps over that before, at which there are enough of them
 BAR = 1e-3  # the same, above which a twin is no twin
-_ROUNDING = 0.3  # times the level of rounding: what chord steps can make no smaller
+_ROUNDING, _LEVEL = 0.01, 1.0  # times the level of rounding: what chord steps can't make smaller; may leave
 _STALLED = 0.5  # ratio of imbalances above which another chord step brings nothing
 
 
@@ -95,28 +95,22 @@ class TwinSearch(Search):
             level: forces that rounding makes.
             path: its load factor is an unknown, too.
         """
-        first = last = np.inf
-        for k in range(MOST_CHORDS + 1):
+        found: list[float] = []
+        while True:
             system.evaluate(False)
             r = system.residual - left
-            now = _norm(system, r)
-            if k == 0:
-                first = now
-            done = now <= ENOUGH * first and k >= CHORDS
-            if now <= _ROUNDING * level or done or (k >= CHORDS and now > _STALLED * last):
-                last = now
-                if k >= 1 or now == 0.0:
-                    break
-            last = now
-            if k == MOST_CHORDS:
+            found.append(_norm(system, r))
+            if _ended(found, level):
                 break
             if path is None:
                 system.add(system.solve_free(-r, False))
             else:
                 _correct(path, r, self.leader.record)
+        first, last = found[0], found[-1]
         if not np.isfinite(last):
             return np.inf
-        return last / first if last > _ROUNDING * level and first > 0.0 else 0.0
+        share = last / first if first > 0.0 else 0.0
+        return 0.0 if share > BAR and last <= _LEVEL * level else share
 
     # along the path ---------------------------------------------------------------------------------
     def _along(self, path: Path, record: Record, along: Along) -> None:
@@ -139,6 +133,16 @@ class TwinSearch(Search):
             path.put_load()
             checks.append(self._balance(system, record.residual, record.level, path))
         self.check = max(checks)
+
+
+def _ended(found: list[float], level: float) -> bool:
+    """Whether chord steps have come to their end, of the imbalances before the first and after each of them."""
+    steps, now = len(found) - 1, found[-1]
+    if not np.isfinite(now) or now == 0.0 or steps == MOST_CHORDS:
+        return True
+    if steps < CHORDS:
+        return steps > 0 and now <= _ROUNDING * level
+    return now <= max(ENOUGH * found[0], _ROUNDING * level) or now > _STALLED * found[-2]
 
 
 def _put(system: NodalSystem, x: np.ndarray) -> None:

@@ -253,6 +253,18 @@ class DirectSolver:
             raise SingularTangent("the linear system could not be solved")
         return self._solution()
 
+    def precondition(self, rhs: np.ndarray) -> np.ndarray:
+        """What the factor alone makes of a right-hand side (n,), its shift and all. Collective.
+
+        Raises:
+            SingularTangent: there is none.
+        """
+        if self._solver is None:
+            raise SingularTangent("there is no factor")
+        self.rhs.array[:] = rhs
+        self._solver.getPC().apply(self.rhs, self.solution)
+        return self._solution()
+
     def _release_solver(self) -> None:
         for ksp in (self._conjugate, self._solver):
             if ksp is not None:

@@ -337,6 +337,17 @@ class MultigridSolver:
         solution: np.ndarray = self.solution.array * self._scale.array
         return solution
 
+    def precondition(self, rhs: np.ndarray) -> np.ndarray:
+        """See `DirectSolver.precondition`."""
+        if self._to_direct and self._direct is not None:
+            return self._direct.precondition(rhs)
+        if self._preconditioner is None:
+            raise SingularTangent("there is no hierarchy")
+        self.rhs.array[:] = rhs * self._scale.array
+        self._preconditioner.pc.apply(self.rhs, self.solution)
+        solution: np.ndarray = self.solution.array * self._scale.array
+        return solution
+
     def _iterate(self, rhs: np.ndarray, accuracy: float) -> bool:
         """Whether the present method gives a solution."""
         ksp, scale = self._methods[self._method], self._scale.array
