@@ -82,10 +82,10 @@ def _side(x: np.ndarray, y: np.ndarray, length: float, normal: Sequence[float]) 
 
 def arch(p: dict[str, float], **options: Any) -> Any:
     """Half of a shallow arch, which snaps through."""
-    grid = pm.Grid.box((0, -2), (10, 3), 1.0)
+    grid = pm.Grid.box((0, -4), (10, 3), 0.5)
 
     def inside(x: np.ndarray) -> np.ndarray:
-        return np.abs(x[:, 1] - 0.1 * x[:, 0]) < 0.4
+        return np.abs(x[:, 1] - 0.15 * x[:, 0]) < 0.25
 
     points = pm.seed(grid, inside=inside, material=elastic(p), points_per_cell=3)
     problem = pm.QuasiStatic(grid, points, reset=1, **options)

@@ -39,9 +39,8 @@ def test_cantilever(options, least):
 
 
 def test_flow_under_a_platen():
-    found = rates(scenes.column, SOIL, ["mu", "c", "kappa", "H"], marches(3))
-    exact = differences(scenes.column, SOIL, ["mu", "c", "kappa", "H"], marches(3), 1e-5)
-    assert digits(found, exact) >= 5.5
+    found = rates(scenes.column, SOIL, ["mu", "c", "kappa"], marches(3))
+    assert digits(found, differences(scenes.column, SOIL, ["mu", "c", "kappa"], marches(3), 1e-5)) >= 5.5
 
 
 def test_elements():
@@ -54,31 +53,33 @@ def test_surfaces():
     assert digits(found, differences(scenes.held_on_surfaces, BEAM, ["E", "l"], marches(3), 1e-5)) >= 6
 
 
+ARCH = {**BEAM, "l": 0.1}
+
+
 @pytest.mark.parametrize("options", [{}, {"balanced_reset": False, "basis": "mpm"}])
 def test_along_the_path(options):
     """Through the limit point, where there is no derivative at a given load."""
 
     def march(run: Any) -> Any:
-        return run.march_arc_length(0.25, steps=5)
+        return run.march_arc_length(0.2, steps=4)
 
     scene = partial(scenes.arch, **options)
-    with pm.Sensitivity(scene, BEAM, ["E", "l"]) as run:
-        found, factors = [], []
-        for step in march(run):
-            found.append(run.rates)
-            factors.append(step.factor)
+    found = rates(scene, ARCH, ["E", "l"], march)
+    exact = differences(scene, ARCH, ["E", "l"], march, 1e-6)
+    assert digits(found, exact) >= 6
+    problem, _ = scene(ARCH)
+    factors = [step.factor for step in march(problem)]
     assert max(factors) > factors[-1]
-    mine = {o: {n: np.array([step[o][n] for step in found]) for n in ("E", "l")} for o in found[0]}
-    assert digits(mine, differences(scene, BEAM, ["E", "l"], march, 1e-6)) >= 6
 
 
 def test_the_last_step_along_the_path_ends_at_a_load():
     def march(run: Any) -> Any:
-        return run.march_arc_length(0.05, to=0.3)
+        return run.march_arc_length(0.05, to=0.1)
 
-    found = rates(scenes.arch, BEAM, ["l"], march)
+    found = rates(scenes.arch, ARCH, ["l"], march)
     assert found["factor"]["l"][-1] == 0.0
-    assert digits({"root": found["root"]}, {"root": differences(scenes.arch, BEAM, ["l"], march, 1e-6)["root"]}) >= 6
+    exact = differences(scenes.arch, ARCH, ["l"], march, 1e-6)
+    assert digits({"root": found["root"]}, {"root": exact["root"]}) >= 6
 
 
 @pytest.mark.slow
@@ -89,16 +90,16 @@ def test_couples_in_space():
 
 def test_steps_that_adapt():
     """The twins take over the run's cuts."""
+    few = pm.Controls(max_iterations=5)
+    with pm.Sensitivity(scenes.column, SOIL, ["c"], controls=few) as run:
+        steps = [(step.factor, step.cuts, run.rates) for step in run.march(1, adaptive=True)]
+    assert sum(cuts for _, cuts, _ in steps) > 0
 
-    def march(run: Any) -> Any:
-        return run.march(steps=1, adaptive=True)
+    def march(problem: Any) -> Any:
+        return (problem.attempt(factor) for factor, _, _ in steps)
 
-    scene = partial(scenes.column, pressed=0.006)
-    with pm.Sensitivity(scene, SOIL, ["c"]) as run:
-        found = [(step.cuts, run.rates["force"]["c"]) for step in march(run)]
-    assert sum(cuts for cuts, _ in found) > 0
-    exact = differences(scene, SOIL, ["c"], march, 1e-6)["force"]["c"]
-    assert np.abs(np.array([rate for _, rate in found]) - exact).max() < 1e-5 * np.abs(exact).max()
+    found = {o: {"c": np.array([rates[o]["c"] for _, _, rates in steps])} for o in ("force", "side")}
+    assert digits(found, differences(scenes.column, SOIL, ["c"], march, 1e-6)) >= 5.5
 
 
 def test_the_remainder_is_of_second_order():
@@ -118,11 +119,11 @@ def test_the_remainder_is_of_second_order():
 def test_the_run_is_the_same_to_the_last_bit(scene):
     values = BEAM if scene is scenes.cantilever else SOIL
     alone, observables = scene(values)
-    expected = [(step.history, observables["tip" if "tip" in observables else "force"]()) for step in alone.march(3)]
-    with pm.Sensitivity(scene, values, list(values)[:2]) as run:
-        for step, (history, value) in zip(run.march(3), expected, strict=True):
+    expected = [(step.history, {o: f() for o, f in observables.items()}) for step in alone.march(2)]
+    with pm.Sensitivity(scene, values, list(values)[:1]) as run:
+        for step, (history, answers) in zip(run.march(2), expected, strict=True):
             assert step.history == history
-            assert np.array_equal(run.values["tip" if "tip" in run.values else "force"], value)
+            assert all(np.array_equal(run.values[o], value) for o, value in answers.items())
         for name in ("x", "F", "q", "wryness"):
             assert np.array_equal(getattr(run.problem.points, name), getattr(alone.points, name))
 
