@@ -177,6 +177,11 @@ class Sensitivity:
     def _check_whole(self) -> None:
         if self._broken:
             raise InputError(f"this run has ended early, make a new one: {self._broken}")
+        if building.conditions(self.problem) != self._given:
+            raise InputError(
+                "problem: conditions have been added or released since the run was made; give all of them in "
+                "build, as functions of the load factor if need be"
+            )
 
     def _followed(self, steps: Iterator[Step]) -> Iterator[Step]:
         while True:
@@ -193,11 +198,6 @@ class Sensitivity:
 
     def _follow(self, step: Step) -> None:
         """Let the twins take the step that the run has just taken."""
-        if building.conditions(self.problem) != self._given:
-            raise InputError(
-                "problem: conditions have been added or released since the run was made; give all of them in "
-                "build, as functions of the load factor if need be"
-            )
         path = self._leader.record.path
         self._taken.append(self.problem.progress.factor if path is None else path)
         for name in self.names:

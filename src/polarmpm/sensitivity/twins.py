@@ -19,9 +19,7 @@ from ..assembly.borrowed import BorrowedElements, BorrowedPoints
 from ..assembly.system import NodalSystem
 from ..basis.followed import Followed
 from ..bodies.partition import LoadShares
-from ..bodies.points import Points
 from ..errors import LocalFailure, PolarMPMError
-from ..geometry.grid import Grid
 from ..problems.attempts import Search
 from ..solvers.arclength import Path
 from ..solvers.linear import SingularTangent
@@ -222,11 +220,10 @@ class Twin:
     def check(self) -> float:
         return self.search.check
 
-    def _distribute(
-        self, grid: Grid, points: Points, x: np.ndarray | None = None, cells: np.ndarray | None = None
-    ) -> Route | None:
+    def _distribute(self) -> Route | None:
         """Points go where the leading run's are. Collective."""
-        comm, there = grid.comm, self.leader.problem.points.id
+        points, there = self.problem.points, self.leader.problem.points.id
+        comm = points.comm
         rank = np.full((len(there), 1), float(comm.rank))
         to = values_by_number(comm, there, rank, points.id)[:, 0].astype(np.int64)
         route = points.migrate(to) if comm.allreduce(int(np.any(to != comm.rank))) else None
