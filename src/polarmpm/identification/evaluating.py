@@ -210,6 +210,7 @@ class Evaluator:
 
     def __init__(self, tasks: Sequence[Task], workers: int = 1):
         self.tasks = list(tasks)
+        self.workers = workers
         self._lock, self._pool = threading.Lock(), None
         if workers > 1:
             for task in self.tasks:
@@ -220,9 +221,13 @@ class Evaluator:
     def __call__(self, p: Mapping[str, float], slopes: Mapping[str, float], first: bool = False) -> Answers:
         if self._pool is None:
             return [evaluate(task, p, slopes, first) for task in self.tasks]
-        waiting = [self._submit(task, dict(p), dict(slopes), first) for task in self.tasks]
+        # more processes than experiments share the parameters of each, whose run they all make
+        shares = max(1, min(self.workers // len(self.tasks), len(slopes)))
+        parts = [{name: slopes[name] for name in list(slopes)[k::shares]} for k in range(shares)]
+        waiting = [self._submit(task, dict(p), part, first) for task in self.tasks for part in parts]
         try:
-            return [one.result() for one in waiting]
+            found = [one.result() for one in waiting]
+            return [_joined(found[k : k + shares], parts, slopes) for k in range(0, len(found), shares)]
         except BrokenProcessPool:
             raise InputError(
                 "workers: a process of the pool has ended; a script that starts some begins its work under "
@@ -246,6 +251,19 @@ class Evaluator:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+def _joined(
+    found: Sequence[Evaluated], parts: Sequence[Mapping[str, float]], slopes: Mapping[str, float]
+) -> Evaluated:
+    """One experiment, of processes that have differentiated by a part of the parameters each."""
+    failed = next((one for one in found if one.failure), None)
+    if failed is not None or len(found) == 1:
+        return failed or found[0]
+    names = [name for part in parts for name in part]
+    order = [names.index(name) for name in slopes]
+    joined = {key: np.concatenate([one.rates[key] for one in found], axis=-1) for key in found[0].rates}
+    return Evaluated(found[0].values, {key: rates[..., order] for key, rates in joined.items()})
 
 
 def _check_sendable(task: Task) -> None:

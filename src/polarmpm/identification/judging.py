@@ -14,6 +14,7 @@ LIMIT = 0.125  # standard deviation of an unknown beyond which its parameter cou
 TRUSTED = 0.3  # up to here intervals from derivatives cover what they say
 _ROUND = 1e-13  # singular values below this part of the largest one are rounding
 _TOGETHER = 0.3  # part of a direction from which on a parameter is named
+_UNKNOWN = 7.0  # more than a factor of 1000
 _PAIR = 0.9  # correlation that is worth a word
 
 
@@ -125,6 +126,6 @@ def pairs_in_words(of: Judgement, names: list[str]) -> list[str]:
 
 def percent(sd: float) -> str:
     """A standard deviation of an unknown, for tables."""
-    if not np.isfinite(sd):
-        return "inf"
-    return f"{100 * sd:.2g} %" if sd < 1 else f"x {np.exp(min(sd, 50.0)):.2g}"
+    if sd < 1:
+        return f"{100 * sd:.2g} %"
+    return f"x {np.exp(sd):.2g}" if sd < _UNKNOWN else "unknown"
