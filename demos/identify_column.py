@@ -1,8 +1,10 @@
 """All parameters of a micropolar soil from one column, compressed until it softens. SI units.
 
-A column of a micropolar Drucker-Prager material between rough platens, plane strain; synthetic data with noise.
+A column of a micropolar Drucker-Prager material between rough platens, plane strain; synthetic data with
+noise.
 Its load curve alone shows nothing but the shear modulus: a length, a strength and its softening trade places
-freely. The displacements of its side at two load factors, as digital image correlation sees them, show all the
+freely. The displacements of its side at two load factors, as digital image correlation sees them, show all
+the
 eight: moduli mu and kappa, lengths l_b and l_p, friction phi, dilatancy psi, cohesion c and softening H.
 """
 

@@ -2,8 +2,8 @@
 
 Thesis 4.5.2, the other way round: synthetic torques of wires of several diameters, with noise, from which the
 parameters are to be found again. Elastic wires are the closed form of Gauthier & Jahsman: however many
-diameters there are, they say little of the coupling number n and the polar ratio psi. Plastic ones are material
-points between rollers, as in `wire_torsion.py`: strength k, hardening H and plastic length l_p.
+diameters there are, they say little of the coupling number n and the polar ratio psi. Plastic ones are
+material points between rollers, as in `wire_torsion.py`: strength k, hardening H and plastic length l_p.
 """
 
 from mpi4py import MPI
@@ -34,8 +34,8 @@ def bars(p, at):
 
 
 def wire(p, diameter, cells):
-    """The problem of a plastic wire between rollers, and its torque over a^3 (Pa). The load factor is the twist
-    of the top's microrotation (rad)."""
+    """The problem of a plastic wire between rollers, and its torque over a^3 (Pa). The load factor is the
+    twist of the top's microrotation (rad)."""
     share, a = (p["l"] / 3.7e-6) ** 2, diameter / 2
     elastic = pm.MicropolarElastic(
         lam=69e9, mu=46e9, kappa=p["kappa"], alpha=-0.41938 * share, beta=0.0, gamma=0.62974 * share

@@ -32,12 +32,6 @@ class Dataset:
     measured: np.ndarray | None
     sigma: np.ndarray
 
-    def valid(self) -> np.ndarray:
-        """Which values are there, of the measured shape."""
-        assert self.measured is not None
-        found: np.ndarray = np.isfinite(self.measured)
-        return found
-
 
 class Experiment:
     """One test of a body: a function that computes it, and what was measured.
@@ -137,12 +131,6 @@ class Experiment:
         what = self.label or getattr(self.build, "__name__", "build")
         return f"Experiment({what}: {names}; {len(self.at)} states)"
 
-    @property
-    def skipped(self) -> int:
-        """How many states at the beginning are the undeformed body's."""
-        away = np.flatnonzero(self.at != 0)
-        return int(away[0]) if len(away) else len(self.at)
-
     def task(self) -> Task:
         """What is needed to compute it, without the data."""
         names = tuple(d.name for d in self.datasets)
@@ -164,6 +152,18 @@ class Task:
     method: str
     names: tuple[str, ...]
     closed: bool = False
+
+    @property
+    def skipped(self) -> int:
+        """How many states at the beginning are the undeformed body's."""
+        away = np.flatnonzero(self.at != 0)
+        return 0 if self.closed else int(away[0]) if len(away) else len(self.at)
+
+    def compared(self, d: Dataset) -> np.ndarray:
+        """Which values (n, ...) of measured data are there, and computed."""
+        assert d.measured is not None
+        found: np.ndarray = np.isfinite(d.measured)
+        return found & (d.rows >= self.skipped).reshape(-1, *[1] * (d.measured.ndim - 1))
 
 
 def _march_options(march: Any) -> dict[str, Any]:

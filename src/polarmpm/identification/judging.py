@@ -90,6 +90,11 @@ def unidentifiable(of: Judgement, limit: float) -> list[int]:
     return [int(k) for k in np.flatnonzero(~(of.spread <= limit))]
 
 
+def dominated(of: Judgement) -> list[int]:
+    """Unknowns that are held by their own priors: these have a quarter or more of what is known of them."""
+    return [int(k) for k in np.flatnonzero(of.sd > 0.5 * of.priors)]
+
+
 def quantile(level: float) -> float:
     """How many standard deviations an interval of a level reaches to either side."""
     return NormalDist().inv_cdf(0.5 + level / 2)

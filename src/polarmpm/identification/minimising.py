@@ -58,10 +58,10 @@ class Objective:
                 self.failures.append(f"experiment {k + 1} at {where}: {one.failure}")
                 return None
         residuals, rates = [], []
-        for test, one in zip(self.tests, answers, strict=True):
+        for test, task, one in zip(self.tests, self.evaluator.tasks, answers, strict=True):
             for d in test.datasets:
                 assert d.measured is not None
-                there = d.valid() & (d.rows >= test.skipped).reshape(-1, *[1] * (d.measured.ndim - 1))
+                there = task.compared(d)
                 value = _fitting(one.values[d.name][d.rows], d.measured, d.name)
                 residuals.append(((value - d.measured) / d.sigma)[there])
                 rates.append((one.rates[d.name][d.rows] / d.sigma[..., None])[there])

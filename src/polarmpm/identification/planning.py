@@ -13,7 +13,7 @@ import numpy as np
 from ..tools import checks
 from ..tools.meetings import collective
 from .evaluating import Evaluated, Evaluator, probe
-from .experiment import Dataset, Experiment, experiments
+from .experiment import Dataset, Experiment, Task, experiments
 from .judging import LIMIT, Judgement, direction_in_words, judge, percent, quantile, unidentifiable
 from .transforms import Free, free_parameters
 from .wording import identified, table
@@ -121,7 +121,7 @@ def plan(
             whole = test.label or str(k + 1)
             name = whole if len(test.datasets) == 1 else f"{whole}, {d.name}"
             name = name if name not in rows else f"{name} ({k + 1})"
-            rows[name] = comm.bcast(_weighted(test, d, answer))
+            rows[name] = comm.bcast(_weighted(tasks[k], d, answer))
     nothing = np.full(len(unknown.names), np.inf)
 
     def of(names: Sequence[str], without: dict[str, Plan]) -> Plan:
@@ -132,12 +132,11 @@ def plan(
     return of(list(rows), without)
 
 
-def _weighted(test: Experiment, d: Dataset, answer: Evaluated) -> np.ndarray:
+def _weighted(task: Task, d: Dataset, answer: Evaluated) -> np.ndarray:
     """Derivatives (N, n) of one observable over its standard deviation."""
     rates = answer.rates[d.name][d.rows]
-    there = np.broadcast_to((d.rows >= test.skipped).reshape(-1, *[1] * (rates.ndim - 2)), rates.shape[:-1])
-    if d.measured is not None:
-        there = there & d.valid()
+    seen = (d.rows >= task.skipped).reshape(-1, *[1] * (rates.ndim - 2))
+    there = np.broadcast_to(seen, rates.shape[:-1]) if d.measured is None else task.compared(d)
     sigma = np.broadcast_to(d.sigma, rates.shape[:-1])
     weighted: np.ndarray = (rates / sigma[..., None])[there]
     return weighted

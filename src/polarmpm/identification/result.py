@@ -20,7 +20,7 @@ from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import raise_on_all_ranks
 from .drawing import correlations, fit_against_data
-from .judging import Judgement, direction_in_words, quantile, unidentifiable
+from .judging import Judgement, direction_in_words, dominated, quantile, unidentifiable
 from .profile import Profile, profile
 from .transforms import Free, told, untold
 from .wording import fit_in_words
@@ -114,7 +114,7 @@ class Fit:
         compared: measured and computed values.
         starts: for each start its `chi2`, `evaluations` and `values`, the one that was taken first.
         failures: runs that have failed on the way, and why.
-        dominated: parameters about which a prior says more than the data.
+        dominated: parameters that are held by their priors, weak ones included, rather than by data.
     """
 
     free: Free
@@ -190,8 +190,7 @@ class Fit:
 
     @property
     def dominated(self) -> list[str]:
-        bad = self.judgement.spread > self.judgement.priors
-        return [name for name, one in zip(self.names, bad, strict=True) if one]
+        return [self.names[k] for k in dominated(self.judgement)]
 
     @property
     def dof(self) -> int:
@@ -351,10 +350,10 @@ def make_fit(objective: Any, best: Start, all_: Sequence[Start], limit: float, w
     """The result of the best start."""
     found = objective(best.v)
     compared = []
-    for k, (test, values) in enumerate(zip(objective.tests, found[2], strict=True)):
+    tasks = objective.evaluator.tasks
+    for k, (test, task, values) in enumerate(zip(objective.tests, tasks, found[2], strict=True)):
         for d in test.datasets:
-            there = d.valid() & (d.rows >= test.skipped).reshape(-1, *[1] * (d.measured.ndim - 1))
-            measured = np.where(there, d.measured, np.nan)
+            measured = np.where(task.compared(d), d.measured, np.nan)
             compared.append(
                 Compared(k, test.label, d.name, test.at[d.rows], measured, d.sigma, values[d.name][d.rows])
             )

@@ -97,7 +97,7 @@ class Log:
         return self.sign * math.exp(min(u, _FAR))
 
     def slope(self, m: float) -> float:
-        return m * self.sign
+        return m
 
 
 Transform = Bounds | Linear | Log

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .judging import TRUSTED, Judgement, direction_in_words, pairs_in_words, percent
+from .judging import TRUSTED, Judgement, direction_in_words, dominated, pairs_in_words, percent
 from .transforms import Free
 
 
@@ -30,9 +30,9 @@ def identified(judgement: Judgement, free: Free, v: np.ndarray, limit: float) ->
     if bad:
         said = ", ".join(f"{names[k]} ({percent(float(judgement.spread[k]))})" for k in bad)
         lines.append(f"not identifiable: {said}")
-    held = [names[k] for k in range(len(names)) if judgement.spread[k] > judgement.priors[k]]
+    held = [names[k] for k in dominated(judgement)]
     if held:
-        lines.append(f"the prior says more than the data: {', '.join(held)}")
+        lines.append(f"held by priors rather than data: {', '.join(held)}")
     pairs = pairs_in_words(judgement, names)
     if pairs:
         lines.append(f"correlated: {', '.join(pairs)}")
