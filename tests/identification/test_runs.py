@@ -15,7 +15,7 @@ from .scenes import SHEET, sheet
 
 COMM = MPI.COMM_WORLD
 PLACES = np.array([(0.3, 0.2), (1.0, 0.9), (2.1, 0.05), (3.9, 0.5)])
-START = {"mu": 3e3, "kappa": 350.0, "gamma": 100.0}
+START = {"mu": 2.4e3, "kappa": 700.0, "gamma": 130.0}
 
 
 def computed(at, **options):
@@ -35,9 +35,9 @@ def test_a_curve_and_a_field():
     curve[1] = np.nan
     data = {"deflection": (curve, 1e-4), "field": (true["field"][1:], 1e-4, [1.0])}
     fit = pm.identify(
-        pm.Experiment(sheet, at=at, data=data, places=PLACES), start=START, free=["mu", "kappa", "gamma"]
+        pm.Experiment(sheet, at=at, data=data, places=PLACES), start=START, free=["mu", "gamma"]
     )
-    assert fit.dof == 1 + PLACES.size - 3  # nothing is compared at load factor 0
+    assert fit.dof == 1 + PLACES.size - 2  # nothing is compared at load factor 0
     for name, value in fit.values.items():
         assert abs(value / SHEET[name] - 1) < 1e-4, name
     assert fit.evaluations <= 10

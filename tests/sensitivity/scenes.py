@@ -17,9 +17,7 @@ SOIL = {"mu": 8e6, "kappa": 4e6, "l": 5e-3, "c": 1e5, "H": -2e5}
 
 
 def elastic(p: dict[str, float]) -> pm.Material:
-    return pm.MicropolarElastic.from_engineering(
-        E=p["E"], nu=0.25, n=p["n"], l_b=p["l"], l_t=p["l"], psi=1.0
-    )
+    return pm.MicropolarElastic.from_engineering(E=p["E"], nu=0.25, n=p["n"], l_b=p["l"], l_t=p["l"], psi=1.0)
 
 
 def soil(p: dict[str, float]) -> pm.Material:

@@ -159,7 +159,7 @@ def test_no_number_is_given_where_there_is_none(monkeypatch):
 
     monkeypatch.setattr(runs, "_take", lambda pair, step: "its chord steps leave 0.5 of the imbalance")
     with pm.Sensitivity(scenes.cantilever, BEAM, ["l"], sides=1) as run:
-        with pytest.raises(pm.NotDifferentiable, match="l: step 1 .* leave 0.5") as caught:
+        with pytest.raises(pm.NotDifferentiable, match=r"l: step 1 .* leave 0.5") as caught:
             next(run.march(3))
         assert (caught.value.parameter, caught.value.step) == ("l", 1)
         with pytest.raises(pm.InputError, match="ended early"):

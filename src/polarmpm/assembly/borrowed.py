@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from mpi4py import MPI
+
+import numpy as np
 
 from ..conditions.prescribed import Prescribed
 from ..kernels.kernel import Kernel
 from ..tools.timing import Timer
+from .carrying import Moduli
 from .elements import ElementSystem
 from .elementscalars import scalars_of
 from .elementsums import SummedElements
 from .interpolation import Interpolation
 from .loadedpoints import LoadedPoints, Shift
 from .points import PointSystem
-
-if TYPE_CHECKING:
-    from .carrying import Moduli
 
 _GRADIENTS = 1e-10, 1e-6  # relative residuals of the first motion, and of one that improves it
 _MOST_GRADIENTS, _WORSE = 60, 100.0  # iterations; growth of a square at which they lead nowhere
@@ -82,7 +80,8 @@ class BorrowedPoints(PointSystem):
             w, rest = w + share * along, rest - share * forces
             now = self._square(rest, rest)
             least = (w, now) if now < least[1] else least
-        return least[0]
+        motion: np.ndarray = least[0]
+        return motion
 
     def _square(self, a: np.ndarray, b: np.ndarray) -> float:
         """Sum of a b over owned nodes. Collective."""

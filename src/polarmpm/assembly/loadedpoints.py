@@ -23,7 +23,6 @@ from .pointboxes import BoxTangent
 from .projectedpoints import ProjectedPoints
 
 if TYPE_CHECKING:
-    from .carrying import Moduli
     from ..forms.returnmapping import ReturnMapping
 
 
@@ -221,11 +220,12 @@ class LoadedPoints(ProjectedPoints):
             shift: what is added to the diagonal, over its largest entry.
         """
 
-    def carrying_motion(self, left: np.ndarray, k: int, moduli: Sequence[Moduli]) -> np.ndarray:
+    def carrying_motion(self, left: np.ndarray, k: int, moduli: Sequence[Any]) -> np.ndarray:
         """The motion w (nodes, block) of K w = -left, K as of the last `assemble_moduli`. Collective.
 
         Args:
             left: forces (nodes, block), complete on owned rows.
+            moduli: of each batch, `carrying.Moduli`.
             k: number of the motion; for the first one K has no factor yet.
         """
         return self.solve_free(-left, k == 0, _ACCURACY)

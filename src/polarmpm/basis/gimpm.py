@@ -51,7 +51,6 @@ class Gimpm(Tents):
         count = (last - lowest + 1).astype(np.int32)
         return Weights(lowest, count, _means(grid, low, high, lowest, count))
 
-
     def continued(self, grid: Grid, x: np.ndarray, half_length: np.ndarray | None, like: Chosen) -> Weights:
         """The same parts of the domains, cut by the same planes, and shortened to the same ones."""
         assert half_length is not None
@@ -61,30 +60,28 @@ class Gimpm(Tents):
         return Weights(like.lowest, like.count, table)
 
 
-def _continued_end(
-    grid: Grid, x: np.ndarray, half_length: np.ndarray, like: Chosen, side: int
-) -> np.ndarray:
+def _continued_end(grid: Grid, x: np.ndarray, half_length: np.ndarray, like: Chosen, side: int) -> np.ndarray:
     """An end (n, d) of domains in lattice coordinates, the lower (-1) or upper one (1): where those of `like`
     have been shortened, so that they end on a plane, that far from x too."""
     assert like.half_length is not None
-    planes: list[np.ndarray] = []
     if grid.equal:
         xi, half = grid.local(like.x), like.half_length / np.array(grid.smallest)
         shorter, now = _without_slivers(xi, half), grid.local(x)
         below, above = np.ceil(xi - half), np.floor(xi + half)
-        reach = np.where(np.abs(xi - below - shorter) < np.abs(above - xi - shorter), now - below, above - now)
-        return now + side * np.where(shorter < half, reach, half_length / np.array(grid.smallest))
+        nearer = np.abs(xi - below - shorter) < np.abs(above - xi - shorter)
+        reach = np.where(nearer, now - below, above - now)
+        moved = side * np.where(shorter < half, reach, half_length / np.array(grid.smallest))
+        end: np.ndarray = now + moved
+        return end
     shorter = _without_slivers_in_metres(grid, like.x, like.half_length)
     low, high = snap(grid.local(like.x - like.half_length)), snap(grid.local(like.x + like.half_length))
-    for plane in (np.ceil(low), np.floor(high)):
-        planes.append(grid.corners(plane.astype(np.int64)))
-    below, above = planes
+    below, above = (grid.corners(plane.astype(np.int64)) for plane in (np.ceil(low), np.floor(high)))
     nearer = np.abs(like.x - below - shorter) < np.abs(above - like.x - shorter)
     reach = np.where(nearer, x - below, above - x)
-    end = x + side * np.where(shorter < like.half_length, reach, half_length)
-    # in the cell in which the end is: lattice coordinates are linear in it
+    position = x + side * np.where(shorter < like.half_length, reach, half_length)
+    # in the cell in which that is: lattice coordinates are linear in it
     cell = (like.lowest if side < 0 else like.lowest + like.count - 2).astype(np.int64)
-    continued: np.ndarray = cell + (end - grid.corners(cell)) / grid.sizes(cell)
+    continued: np.ndarray = cell + (position - grid.corners(cell)) / grid.sizes(cell)
     return continued
 
 

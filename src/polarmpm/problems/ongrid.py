@@ -71,7 +71,7 @@ class OnGrid(Problem):
     _converged_loads: tuple[np.ndarray, np.ndarray] | None
     _most_growth = np.inf  # of the points' domains
     systems: Callable[..., LoadedPoints] | None = None  # what makes them; None: as `assembly` says
-    distribution: Callable[[], Route | None] | None = None  # moves points to other ranks; None: by their places
+    distribution: Callable[[], Route | None] | None = None  # moves points to ranks; None: by their places
 
     def _beside(self, where: PlaneSpec) -> PlaneSpec:
         self.basis.check_plane(where, self.initial_grid)

@@ -53,9 +53,7 @@ def names_of(parameters: Sequence[str] | None, values: Mapping[str, float]) -> l
     return names
 
 
-def built(
-    build: Build, values: Mapping[str, float], arguments: Mapping[str, Any]
-) -> tuple[Any, Observables]:
+def built(build: Build, values: Mapping[str, float], arguments: Mapping[str, Any]) -> tuple[Any, Observables]:
     """What build gives. Collective.
 
     Raises:
@@ -96,7 +94,7 @@ def check_problem(problem: Any) -> None:
     for term in problem.terms:
         if isinstance(term, Obstacle):
             raise InputError(
-                f"{term.name}: contact begins and ends with kinks, at which there is no derivative; runs with "
+                f"{term.name}: contact begins and ends with kinks, which have no derivative; runs with "
                 "contact aren't differentiated"
             )
     if isinstance(problem, QuasiStatic):
@@ -136,7 +134,7 @@ def _geometry(problem: Any, other: Any) -> Iterator[tuple[str, np.ndarray, np.nd
         yield f"{words.get(name, name)} of points", arrays[0], arrays[1]
     if isinstance(problem, QuasiStatic):
         grids = [p.initial_grid for p in (problem, other)]
-        yield "grids", *(np.array(g.shape) for g in grids)
+        yield "grids", np.array(grids[0].shape), np.array(grids[1].shape)
         for axis in range(problem.initial_grid.dim):
             lines = [np.array([g.plane(axis, i) for i in range(g.shape[axis] + 1)]) for g in grids]
             yield "grids", lines[0], lines[1]
@@ -150,7 +148,7 @@ def numbers_apart(problem: Any, other: Any) -> str:
     if any(not np.array_equal(parameter_values(a), parameter_values(b)) for a, b in pairs):
         return "numbers of materials"
     loads = [np.hstack(p._loads_at(1.0)) for p in (problem, other)]
-    return "" if np.array_equal(*loads) else "loads"
+    return "" if np.array_equal(loads[0], loads[1]) else "loads"
 
 
 def read(observables: Observables) -> dict[str, Any]:

@@ -71,8 +71,8 @@ class Sensitivity:
         method: "twins".
         sides: 2: twins with a larger and a smaller value; 1: with a larger one only, at half the cost, and
             to fewer digits.
-        step: of ln m between twin and run; default 1e-5, on one side 1e-6. Where it turns out to be too large,
-            smaller ones are taken.
+        step: of ln m between twin and run; default 1e-5, on one side 1e-6. Where it turns out to be too
+            large, smaller ones are taken.
         arguments: of build.
 
     Attributes:
@@ -105,7 +105,7 @@ class Sensitivity:
         self.method = checks.choice("method", method, METHODS)
         self.sides = checks.whole("sides", sides, least=1, most=2)
         if step is not None:
-            step = checks.number("step", step, least=_SMALLEST, most=1e-2)
+            step = checks.number("step", step, least=_SMALLEST, most=1e-3)
         self._arguments = arguments
         self.steps = dict.fromkeys(self.names, step or _STEPS[self.sides])
         problem, self._observables = self._built(self.given)
@@ -285,5 +285,3 @@ def _take(pair: _Pair, step: Step) -> str:
     if not pair.check <= BAR:
         return f"its chord steps leave {pair.check:.2g} of the imbalance; {BAR:g} is allowed"
     return ""
-
-

@@ -78,14 +78,14 @@ class TwinSearch(Search):
                 boxes.put_shares(share)
 
     # at a load factor -------------------------------------------------------------------------------
-    def _chords(
-        self, system: NodalSystem, start: np.ndarray, increments: np.ndarray, record: Record
-    ) -> None:
+    def _chords(self, system: NodalSystem, start: np.ndarray, increments: np.ndarray, record: Record) -> None:
         moved, fixed = record.end - record.start, system.prescribed.fixed
         _put(system, np.where(fixed, increments, start + moved))
         self.check = self._balance(system, record.residual, record.level)
 
-    def _balance(self, system: NodalSystem, left: np.ndarray, level: float, path: Path | None = None) -> float:
+    def _balance(
+        self, system: NodalSystem, left: np.ndarray, level: float, path: Path | None = None
+    ) -> float:
         """Chord steps; what they leave of the imbalance. Collective.
 
         Args:
@@ -134,7 +134,7 @@ class TwinSearch(Search):
 
 
 def _ended(found: list[float], level: float) -> bool:
-    """Whether chord steps have come to their end, of the imbalances before the first and after each of them."""
+    """Whether chord steps have come to their end, of the imbalances before the first and after each."""
     steps, now = len(found) - 1, found[-1]
     if not np.isfinite(now) or now == 0.0 or steps == MOST_CHORDS:
         return True
