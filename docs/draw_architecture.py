@@ -48,6 +48,7 @@ ROOMS = (
     Room("terms", "ghost penalty, surfaces", "equations"),
     Room("assembly", "sums over points, sparse matrix", "equations"),
     Room("problems", "what a script talks to", "problem"),
+    Room("sensitivity", "derivatives by parameters", "use"),
     Room("io", "ParaView, tables, restart", "use"),
     Room("plot", "figures", "use"),
     Room("geotechnics", "factors of safety", "use"),

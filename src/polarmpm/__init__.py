@@ -21,6 +21,7 @@ from .errors import (
     KernelError,
     NotConserved,
     NotConverged,
+    NotDifferentiable,
     OutputError,
     PointsOutsideGrid,
     PolarMPMError,
@@ -68,11 +69,20 @@ ends.install()
 
 if TYPE_CHECKING:
     from . import geotechnics
+    from .identification.experiment import Experiment
+    from .identification.fitting import identify
+    from .identification.places import Places
+    from .identification.planning import Plan, plan
+    from .identification.profile import Profile
+    from .identification.reading import Curve, read_curve
+    from .identification.result import Compared, Fit, Outlier
+    from .identification.transforms import Bounds, Linear
     from .materials.clay import CamClay, Houlsby
     from .materials.cones import DruckerPrager, VonMises
     from .materials.plastic import Continuation, Plastic, UserPlasticity
     from .materials.pyramids import MohrCoulomb, Tresca
     from .materials.regions import ConeApex, Edge, Region, SmoothPart, YieldSurface
+    from .sensitivity.runs import Sensitivity
     from .study.pilot import lines_from
 
 _LATER = {
@@ -81,6 +91,15 @@ _LATER = {
     **dict.fromkeys(("CamClay", "Houlsby"), "materials.clay"),
     **dict.fromkeys(("Continuation", "Plastic", "UserPlasticity"), "materials.plastic"),
     **dict.fromkeys(("ConeApex", "Edge", "Region", "SmoothPart", "YieldSurface"), "materials.regions"),
+    "Sensitivity": "sensitivity.runs",
+    "Experiment": "identification.experiment",
+    "Profile": "identification.profile",
+    "identify": "identification.fitting",
+    **dict.fromkeys(("Bounds", "Linear"), "identification.transforms"),
+    **dict.fromkeys(("Compared", "Fit", "Outlier"), "identification.result"),
+    **dict.fromkeys(("Plan", "plan"), "identification.planning"),
+    **dict.fromkeys(("Curve", "read_curve"), "identification.reading"),
+    "Places": "identification.places",
     "lines_from": "study.pilot",
 }
 
@@ -102,12 +121,15 @@ __all__ = [
     "ArrudaBoyce",
     "Basis",
     "BodyContact",
+    "Bounds",
     "Box",
     "Boxes",
     "CamClay",
+    "Compared",
     "ConeApex",
     "Continuation",
     "Controls",
+    "Curve",
     "Cylinder",
     "DruckerPrager",
     "Dynamic",
@@ -116,9 +138,11 @@ __all__ = [
     "Elements",
     "ErrorOnAnotherRank",
     "EverySteps",
+    "Experiment",
     "Facets",
     "Field",
     "Finding",
+    "Fit",
     "GhostPenalty",
     "GradientElastic",
     "Grid",
@@ -127,6 +151,7 @@ __all__ = [
     "Houlsby",
     "InputError",
     "KernelError",
+    "Linear",
     "Material",
     "MaterialField",
     "MicropolarElastic",
@@ -135,16 +160,21 @@ __all__ = [
     "Never",
     "NotConserved",
     "NotConverged",
+    "NotDifferentiable",
     "Observer",
     "Obstacle",
     "OrientedMicropolar",
+    "Outlier",
     "OutputError",
     "Piece",
+    "Places",
+    "Plan",
     "Plastic",
     "Points",
     "PointsOutsideGrid",
     "PolarMPMError",
     "Polygon",
+    "Profile",
     "QuasiStatic",
     "QuasiStaticFEM",
     "RanksApart",
@@ -152,6 +182,7 @@ __all__ = [
     "Region",
     "SaintVenantKirchhoff",
     "Selection",
+    "Sensitivity",
     "Shape",
     "SmoothPart",
     "Solid",
@@ -171,10 +202,13 @@ __all__ = [
     "WhenDistorted",
     "YieldSurface",
     "geotechnics",
+    "identify",
     "lines",
     "lines_from",
     "load_restart",
+    "plan",
     "plane",
+    "read_curve",
     "register_basis",
     "register_solver",
     "save_restart",

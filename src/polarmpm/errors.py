@@ -140,6 +140,23 @@ class NotConverged(PolarMPMError, RuntimeError):
         self.args = (self._message(),)
 
 
+class NotDifferentiable(PolarMPMError, RuntimeError):
+    """A run's answers have no derivative by a parameter that could be found; raised on all ranks alike.
+
+    Attributes:
+        parameter: its name.
+        step, factor: number and load factor of the step.
+        smallest: step of ln m that was tried last.
+    """
+
+    def __init__(self, parameter: str, step: int, factor: float, smallest: float, trouble: str):
+        self.parameter, self.step, self.factor, self.smallest = parameter, step, factor, smallest
+        super().__init__(
+            f"{parameter}: step {step} to load factor {factor:.6g} has no derivative by it: a twin with "
+            f"another {parameter} (by {smallest:.0e} of it) doesn't go along with the run: {trouble}"
+        )
+
+
 class LocalFailure(PolarMPMError, RuntimeError):
     """The state at a point could not be found, such as by a return mapping; raised on all ranks alike.
 

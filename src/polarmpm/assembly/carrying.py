@@ -21,7 +21,6 @@ from .system import NodalSystem
 
 _SOFTEST = 1e-8  # stiffness of directions that the material has none in (turns), over that of the others
 _SOLUTIONS = 2  # the shift leaves 1e-8 of r after the first one, an iterative solver its accuracy
-_ACCURACY = 1e-6
 _THIN = 1e-7  # shift of the matrix over its largest diagonal, where nodes are reached by too little
 _RANK = 1e-10  # of the equations for closing forces
 
@@ -83,6 +82,10 @@ class Moduli:
     def _frames(self) -> np.ndarray:
         return self._batch.batch.frames
 
+    def work(self, z: np.ndarray) -> np.ndarray:
+        """What a z does on variations of z, with the shift: (n, nz) of z (n, nz)."""
+        return np.ascontiguousarray(np.einsum("nij,nj->ni", self._matrices, z))
+
     def times(self, z: np.ndarray) -> np.ndarray:
         """Stresses a z (n, b, d) of z (n, nz)."""
         return self.stresses(np.einsum("nij,nj->ni", self._matrices, z) - self._shift * z)
@@ -102,12 +105,13 @@ def carry_stress(system: LoadedPoints) -> None:
             moduli = [Moduli(system, k) for k in range(len(i.batches))]
             system.assemble_moduli([m.blocks for m in moduli], _THIN if thin else 0.0)
             for k in range(1 if thin else _SOLUTIONS):
-                w, before = system.solve_free(-left, k == 0, _ACCURACY), i.reference.initial_stress.copy()
+                w, before = system.carrying_motion(left, k, moduli), i.reference.initial_stress.copy()
                 initial.replace(before + _stresses(system, moduli, w))
                 now = system.imbalance()
                 if not _norm(system, now) < size:  # rounding is reached
                     initial.replace(before)
                     break
+                system.carried_by = [*system.carried_by[:k], w]
                 left, size = now, _norm(system, now)
     except SingularTangent:  # a body in parts that nothing holds
         return carry_forces(system)

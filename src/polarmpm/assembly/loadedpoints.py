@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
@@ -25,7 +26,22 @@ if TYPE_CHECKING:
     from ..forms.returnmapping import ReturnMapping
 
 
+_ACCURACY = 1e-6  # of motions of which initial stresses are made
 _WEAK = 0.2  # share of a cell: nodes beyond edges of the body, and beyond faces that hardly enter a cell
+
+
+@dataclass(frozen=True)
+class Shift:
+    """What `LoadedPoints.assemble_moduli` adds to the diagonal: factor * share * most.
+
+    Attributes:
+        share: of the whole body that a node stands for, (owned nodes, 1).
+        most: largest entry of the diagonal over this share, (block,).
+    """
+
+    factor: float = 0.0
+    share: np.ndarray | None = None
+    most: np.ndarray | None = None
 
 
 class LoadedPoints(ProjectedPoints):
@@ -33,12 +49,17 @@ class LoadedPoints(ProjectedPoints):
 
     Attributes:
         initial: initial stresses of the points; None: there are none.
+        carried_by: motions (nodes, block) of which the initial stresses of the last balanced reset are made,
+            see `carrying`.
+        moduli_shift: of the last `assemble_moduli`.
         box_tangent: of the last step, which serves in the next one; None: it is summed anew.
     """
 
     nodes: ActiveNodes
     initial: InitialStress | None = None
     box_tangent: BoxTangent | None = None
+    carried_by: Sequence[np.ndarray] = ()
+    moduli_shift = Shift()
 
     def __init__(
         self,
@@ -198,6 +219,16 @@ class LoadedPoints(ProjectedPoints):
             blocks: of each batch (n, nz (1 + nz)), per volume, as of a return mapping.
             shift: what is added to the diagonal, over its largest entry.
         """
+
+    def carrying_motion(self, left: np.ndarray, k: int, moduli: Sequence[Any]) -> np.ndarray:
+        """The motion w (nodes, block) of K w = -left, K as of the last `assemble_moduli`. Collective.
+
+        Args:
+            left: forces (nodes, block), complete on owned rows.
+            moduli: of each batch, `carrying.Moduli`.
+            k: number of the motion; for the first one K has no factor yet.
+        """
+        return self.solve_free(-left, k == 0, _ACCURACY)
 
     def _given(self, blocks: np.ndarray) -> native.PointKernels:
         kernels = native.PointKernels()

@@ -84,6 +84,10 @@ class PointBoxes:
         assert share is not None
         return share
 
+    def put_shares(self, share: np.ndarray) -> None:
+        """Put in what counts of the boxes' energy at each point (n,), until the state is packed anew."""
+        self._arrays["box_share"] = share
+
     def flow(self, rows: np.ndarray) -> bool:
         """Let points (of the batch) count as ones that have flowed until the state is packed anew; whether
         they are most of those that now do, by volume."""

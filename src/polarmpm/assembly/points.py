@@ -25,7 +25,7 @@ from .folding import Folding
 from .inertia import MassSets, point_sets
 from .interpolation import Interpolation, PointBatch
 from .latticerows import on_lattice
-from .loadedpoints import LoadedPoints
+from .loadedpoints import LoadedPoints, Shift
 from .onpattern import OnPattern
 from .pointboxes import BoxTangent
 from .system import Assembled
@@ -124,14 +124,14 @@ class PointSystem(OnPattern, LoadedPoints):
     def assemble(self, tangent: bool, lift: np.ndarray | None = None) -> Assembled:
         internal = np.zeros_like(self.x)
         lifted = None if lift is None else np.zeros_like(self.x)
-        matrix = self.pattern.matrix
+        matrix = self.pattern.matrix if tangent else None
         self.project_scalars(tangent=tangent)
-        if tangent:
+        if matrix is not None:
             native.fill(matrix, lift=lift)
             self._begin_tangent(lifted)
         for k, batch in enumerate(self.interpolation.batches):
-            self._assemble(k, batch, matrix if tangent else None, internal, lifted)
-        self.add_patches(matrix if tangent else None, internal, lifted)
+            self._assemble(k, batch, matrix, internal, lifted)
+        self.add_patches(matrix, internal, lifted)
         self._check_sides(internal)
         self._add_viscosity(tangent, internal, lifted)
         self.nodes.add_to_owners(internal)
@@ -242,13 +242,16 @@ class PointSystem(OnPattern, LoadedPoints):
                 raise MemoryError("no memory for the sums over material points")
         pattern.mirror()
         self._collect()
+        self.moduli_shift = Shift()
         if shift:
             share, ties = np.ones((self.nodes.owned, 1)), self.prescribed.ties
             if ties is not None:  # as of the whole body that planes of symmetry stand for
                 share[:, 0] = ties.share[: self.nodes.owned]
-            most = (self.diagonal() / share).max(axis=0, initial=0.0)
+            self.unshifted = self.diagonal() / share
+            most = self.unshifted.max(axis=0, initial=0.0)
             self.comm.Allreduce(MPI.IN_PLACE, most, op=MPI.MAX)
             pattern.values[pattern.diagonal] += shift * (share * most).ravel()
+            self.moduli_shift = Shift(shift, share, most)
 
     @property
     def diagonal_shift(self) -> float:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry.grid import Grid
-from .base import Weights
+from .base import Chosen, Weights
 from .bspline import QuadraticSplines
 from .parts import joined, on_planes, supported
 
@@ -55,7 +55,18 @@ class AveragedSplines(QuadraticSplines):
         half = np.minimum(half_length, 0.5 * grid.sizes(cells))
         if not grid.equal:
             half = _within_next(grid, x, half, cells)
-        step = _steps(grid, x, half, cells)
+        return self._joined_means(grid, x, half, cells, _steps(grid, x, half, cells), orders)
+
+    def _joined_means(
+        self,
+        grid: Grid,
+        x: np.ndarray,
+        half: np.ndarray,
+        cells: np.ndarray,
+        step: np.ndarray,
+        orders: int,
+    ) -> Weights:
+        """Means over boxes that reach into the cells that are `step` (n, d) from their own."""
         low, high, lower = x - half, x + half, grid.corners(cells)
         plane = np.where(step < 0, lower, lower + grid.sizes(cells))
         # in its own cell, and in the one that it reaches
@@ -70,6 +81,16 @@ class AveragedSplines(QuadraticSplines):
             return self._means(grid, begin, end, there, orders)
 
         return joined(cells, step, share, mine, other)
+
+    def continued(self, grid: Grid, x: np.ndarray, half_length: np.ndarray | None, like: Chosen) -> Weights:
+        assert half_length is not None
+        cells = like.cells
+        half = np.minimum(half_length, 0.5 * grid.sizes(cells))
+        if not grid.equal:
+            half = _within_next(grid, x, half, cells)
+        more = like.count - self.functions
+        step = np.where(like.lowest < cells, -more, more)
+        return self._joined_means(grid, x, half, cells, step, like.orders)
 
     def _means(
         self, grid: Grid, low: np.ndarray, high: np.ndarray, cells: np.ndarray, orders: int

@@ -67,6 +67,34 @@ class Weights:
         return numbers, value
 
 
+@dataclass(frozen=True)
+class Chosen:
+    """Which polynomials weight points, for others near them (`Basis.continued`).
+
+    Attributes:
+        x: positions (n, d) (m); half_length: of the domains (n, d) (m), None where there are none.
+        cells: from `supporting_cells` (n, d).
+        lowest, count: as of the points' `Weights`.
+        orders: as of `Basis.weights`.
+    """
+
+    x: np.ndarray
+    half_length: np.ndarray | None
+    cells: np.ndarray
+    lowest: np.ndarray
+    count: np.ndarray
+    orders: int
+
+    @classmethod
+    def by(
+        cls, basis: Basis, grid: Grid, x: np.ndarray, half_length: np.ndarray | None, orders: int
+    ) -> Chosen:
+        """What a basis has chosen for points at x (n, d) (m). Collective."""
+        cells = basis.supporting_cells(grid, x)
+        w = basis.weights(grid, x, half_length, cells if basis.sliver else None, orders)
+        return cls(x, half_length, cells, w.lowest, w.count, orders)
+
+
 class Layer(NamedTuple):
     """Nodal values of a layer of nodes, across an axis, that are a multiple of those of another.
 
@@ -182,6 +210,20 @@ class Basis(ABC):
         lowest = grid.cells_of(x) if cells is None else cells
         table = self.derivatives(grid, x, lowest, orders)
         return Weights(lowest, np.full(x.shape, self.functions, dtype=np.int32), table)
+
+    def continued(self, grid: Grid, x: np.ndarray, half_length: np.ndarray | None, like: Chosen) -> Weights:
+        """Weights of points at x (n, d) (m) by the polynomials that weight others, near them: smooth in x and
+        in the domains, as derivatives by a parameter want them.
+
+        Args:
+            half_length: of the domains (n, d) (m), from `domains`; needed where `uses_domains`.
+        """
+        return Weights(like.cells, like.count, self.derivatives(grid, x, like.cells, like.orders))
+
+    def carriers(self, name: str) -> tuple[np.ndarray, np.ndarray] | None:
+        """Ranks (n,) and lattice index (n, d) of the cells that carry the places of a surface of a name,
+        where that is settled; else the nearest ones do."""
+        return None
 
     def at(self, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """Values and gradients (1/m) at x (n, d) (m) of the functions of cells of lattice index (n, d),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry.grid import Grid, snap
-from .base import Weights
+from .base import Chosen, Weights
 from .parts import joined, on_planes, supported
 from .splines import Splines, neighbours
 
@@ -44,6 +44,13 @@ class QuadraticSplines(Splines):
             return self.derivatives(grid, x[rows], there, orders)
 
         return joined(own.lowest, step, np.full(x.shape, 0.5), own.table, other)
+
+    def continued(self, grid: Grid, x: np.ndarray, half_length: np.ndarray | None, like: Chosen) -> Weights:
+        def other(rows: np.ndarray, there: np.ndarray) -> np.ndarray:
+            return self.derivatives(grid, x[rows], there, like.orders)
+
+        mine, share = self.derivatives(grid, x, like.cells, like.orders), np.full(x.shape, 0.5)
+        return joined(like.cells, like.lowest - like.cells, share, mine, other)
 
     def lines(self, grid: Grid, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
         right, size = snap(grid.within(x, cells)), grid.sizes(cells)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry.grid import Grid, snap
-from .base import Weights, check_margin
+from .base import Chosen, Weights, check_margin
 from .tents import Tents
 
 _SLIVER = 1e-4
@@ -51,21 +51,62 @@ class Gimpm(Tents):
         count = (last - lowest + 1).astype(np.int32)
         return Weights(lowest, count, _means(grid, low, high, lowest, count))
 
+    def continued(self, grid: Grid, x: np.ndarray, half_length: np.ndarray | None, like: Chosen) -> Weights:
+        """The same parts of the domains, cut by the same planes, and shortened to the same ones."""
+        assert half_length is not None
+        assert like.half_length is not None
+        low, high = (_continued_end(grid, x, half_length, like, side) for side in (-1, 1))
+        table = _means(grid, low, high, like.lowest, like.count, like)
+        return Weights(like.lowest, like.count, table)
+
+
+def _continued_end(grid: Grid, x: np.ndarray, half_length: np.ndarray, like: Chosen, side: int) -> np.ndarray:
+    """An end (n, d) of domains in lattice coordinates, the lower (-1) or upper one (1): where those of `like`
+    have been shortened, so that they end on a plane, that far from x too."""
+    assert like.half_length is not None
+    if grid.equal:
+        xi, half = grid.local(like.x), like.half_length / np.array(grid.smallest)
+        shorter, now = _without_slivers(xi, half), grid.local(x)
+        below, above = np.ceil(xi - half), np.floor(xi + half)
+        nearer = np.abs(xi - below - shorter) < np.abs(above - xi - shorter)
+        reach = np.where(nearer, now - below, above - now)
+        moved = side * np.where(shorter < half, reach, half_length / np.array(grid.smallest))
+        end: np.ndarray = now + moved
+        return end
+    shorter = _without_slivers_in_metres(grid, like.x, like.half_length)
+    low, high = snap(grid.local(like.x - like.half_length)), snap(grid.local(like.x + like.half_length))
+    below, above = (grid.corners(plane.astype(np.int64)) for plane in (np.ceil(low), np.floor(high)))
+    nearer = np.abs(like.x - below - shorter) < np.abs(above - like.x - shorter)
+    reach = np.where(nearer, x - below, above - x)
+    position = x + side * np.where(shorter < like.half_length, reach, half_length)
+    # in the cell in which that is: lattice coordinates are linear in it
+    cell = (like.lowest if side < 0 else like.lowest + like.count - 2).astype(np.int64)
+    continued: np.ndarray = cell + (position - grid.corners(cell)) / grid.sizes(cell)
+    return continued
+
 
 def _means(
-    grid: Grid, low: np.ndarray, high: np.ndarray, lowest: np.ndarray, count: np.ndarray
+    grid: Grid,
+    low: np.ndarray,
+    high: np.ndarray,
+    lowest: np.ndarray,
+    count: np.ndarray,
+    like: Chosen | None = None,
 ) -> np.ndarray:
     """Means over intervals (n, d) of lattice coordinates of the tents of `count` nodes from `lowest` on, and
-    of their gradients (1/m): (n, d, 2, slots). Parts in different cells count by their lengths in metres."""
+    of their gradients (1/m): (n, d, 2, slots). Parts in different cells count by their lengths in metres.
+
+    With `like` the parts are those of its intervals, their ends in the first and the last cell however they
+    have moved.
+    """
     slots = int(count.max(initial=2))
     table = np.zeros((*low.shape, 2, slots))
-    length = high - low if grid.equal else _lengths(grid, low, high, lowest, count)
+    length = high - low if grid.equal else _lengths(grid, low, high, lowest, count, like)
     for k in range(slots - 1):  # the part of the domain in cell lowest + k
-        left = np.maximum(low, lowest + k)
-        right = np.minimum(high, lowest + k + 1)
+        left, right = _part(low, high, lowest, count, k, like)
         own = right - left if grid.equal else (right - left) * grid.sizes(lowest + k)
         part = np.where(length > 0, own / np.where(length > 0, length, 1.0), float(k == 0))
-        part = np.where(k < count - 1, np.maximum(part, 0.0), 0.0)
+        part = np.where(k < count - 1, np.maximum(part, 0.0) if like is None else part, 0.0)
         centre = 0.5 * (left + right) - (lowest + k)
         slope = part / grid.sizes(lowest + k)
         table[:, :, 0, k] += part * (1.0 - centre)
@@ -73,6 +114,15 @@ def _means(
         table[:, :, 1, k] -= slope
         table[:, :, 1, k + 1] += slope
     return table
+
+
+def _part(
+    low: np.ndarray, high: np.ndarray, lowest: np.ndarray, count: np.ndarray, k: int, like: Chosen | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Ends (n, d) of the part of intervals in cells lowest + k."""
+    if like is None:
+        return np.maximum(low, lowest + k), np.minimum(high, lowest + k + 1)
+    return low if k == 0 else lowest + float(k), np.where(count - 2 == k, high, lowest + k + 1.0)
 
 
 def _intervals(grid: Grid, x: np.ndarray, half_length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -98,14 +148,20 @@ def _without_slivers(xi: np.ndarray, half: np.ndarray) -> np.ndarray:
 
 
 def _lengths(
-    grid: Grid, low: np.ndarray, high: np.ndarray, lowest: np.ndarray, count: np.ndarray
+    grid: Grid,
+    low: np.ndarray,
+    high: np.ndarray,
+    lowest: np.ndarray,
+    count: np.ndarray,
+    like: Chosen | None,
 ) -> np.ndarray:
     """Lengths (m), (n, d), of intervals of lattice coordinates over the cells of `count` nodes from `lowest`
     on."""
     total = np.zeros(low.shape)
     for k in range(int(count.max(initial=2)) - 1):
-        part = np.minimum(high, lowest + k + 1) - np.maximum(low, lowest + k)
-        total += np.where(k < count - 1, np.maximum(part, 0.0) * grid.sizes(lowest + k), 0.0)
+        left, right = _part(low, high, lowest, count, k, like)
+        part = right - left if like is not None else np.maximum(right - left, 0.0)
+        total += np.where(k < count - 1, part * grid.sizes(lowest + k), 0.0)
     return total
 
 

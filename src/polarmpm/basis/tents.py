@@ -6,7 +6,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.grid import MARGIN, Grid, snap
-from .base import Basis, Layer, Weights
+from .base import Basis, Chosen, Layer, Weights
 
 
 class Tents(Basis):
@@ -37,6 +37,9 @@ class Tents(Basis):
             cells = np.minimum(np.floor(xi).astype(np.int64), np.array(grid.shape) - 1)
         right = xi - cells if grid.equal else snap(grid.within(x, cells))
         return Weights(cells, np.full(x.shape, 2, dtype=np.int32), tents(right, grid.sizes(cells)))
+
+    def continued(self, grid: Grid, x: np.ndarray, half_length: np.ndarray | None, like: Chosen) -> Weights:
+        return Weights(like.lowest, like.count, tents(grid.within(x, like.lowest), grid.sizes(like.lowest)))
 
     def mirror(self, grid: Grid, axis: int, index: int, side: int, even: bool) -> list[Layer]:
         """Nodes beyond the plane, which domains of points may reach, mirror those before it.

@@ -6,10 +6,25 @@ import numpy as np
 
 from ..assembly.system import NodalSystem
 from ..errors import LocalFailure
-from ..solvers import newton
+from ..solvers import arclength, newton
+from ..solvers.arclength import Path
 from ..solvers.newton import Controls, Outcome
 
 _FELT = 0.01  # out-of-balance force that is worth another equilibrium
+
+
+class Search:
+    """How a problem finds the equilibrium of a step; another way can be put in its place (`sensitivity`)."""
+
+    def at_factor(
+        self, system: NodalSystem, start: np.ndarray, increments: np.ndarray, controls: Controls
+    ) -> Outcome:
+        """At the load factor whose loads are set. Arguments as of `solve`. Collective."""
+        return solve(system, start, increments, controls)
+
+    def along(self, path: Path, controls: Controls, to: float | None) -> Outcome:
+        """At the end of a step along the path, see `arclength.solve`. Collective."""
+        return arclength.solve(path, controls, to)
 
 
 def solve(system: NodalSystem, start: np.ndarray, increments: np.ndarray, controls: Controls) -> Outcome:

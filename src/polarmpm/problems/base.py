@@ -29,7 +29,8 @@ from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from ..tools.timing import Timer
-from . import along, attempts, ranks
+from . import along, ranks
+from .attempts import Search
 from .marching import March
 from .observer import Observer
 from .reactions import Equilibrium
@@ -51,6 +52,7 @@ class Problem(Results):
             "polarmpm" silences all lines.
         timer: CPU seconds of this rank by phase.
         failed_at: increments (nodes, block) at which the last attempt has failed, for its diagnosis.
+        search: how the equilibrium of a step is found.
     """
 
     def __init__(self, comm: MPI.Comm, points: Points, dim: int, controls: Controls | None):
@@ -67,6 +69,7 @@ class Problem(Results):
         self._fields = StateFields(comm)
         self._last_x: np.ndarray | None = None  # where the points were before the last step
         self.failed_at: np.ndarray | None = None
+        self.search = Search()
 
     # what the methods differ in -------------------------------------------------------------------
     @abstractmethod
@@ -224,7 +227,7 @@ class Problem(Results):
             start = self._begin(system, factor)
             increments = self._prescribed_at(system, factor)
             system.set_prescribed(increments)
-        outcome = attempts.solve(system, start.x, increments, self.controls)
+        outcome = self.search.at_factor(system, start.x, increments, self.controls)
         self._finish(system, start, outcome, factor)
         self._settle_materials(outcome.converged)
         return outcome
@@ -323,7 +326,7 @@ class Problem(Results):
             volumes = system.node_volumes()
         path = Path(system, loads, volumes, length, p.factor, lambda x: along.sense(self, system, x))
         path.bend = arclength.least_cosine(kink)
-        outcome = arclength.solve(path, self.controls, to)
+        outcome = self.search.along(path, self.controls, to)
         if outcome.converged:
             self._put_loads(system, path.factor)
         moved = along.moved(self, system, path.start, system.x) if path.settled else None

@@ -73,6 +73,7 @@ class QuasiStaticFEM(StagedElements):
     holds_on_facets = True
     knows_undeformed = True
     body = "elements"
+    systems: Callable[..., ElementSystem] | None = None  # what makes them; None: as `assembly` says
 
     @collective("QuasiStaticFEM", comm=lambda self, elements, *args, **options: elements.comm, compare=True)
     def __init__(
@@ -298,7 +299,9 @@ class QuasiStaticFEM(StagedElements):
         if self._system is not None:
             self._system.destroy()
         self.forms.held = {s: self.held_slopes[s] for s in self.supports if s in self.held_slopes}
-        kind = SummedElements if isinstance(self.forms, NativeElementForms) else ElementSystem
+        kind: Callable[..., ElementSystem] = ElementSystem
+        if isinstance(self.forms, NativeElementForms):
+            kind = self.systems or SummedElements
         self._system = kind(self.forms, dead, varying, prescribed, self.timer, self.solver, self._pieces())
         self._rebase(None)
         self.carried_at_rest = initial.carried(self, self._system, self.carried_at_rest)

@@ -31,7 +31,7 @@ from ..geometry.planes import Plane, PlaneSpec
 from ..kernels.kernel import Kernel
 from ..kinematics.motion import Motion
 from ..tools.disposal import dispose_of_dropped
-from ..tools.parallel import values_by_number
+from ..tools.parallel import Route, values_by_number
 from . import initial, slopes
 from .balancing import BalancedResets
 from .base import Problem
@@ -71,6 +71,8 @@ class OnGrid(Problem):
     _attempted: tuple[np.ndarray, np.ndarray] | None
     _converged_loads: tuple[np.ndarray, np.ndarray] | None
     _most_growth = np.inf  # of the points' domains
+    systems: Callable[..., LoadedPoints] | None = None  # what makes them; None: as `assembly` says
+    distribution: Callable[[], Route | None] | None = None  # moves points to ranks; None: by their places
 
     def _beside(self, where: PlaneSpec) -> PlaneSpec:
         self.basis.check_plane(where, self.initial_grid)
@@ -227,10 +229,8 @@ class OnGrid(Problem):
         """Distribute the points afresh, with all that is kept for each of them between steps; between resets
         also their reference, which is then returned for the new distribution."""
         before, kept = Totals.numbers(self.points, self.grid), self.kept()
-        x, by_patch = None if reference is None else reference.x, {}
-        if self._in_patches:
-            by_patch["cells"] = self.basis.patches(self.grid, self.points.x if x is None else x)[0]
-        route = distribute(self.grid, self.points, x, **by_patch)
+        x = None if reference is None else reference.x
+        route = self._distribute(x) if self.distribution is None else self.distribution()
         self.load_shares.distributed()
         if route is None:
             return reference
@@ -243,6 +243,13 @@ class OnGrid(Problem):
         if self._equilibrium is not None:
             self._equilibrium.points_moved = True
         return None if reference is None else reference.moved(route)
+
+    def _distribute(self, x: np.ndarray | None) -> Route | None:
+        """Move the points to the ranks by where they are, or were, at x (np, d) (m). Collective."""
+        cells = None
+        if self._in_patches:
+            cells = self.basis.patches(self.grid, self.points.x if x is None else x)[0]
+        return distribute(self.grid, self.points, x, cells)
 
     def _put_grid(self, grid: Grid) -> None:
         """Make it the grid; the supports' planes follow."""
@@ -281,7 +288,7 @@ class OnGrid(Problem):
         prescribed, c = self._prescribed(interpolation.nodes, supports), self._compiled
         if supports is None:
             self._check_held(interpolation, prescribed)
-        kind: Callable[..., LoadedPoints] = PointSystem
+        kind: Callable[..., LoadedPoints] = self.systems or PointSystem
         if self.assembly == "projection":
             # lazy import: direct sums need no assembler of dolfinx
             from ..assembly.projection import ProjectedSystem as kind

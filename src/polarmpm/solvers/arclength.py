@@ -165,6 +165,7 @@ class Path:
         self.forward: np.ndarray | None = None  # the first correction; None: still at the start
         self.growth = 0.0  # of the load factor in the last correction
         self.settled = False
+        self.left: np.ndarray | None = None  # out of balance at `start`, where that has been relaxed
 
     def inner(self, a: np.ndarray, b: np.ndarray) -> float:
         """Sum of V a . b over all nodes, displacements only. Collective."""
@@ -196,6 +197,7 @@ class Path:
             if not inner.converged:
                 raise _Unsettled(inner.reason)
             self.start, self.settled = self.system.x.copy(), True
+            self.left = self.system.residual.copy()
             return
         square = self.inner(along, along)
         if square == 0.0:

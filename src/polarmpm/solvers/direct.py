@@ -235,6 +235,36 @@ class DirectSolver:
         self._solver.setTolerances(rtol=ACCURACY, max_it=_KRYLOV_LIMIT)
         return bool(ksp.getConvergedReason() > 0)
 
+    def solve_again(self, rhs: np.ndarray) -> np.ndarray:
+        """Solve once more, as well as for the last right-hand side, and leave all as it is, also what decides
+        on following factors. Collective.
+
+        Raises:
+            SingularTangent: there is no solution with the factor at hand.
+        """
+        if self._solver is None:
+            raise SingularTangent("there is no factor")
+        ksp, self.rhs.array[:] = self._solver, rhs
+        if self._old and self._conjugate is not None:
+            ksp = self._conjugate
+            ksp.setTolerances(rtol=_STRICTER * ACCURACY, atol=0.0, divtol=1e30, max_it=_KRYLOV_LIMIT)
+        ksp.solve(self.rhs, self.solution)
+        if ksp.getConvergedReason() <= 0:
+            raise SingularTangent("the linear system could not be solved")
+        return self._solution()
+
+    def precondition(self, rhs: np.ndarray) -> np.ndarray:
+        """What the factor alone makes of a right-hand side (n,), its shift and all. Collective.
+
+        Raises:
+            SingularTangent: there is none.
+        """
+        if self._solver is None:
+            raise SingularTangent("there is no factor")
+        self.rhs.array[:] = rhs
+        self._solver.getPC().apply(self.rhs, self.solution)
+        return self._solution()
+
     def _release_solver(self) -> None:
         for ksp in (self._conjugate, self._solver):
             if ksp is not None:

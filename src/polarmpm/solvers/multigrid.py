@@ -312,6 +312,31 @@ class MultigridSolver:
         assert self._direct is not None
         return self._direct.solve(rhs, accuracy)
 
+    def solve_again(self, rhs: np.ndarray) -> np.ndarray:
+        """See `DirectSolver.solve_again`."""
+        if self._to_direct and self._direct is not None:
+            return self._direct.solve_again(rhs)
+        if not self._methods:
+            raise SingularTangent("there is no hierarchy")
+        kept = self.iterations, self._rate, self._worn
+        done = self._iterate(rhs, ACCURACY)
+        self.iterations, self._rate, self._worn = kept
+        if not done:
+            raise SingularTangent("the linear system could not be solved")
+        solution: np.ndarray = self.solution.array * self._scale.array
+        return solution
+
+    def precondition(self, rhs: np.ndarray) -> np.ndarray:
+        """See `DirectSolver.precondition`."""
+        if self._to_direct and self._direct is not None:
+            return self._direct.precondition(rhs)
+        if self._preconditioner is None:
+            raise SingularTangent("there is no hierarchy")
+        self.rhs.array[:] = rhs * self._scale.array
+        self._preconditioner.pc.apply(self.rhs, self.solution)
+        solution: np.ndarray = self.solution.array * self._scale.array
+        return solution
+
     def _iterate(self, rhs: np.ndarray, accuracy: float) -> bool:
         """Whether the present method gives a solution."""
         ksp, scale = self._methods[self._method], self._scale.array

@@ -119,14 +119,19 @@ def _parse(
 
 
 def report(
-    args: argparse.Namespace, case: str, problem: Problem, result: Mapping[str, Any], **parameters: Any
+    args: argparse.Namespace,
+    case: str,
+    problem: Problem,
+    result: Mapping[str, Any],
+    more: Mapping[str, Any] | None = None,
+    **parameters: Any,
 ) -> dict[str, Any]:
     """Print what a demo has found, as text or JSON, on one rank; a file that `--json` names gets it, too.
     Collective.
 
     Returns the object with the keys case, parameters, result, iterations (per step), points, unknowns,
     cpu_s (by phase, summed over ranks, with total), peak_memory_mb (likewise) and version; with finite
-    elements also elements, and points are the quadrature points.
+    elements also elements, and points are the quadrature points; and the keys of `more`.
     """
     comm = checks.instance("problem", problem, Problem, "a problem is").comm
     seconds = {**problem.timer.seconds, "total": time.process_time()}
@@ -139,6 +144,7 @@ def report(
         "case": case,
         "parameters": {**{k: getattr(args, k) for k in known if k in args}, "ranks": comm.size, **parameters},
         "result": {name: _plain(value) for name, value in result.items()},
+        **(more or {}),
         "iterations": [step.iterations for step in problem.steps],
         **elements,
         "points": problem.points.total,

@@ -67,7 +67,7 @@ class GridSetting(Setting):
         return Boxes((1,) * self.grid.dim, nodes)
 
     def carry(self, places: Places) -> Carried:
-        owner, cells = self._find(places)
+        owner, cells = self.basis.carriers(places.name) or self._find(places)
         rows = np.flatnonzero(owner == self.comm.rank)
         x = places.surface.x[rows] + places.displacement[rows]
         return Carried(rows, self.boxes(cells[rows]), self.at(x, cells[rows]))

@@ -1,0 +1,26 @@
+"""Parameters from measurements: experiments, fits, and how sure these are."""
+
+from .experiment import Experiment
+from .fitting import identify
+from .places import Places
+from .planning import Plan, plan
+from .profile import Profile
+from .reading import Curve, read_curve
+from .result import Compared, Fit, Outlier
+from .transforms import Bounds, Linear
+
+__all__ = [
+    "Bounds",
+    "Compared",
+    "Curve",
+    "Experiment",
+    "Fit",
+    "Linear",
+    "Outlier",
+    "Places",
+    "Plan",
+    "Profile",
+    "identify",
+    "plan",
+    "read_curve",
+]

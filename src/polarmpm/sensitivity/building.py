@@ -1,0 +1,165 @@
+"""Problems that a script's function builds of numbers: called, checked and compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..forms.elementkernels import NativeElementForms
+from ..materials.base import parameter_values
+from ..problems.elements import QuasiStaticFEM
+from ..problems.points import QuasiStatic
+from ..terms.obstacles import Obstacle
+from ..tools import checks
+from ..tools.checks import shown
+from .twins import quiet as quiet
+
+Observables = Mapping[str, Callable[[], Any]]
+Build = Callable[..., tuple[Any, Observables]]
+_GEOMETRY = ("id", "X", "volume0", "half_length0", "half_axes0", "material")  # of points, what has to stay
+
+
+def checked_values(values: Any) -> dict[str, float]:
+    """Parameters by name; any texts are names."""
+    if not isinstance(values, Mapping) or not values:
+        raise checks.refuse("values", values, 'parameters by name are needed, such as {"E": 1e6}')
+    return {checks.text("values: name", k): checks.number(str(k), v) for k, v in values.items()}
+
+
+def names_of(parameters: Sequence[str] | None, values: Mapping[str, float]) -> list[str]:
+    """Names by which to differentiate.
+
+    Raises:
+        InputError: unknown names, or none; a value that is zero.
+    """
+    if parameters is None:
+        names = list(values)
+    else:
+        allowed = f"names of {', '.join(values)} are"
+        if isinstance(parameters, str) or not isinstance(parameters, Sequence):
+            raise checks.refuse("parameters", parameters, allowed)
+        names = [checks.choice("parameters", name, list(values)) for name in parameters]
+    if not names or len(set(names)) < len(names):
+        raise checks.refuse("parameters", parameters, f"different names of {', '.join(values)} are needed")
+    for name in names:
+        if values[name] == 0.0:
+            raise InputError(
+                f"{name} = 0: steps are shares of a parameter, and there is none of zero; leave it out of "
+                "`parameters`, or give a small value that counts as nothing"
+            )
+    return names
+
+
+def built(build: Build, values: Mapping[str, float], arguments: Mapping[str, Any]) -> tuple[Any, Observables]:
+    """What build gives. Collective.
+
+    Raises:
+        InputError: not a problem and observables.
+    """
+    found = build(dict(values), **arguments)
+    if not (isinstance(found, tuple) and len(found) == 2):
+        raise InputError(
+            f"build returned {shown(found)}; a problem and observables are needed: "
+            'return problem, {"name": function}'
+        )
+    problem, observables = found
+    if not isinstance(observables, Mapping) or not observables:
+        raise checks.refuse(
+            "observables", observables, "functions without arguments by name are needed, from build"
+        )
+    for name, function in observables.items():
+        checks.text("observables", name)
+        checks.function(f"observables: {name}", function, "a function without arguments is")
+    checks.instance(
+        "build: problem",
+        problem,
+        (QuasiStatic, QuasiStaticFEM),
+        "a polarmpm.QuasiStatic or QuasiStaticFEM is",
+    )
+    return problem, dict(observables)
+
+
+def check_problem(problem: Any) -> None:
+    """Raise InputError unless twins of a problem can be made."""
+    name = type(problem).__name__
+    if hasattr(problem, "dt") or name in ("Dynamic", "DynamicFEM"):
+        raise InputError(f"build: {name} can't be differentiated; allowed are QuasiStatic and QuasiStaticFEM")
+    if problem.progress.step:
+        raise InputError(
+            f"build: the problem has taken {problem.progress.step} step(s) already; one without any is needed"
+        )
+    for term in problem.terms:
+        if isinstance(term, Obstacle):
+            raise InputError(
+                f"{term.name}: contact begins and ends with kinks, which have no derivative; runs with "
+                "contact aren't differentiated"
+            )
+    if isinstance(problem, QuasiStatic):
+        if problem.assembly != "direct":
+            raise InputError(
+                f"assembly = {problem.assembly!r}: runs are differentiated with assembly 'direct'"
+            )
+    elif not isinstance(problem.forms, NativeElementForms):
+        raise InputError(
+            "elements of assembly 'dolfinx', which those with second gradients take, aren't differentiated; "
+            "allowed is assembly = 'native'"
+        )
+
+
+def conditions(problem: Any) -> list[tuple[str, bool]]:
+    """What acts on the body, and whether it has been released."""
+    return [(given.name, given.released is not None) for given in problem.given.entries]
+
+
+def difference(problem: Any, other: Any) -> str:
+    """What of the body or its conditions differs in two problems; empty if nothing does. Local."""
+    if type(problem) is not type(other):
+        return "classes"
+    for name, here, there in _geometry(problem, other):
+        if here.shape != there.shape or not np.array_equal(here, there):
+            return name
+    if conditions(problem) != conditions(other):
+        return "conditions"
+    materials = ([type(m) for m in p.points.materials] for p in (problem, other))
+    return "" if len({tuple(kinds) for kinds in materials}) == 1 else "materials"
+
+
+def _geometry(problem: Any, other: Any) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    words = {"X": "positions", "volume0": "volumes", "id": "numbers"}
+    for name in _GEOMETRY:
+        arrays = [np.asarray(getattr(p.points, name)) for p in (problem, other)]
+        yield f"{words.get(name, name)} of points", arrays[0], arrays[1]
+    if isinstance(problem, QuasiStatic):
+        grids = [p.initial_grid for p in (problem, other)]
+        yield "grids", np.array(grids[0].shape), np.array(grids[1].shape)
+        for axis in range(problem.initial_grid.dim):
+            lines = [np.array([g.plane(axis, i) for i in range(g.shape[axis] + 1)]) for g in grids]
+            yield "grids", lines[0], lines[1]
+    else:
+        yield "nodes", problem.elements.nodes.position, other.elements.nodes.position
+
+
+def numbers_apart(problem: Any, other: Any) -> str:
+    """Whether materials or loads of two problems have other numbers; empty if not. Collective."""
+    pairs = zip(problem.points.materials, other.points.materials, strict=True)
+    if any(not np.array_equal(parameter_values(a), parameter_values(b)) for a, b in pairs):
+        return "numbers of materials"
+    loads = [np.hstack(p._loads_at(1.0)) for p in (problem, other)]
+    return "" if np.array_equal(loads[0], loads[1]) else "loads"
+
+
+def read(observables: Observables) -> dict[str, Any]:
+    """Values of observables: numbers, or arrays of their own. Collective.
+
+    Raises:
+        InputError: one is something else.
+    """
+    out: dict[str, Any] = {}
+    for name, function in observables.items():
+        found = function()
+        array = checks.numeric(f"observables: {name}", found, "a number, or an array of numbers,")
+        out[name] = float(array) if array.ndim == 0 else np.array(array, dtype=float)
+    return out

@@ -1,0 +1,121 @@
+"""Experiments that are runs: curves, fields at places, load paths, ranks."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from dolfinx import mesh
+
+import polarmpm as pm
+
+from ..conftest import MICROPOLAR
+from .scenes import SHEET, sheet
+
+COMM = MPI.COMM_WORLD
+PLACES = np.array([(0.3, 0.2), (1.0, 0.9), (2.1, 0.05), (3.9, 0.5)])
+START = {"mu": 2.4e3, "kappa": 700.0, "gamma": 130.0}
+
+
+def computed(at, **options):
+    problem, see = sheet(SHEET, **options)
+    rows = {name: [] for name in see}
+    for factor in at:
+        list(problem.march(1, to=factor, progress=False))
+        for name, of in see.items():
+            rows[name].append(of())
+    return {name: np.array(of) for name, of in rows.items()}
+
+
+def test_a_curve_and_a_field():
+    at = np.array([0.0, 0.5, 1.0])
+    true = computed(at[1:], places=PLACES)
+    curve = np.append(0.0, true["deflection"])
+    curve[1] = np.nan
+    data = {"deflection": (curve, 1e-4), "field": (true["field"][1:], 1e-4, [1.0])}
+    fit = pm.identify(
+        pm.Experiment(sheet, at=at, data=data, places=PLACES), start=START, free=["mu", "gamma"]
+    )
+    assert fit.dof == 1 + PLACES.size - 2  # nothing is compared at load factor 0
+    for name, value in fit.values.items():
+        assert abs(value / SHEET[name] - 1) < 1e-4, name
+    assert fit.evaluations <= 10
+    assert not fit.unidentifiable
+
+
+def test_heights_show_what_one_beam_does_not():
+    def tests(heights):
+        return [
+            pm.Experiment(
+                sheet, data={"deflection": (computed([1.0], height=h)["deflection"][0], 1e-3)}, height=h
+            )
+            for h in heights
+        ]
+
+    free = ["mu", "gamma"]
+    alone = pm.plan(tests([1.0]), values=SHEET, free=free)
+    assert alone.unidentifiable == free
+    both = pm.identify(tests([1.0, 2.0]), start={**SHEET, "mu": 3e3, "gamma": 100.0}, free=free)
+    for name in free:
+        assert abs(both.values[name] / SHEET[name] - 1) < 1e-4
+
+
+@pytest.mark.parametrize("method", ["twins", "differences"])
+def test_a_load_path_that_turns_back(method):
+    at = [0.5, 1.0, 0.5]
+    true = computed(at)["deflection"]
+    test = pm.Experiment(sheet, at=at, data={"deflection": (true, 1e-3)}, march={"steps": 4}, method=method)
+    fit = pm.identify(test, start={**SHEET, "mu": 2.6e3}, free=["mu"])
+    assert abs(fit.values["mu"] / SHEET["mu"] - 1) < 1e-5
+
+
+def test_a_shape_that_does_not_fit():
+    test = pm.Experiment(sheet, data={"field": (np.zeros((3, 2)), 1.0)}, places=PLACES)
+    with pytest.raises(pm.InputError, match=r"field: the measured values have the shape \(1, 3, 2\)"):
+        pm.identify(test, start=SHEET, free=["mu"])
+
+
+# places ---------------------------------------------------------------------------------------------
+def quadratic(X):
+    x, y = X[:, 0], X[:, 1]
+    return np.stack([0.1 + 0.3 * x - 0.2 * y, 0.02 * x**2 - 0.05 * x * y + 0.03 * y**2], axis=1)
+
+
+@pytest.mark.parametrize("layout", ["uniform", "gauss"])
+def test_polynomials_are_met_at_places_of_points(layout):
+    grid = pm.Grid.box((-1, -3), (6, 3), 0.5)
+    points = pm.seed(grid, bounds=((0.1, 0.2), (4.0, 1.3)), material=MICROPOLAR, layout=layout)
+    X = np.array([(0.1, 0.2), (4.0, 1.3), (1.234, 0.777), (3.2, 0.21)])
+    places = pm.Places(points, X)
+    np.testing.assert_allclose(places.values(quadratic(points.X)), quadratic(X), atol=1e-10)
+    points.x = points.X + quadratic(points.X)
+    np.testing.assert_allclose(places.displacement(), quadratic(X), atol=1e-10)
+    np.testing.assert_allclose(places.rotation(), 0, atol=1e-14)
+    with pytest.raises(pm.InputError, match=r"1 of 2 places lie outside.*\(9, 9\)"):
+        pm.Places(points, [(1.0, 1.0), (9.0, 9.0)])
+    with pytest.raises(pm.InputError, match="X = "):
+        pm.Places(points, [(1.0, 1.0, 0.0)])
+    with pytest.raises(pm.InputError, match="values"):
+        places.values(np.zeros(len(points) + 1))
+
+
+def test_polynomials_are_met_at_places_of_a_mesh_and_in_space():
+    cells = mesh.create_rectangle(COMM, [(0, 0), (2, 1)], [6, 3], mesh.CellType.quadrilateral)
+    body = pm.Elements(cells, material=MICROPOLAR)
+    own = body.nodes.position[: body.nodes.owned, :2]
+    X = np.array([(0.0, 0.0), (1.23, 0.4), (2.0, 1.0)])
+    places = pm.Places(body, X)
+    np.testing.assert_allclose(places.values(quadratic(own)), quadratic(X), atol=1e-10)
+    assert places.displacement().shape == (3, 2)
+    grid = pm.Grid.box((0, 0, 0), (3, 3, 3), 1.0)
+    points = pm.seed(grid, bounds=((0, 0, 0), (2, 2, 2)), material=MICROPOLAR)
+    X = np.array([(0.1, 0.2, 0.3), (1.9, 1.0, 1.1)])
+    np.testing.assert_allclose(pm.Places(points, X).values(points.X**2), X**2, atol=1e-10)
+
+
+def test_few_points_have_places():
+    grid = pm.Grid.box((0, 0), (3, 3), 1.0)
+    points = pm.seed(grid, bounds=((0, 0), (1, 1)), material=MICROPOLAR, points_per_cell=1)
+    assert points.total == 1
+    np.testing.assert_allclose(pm.Places(points, [(0.6, 0.5)]).values(3 * np.ones(len(points))), [3.0])
