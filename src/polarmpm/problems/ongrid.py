@@ -71,9 +71,10 @@ class OnGrid(Problem):
     _most_growth = np.inf  # of the points' domains
 
     def _beside(self, where: PlaneSpec) -> PlaneSpec:
-        initial = self._moving.initial
-        self.basis.check_plane(where := self._here(where), initial)
-        return slopes.beside(where, initial, self.points, self.grid)
+        initial, here = self._moving.initial, self._here(where)
+        self.basis.check_plane(here, initial)
+        slopes.beside(here, initial, self.points, self.grid)
+        return replace(where, beyond="auto")
 
     def _here(self, where: PlaneSpec) -> PlaneSpec:
         """A plane of the given grid in the one that the problem goes on from."""
