@@ -52,6 +52,7 @@ from .materials import (
 )
 from .problems.dynamic import Dynamic, DynamicFEM
 from .problems.elements import QuasiStaticFEM
+from .problems.gridpolicies import AlongBands, FollowBody
 from .problems.observer import Observer
 from .problems.points import PUBLISHED, QuasiStatic
 from .solvers.choice import register_solver
@@ -118,6 +119,7 @@ __version__ = "0.1.0"  # the one place that states it; read without an import wh
 __all__ = [
     "K0",
     "PUBLISHED",
+    "AlongBands",
     "ArrudaBoyce",
     "Basis",
     "BodyContact",
@@ -143,6 +145,7 @@ __all__ = [
     "Field",
     "Finding",
     "Fit",
+    "FollowBody",
     "GhostPenalty",
     "GradientElastic",
     "Grid",

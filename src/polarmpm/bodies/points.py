@@ -78,6 +78,7 @@ class Points(Several):
             whole turns, and F and the wryness have their hoop components in the third row and column.
         regions, surfaces: physical groups of the mesh that the points come from; see `region` and `surface`.
         lattices: graded grids that the points were seeded on, with the points a cell (d,).
+        lineage: which points have been split by re-gridding, see `Lineage`; None: none.
         arrangements: how often points have joined or been assigned a material; a problem is made of one.
 
     A copy (`copy.copy`, `copy.deepcopy`) is a body of its own, on the same communicator. Selections of the
@@ -352,6 +353,8 @@ class Points(Several):
         checks.instance("other", other, Points, "material points, as seed makes them, are")
         if other is self:
             raise InputError("other: these points themselves; a body isn't there twice")
+        if other.lineage is not None:
+            raise InputError("other: some of its points have been split; join points before they are")
         if other.comm != self.comm:
             raise InputError("other: its points live on another communicator")
         if other.dim != self.dim:

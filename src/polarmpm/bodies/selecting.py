@@ -17,6 +17,7 @@ from ..tools import checks
 from ..tools.checks import refuse, whole
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
+from .lineage import Lineage
 from .regions import Regions
 from .selection import Selection, check_selection
 
@@ -33,6 +34,7 @@ class Selecting(ABC):
     regions: tuple[Regions, ...]
     surfaces: dict[str | int, Surface]
     lattices: tuple[tuple[Grid, np.ndarray], ...]
+    lineage: Lineage | None = None  # of points that have been split; None: none has
 
     @abstractmethod
     def __len__(self) -> int: ...
@@ -51,11 +53,13 @@ class Selecting(ABC):
             raise InputError(
                 "selection: of another body (other points, or seeded otherwise); make it of these points"
             )
-        here = self.comm.allreduce(len(self.rows(selection)))
-        if here != len(selection):
-            raise InputError(
-                f"selection: {len(selection) - here} of its {len(selection)} ids aren't of this body"
-            )
+        here, number = self.comm.allreduce(len(self.rows(selection))), len(self._present(selection)[0])
+        if here != number:
+            raise InputError(f"selection: {number - here} of its {number} ids aren't of this body")
+
+    def _present(self, selection: Selection) -> tuple[np.ndarray, np.ndarray | float]:
+        """Ids of a selection's points, or of their parts, and the shares of a point that these are."""
+        return (selection.ids, 1.0) if self.lineage is None else self.lineage.descendants(selection.ids)
 
     def _select(self, mask: np.ndarray) -> Selection:
         ids = np.concatenate(self.comm.allgather(self.id[mask]))
@@ -84,7 +88,8 @@ class Selecting(ABC):
         """
         if not isinstance(name, str):
             name = whole("region", name, allowed="the name or the number of a physical group is needed")
-        masks = [m for m in (r.mask(self.id, name) for r in self.regions) if m is not None]
+        ids = self.id if self.lineage is None else self.lineage.roots(self.id)[0]
+        masks = [m for m in (r.mask(ids, name) for r in self.regions) if m is not None]
         if not masks:
             raise refuse("region", name, _among([k for r in self.regions for k in r.known], "regions"))
         return self._select(np.any(masks, axis=0))
@@ -139,11 +144,13 @@ class Selecting(ABC):
         self.comm.Allreduce(MPI.IN_PLACE, half, op=MPI.MAX)
         # a layer next to one that is hardly there is a little more than that away
         tolerance = (1.0 - 1e-6) * float(half @ n)
-        if not self.lattices:
+        if not self.lattices and self.lineage is None:
             return tolerance
         reach = self.half_length0 @ n
+        whole = self.lineage is None or self.lineage.roots(self.id)[1] == 1.0
         for grid, per_cell in self.lattices:
-            reach = np.maximum(reach, (0.5 * grid.sizes(grid.cells_of(self.X)) / per_cell) @ n)
+            seeded = (0.5 * grid.sizes(grid.cells_of(self.X)) / per_cell) @ n
+            reach = np.where(whole, np.maximum(reach, seeded), reach)
         while True:  # larger boxes farther inside don't count
             near = reach[along >= most - tolerance].max(initial=0.0)
             now = (1.0 - 1e-6) * float(self.comm.allreduce(near, op=MPI.MAX))
@@ -176,12 +183,25 @@ class Selecting(ABC):
         check_selection(selection)
         if len(selection) == 0:
             return np.zeros(0, dtype=np.int64)
-        at = np.minimum(np.searchsorted(selection.ids, self.id), len(selection) - 1)
-        return np.flatnonzero(selection.ids[at] == self.id)
+        ids, _ = self._present(selection)
+        at = np.minimum(np.searchsorted(ids, self.id), len(ids) - 1)
+        return np.flatnonzero(ids[at] == self.id)
+
+    def shares(self, selection: Selection | None, rows: np.ndarray) -> np.ndarray:
+        """Which share (n,) of a point of the selection the local points `rows` (n,) are: 1, or less of parts
+        of one that has been split since it was selected; of all points, since it was seeded."""
+        if self.lineage is None:
+            return np.ones(len(rows))
+        if selection is None:
+            return self.lineage.roots(self.id[rows])[1]
+        ids, share = self._present(selection)
+        found: np.ndarray = np.broadcast_to(share, ids.shape)[np.searchsorted(ids, self.id[rows])]
+        return found
 
     @collective("mean")
     def mean(self, values: np.ndarray, selection: Selection | None = None) -> Any:
-        """Plain mean over a selection of values given for the local points (np, ...). Collective.
+        """Plain mean over a selection of values given for the local points (np, ...). Parts of a point that
+        has been split count together as one. Collective.
 
         Raises:
             InputError: values that aren't a row for each local point, or a selection without points.
@@ -195,10 +215,15 @@ class Selecting(ABC):
         if selection is not None:
             self.check(selection)
         rows = self.rows(selection)
-        number = self.comm.allreduce(len(rows))
+        if self.lineage is None:
+            number, total = len(rows), found[rows].sum(axis=0)
+        else:
+            share = self.shares(selection, rows)
+            number, total = share.sum(), np.tensordot(share, found[rows], axes=1)
+        number = self.comm.allreduce(number)
         if number == 0:
             raise InputError("selection: contains no point")
-        return self.comm.allreduce(found[rows].sum(axis=0)) / number
+        return self.comm.allreduce(total) / number
 
     def mean_displacement(self, selection: Selection | None = None) -> np.ndarray:
         """Mean displacement (m) of a selection, shape (d,). Collective."""

@@ -37,7 +37,8 @@ class Load:
         """Add this load's values (np, size) at the local points."""
         rows = points.rows(self.selection)
         values = self.amplitude.at(factor, points.X[rows]) * self.share
-        out[rows] += values * points.volume0[rows, None] if self.density else values
+        by = points.volume0[rows] if self.density else points.shares(self.selection, rows)
+        out[rows] += values * by[:, None]
 
 
 @dataclass(eq=False)

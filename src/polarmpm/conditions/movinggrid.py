@@ -18,6 +18,8 @@ from ..geometry.planes import Plane, PlaneSpec
 from .amplitudes import Amplitude
 from .supports import Support
 
+_NEAR = 1e-6  # of a cell: planes that near are the same
+
 
 @dataclass(frozen=True)
 class MovingPlane:
@@ -30,6 +32,7 @@ class MovingPlane:
         asked: the script has said `moving=True`; otherwise it is followed where that is possible.
         total: what is prescribed counts from the undeformed body, not from load factor 0.
         stays: its displacement (m) since its support was released; None: it hasn't been.
+        before: its displacement (m) when the grid was made anew last; it stands there in that grid.
     """
 
     support: str
@@ -40,6 +43,7 @@ class MovingPlane:
     asked: bool = True
     total: bool = True
     stays: float | None = None
+    before: float = 0.0
 
     @classmethod
     def if_possible(cls, spec: PlaneSpec, support: Support) -> MovingPlane | None:
@@ -95,7 +99,7 @@ class MovingPlane:
         Raises:
             InputError: the plane has passed the wall that stays.
         """
-        moved = self.displacement(factor)
+        moved = self.displacement(factor) - self.before
         if moved == 0.0:
             return grid
         at = grid.plane(self.axis, self.index) + moved
@@ -154,11 +158,13 @@ class MovingGrid:
     """A grid and the planes that it follows.
 
     Attributes:
-        initial: the grid that was given.
+        initial: the grid that was given, or that was made in its place last.
+        since: load factor at which that was; None: before the first step.
     """
 
     def __init__(self, initial: Grid):
         self.initial = initial
+        self.since: float | None = None
         self._planes: list[MovingPlane] = []  # those that could be followed
 
     def admit(self, spec: Any, support: Support, others: Sequence[Support], late: bool) -> None:
@@ -192,3 +198,48 @@ class MovingGrid:
             for plane in followed(self._planes, supports, self.initial):
                 grid = plane.stretched(grid, factor)
         return grid
+
+    def follows(self, axis: int) -> bool:
+        """Whether planes across an axis move, or have moved."""
+        return any(plane.axis == axis for plane in self._planes)
+
+    def lines_to_keep(self, axis: int, grid: Grid, supports: Sequence[Support]) -> list[float]:
+        """Coordinates (m) of planes of supports, and of planes that move, across an axis of a grid."""
+        planes = [s.where for s in supports if isinstance(s.where, Plane)]
+        found = [plane.index for plane in planes if plane.axis == axis]
+        found += [plane.index for plane in self._planes if plane.axis == axis]
+        return [grid.plane(axis, index) for index in dict.fromkeys(found)]
+
+    def renew(self, grid: Grid, factor: float | None, supports: Sequence[Support]) -> None:
+        """Go on from a load factor (None: before the first step) with another grid, which has the planes of
+        all supports among its own.
+
+        Raises:
+            InputError: it doesn't.
+        """
+        now = self.at(factor, supports)
+
+        def index(axis: int, old: int, name: str) -> int:
+            at = now.plane(axis, old)
+            lines = grid.lines[axis]
+            found = int(np.argmin(np.abs(lines - at)))
+            if abs(lines[found] - at) > _NEAR * min(grid.smallest[axis], now.smallest[axis]):
+                raise InputError(
+                    f"regrid: {name} acts on the plane {'xyz'[axis]} = {at:.9g}, which the new grid hasn't"
+                )
+            return found
+
+        moved = [0.0 if factor is None else plane.displacement(factor) for plane in self._planes]
+        self._planes = [
+            replace(plane, index=index(plane.axis, plane.index, plane.support), before=by)
+            for plane, by in zip(self._planes, moved, strict=True)
+        ]
+        for support in supports:
+            where = support.where
+            if isinstance(where, Plane):
+                if support.mirror is not None:
+                    there = index(where.axis, support.mirror.index, support.name)
+                    support.mirror = replace(support.mirror, index=there)
+                where.index = index(where.axis, where.index, support.name)
+            support.met = None  # of other nodes
+        self.initial, self.since = grid, factor

@@ -11,12 +11,14 @@ import numpy as np
 
 from ..errors import InputError
 from ..tools import checks
+from .axes import equal_size
 
 GROWTH = 1.15  # sizes of neighbours, by default: what a smooth solution hardly feels (docs/grids.md)
 _MOST = 1_000_000  # cells along an axis
 STEEPNESS = (0.97, 0.85, 0.65, 0.4)  # shares of the growth to try, as numbers of cells are whole
 _SMALLER = 0.6  # by which the largest cells are made smaller until they fit between kept lines
 _SAME = 1e-9  # of a cell
+_NEAR = 1e-3  # of a cell: ends of zones that near beyond a line are on it
 _SHORT = 3  # cells between kept lines up to which these tell the size of the cells around
 
 
@@ -54,12 +56,53 @@ def lines(
     coarse = math.inf if coarse is None else checks.number("coarse", coarse, least=fine)
     zones = _zones(where, start, stop)
     kept = _kept(keep, start, stop)
-    coarse = min(coarse, stop - start)
+    return _fitting(start, stop, kept, zones, fine, growth, min(coarse, stop - start))
+
+
+def refined(
+    base: np.ndarray,
+    zones: Sequence[tuple[float, float]],
+    fine: float,
+    growth: float = GROWTH,
+    keep: Sequence[float] = (),
+) -> np.ndarray:
+    """Lines between the walls of others, (n,), about as fine as these everywhere, and `fine` in zones (from,
+    to) (m), which are extended to lines of theirs; sizes grow by at most `growth` beyond them. See `lines`.
+    """
+    sizes = np.diff(base)
+    widened = []
+    slack = _NEAR * float(sizes.min())
+    for a, b in zones:
+        low = max(0, int(np.searchsorted(base, a + slack, side="right")) - 1)
+        high = min(len(base) - 1, int(np.searchsorted(base, b - slack)))
+        widened.append((float(base[low]), float(base[max(high, low + 1)])))
+    start, stop = float(base[0]), float(base[-1])
+    around: list[tuple[float, float, float]] = []
+    if equal_size(base) is None:  # what is as fine already stays so
+        around = [(float(a), float(b), float(b - a)) for a, b in itertools.pairwise(base)]
+        fine = min([fine, *(b - a for a, b, _ in around if any(p < b and a < q for p, q in widened))])
+    merged = _zones(widened, start, stop)
+    kept = [v for v in keep if start <= v <= stop]
+    return _fitting(start, stop, kept, merged, fine, growth, max(fine, float(sizes.max())), around)
+
+
+def _fitting(
+    start: float,
+    stop: float,
+    kept: list[float],
+    zones: list[tuple[float, float]],
+    fine: float,
+    growth: float,
+    coarse: float,
+    around: Sequence[tuple[float, float, float]] = (),
+) -> np.ndarray:
+    """Lines that are fine in zones; the finer they are, the better they fit between kept ones. `around`:
+    largest sizes in other intervals (from, to, size)."""
     while True:  # kept lines divide fine zones, and pieces between, into cells that may not go together
         ends, pieces = _pieces(start, stop, kept, zones, fine)
         most = coarse if _even(pieces, growth) else 0.0
         while most >= fine:
-            made = _grown(ends, pieces, [a for a, b in zones if a == b], fine, growth, most)
+            made = _grown(ends, pieces, [a for a, b in zones if a == b], fine, growth, most, around)
             if made is not None:
                 return made
             most *= _SMALLER
@@ -74,9 +117,10 @@ def _grown(
     fine: float,
     growth: float,
     coarse: float,
+    around: Sequence[tuple[float, float, float]] = (),
 ) -> np.ndarray | None:
     """Lines through all ends of pieces; None where none grow slowly enough."""
-    even = [(a, b, size) for a, b, size in pieces if size is not None]
+    even = [*around] + [(a, b, size) for a, b, size in pieces if size is not None]
     for steepness in STEEPNESS:
         slope = steepness * math.log(growth)
         at_places = fine * slope / math.expm1(slope)  # of which cells grow at once

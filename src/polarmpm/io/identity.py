@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import ufl
 
+from ..bodies.lineage import Lineage
 from ..errors import InputError
 from ..kernels.codegen import Scalariser, expand
 from ..materials.base import Material, evaluate_energy
@@ -90,9 +91,9 @@ def _public(thing: Any) -> dict[str, Any]:
 
 def _points(problem: Problem) -> dict[str, Any]:
     p = problem.points
-    sums = problem.comm.allreduce(np.array([len(p), p.volume0.sum()]))
+    sums = problem.comm.allreduce(np.array([p.shares(None, p.rows(None)).sum(), p.volume0.sum()]))
     bodies = {"bodies": p.bodies} if p.bodies > 1 else {}
-    return {"number of points": int(sums[0]), "reference volume": float(sums[1]), **bodies}
+    return {"number of points": round(sums[0]), "reference volume": float(sums[1]), **bodies}
 
 
 def _terms(terms: Sequence[Term]) -> dict[str, Any]:
@@ -237,8 +238,19 @@ def refuse_differences(path: Any, found: list[tuple[str, str]], allow: frozenset
 
 
 # points -----------------------------------------------------------------------------------------------
-def check_points(problem: Any, rows: dict[str, np.ndarray], path: Any, allow: frozenset[str]) -> None:
-    """Compare a file's material points, of which each rank has some, with those of the problem. Collective.
+def check_points(
+    problem: Any,
+    rows: dict[str, np.ndarray],
+    path: Any,
+    allow: frozenset[str],
+    lineage: Lineage | None = None,
+    inside: Any = None,
+) -> None:
+    """Compare a file's material points, of which each rank has some, with those of the problem, of which
+    some may have been split since. Collective.
+
+    Args:
+        inside: tells which points (n, d) are in the grid; default: that of the problem's.
 
     Raises:
         InputError: they are others, or don't go together with materials and selections.
@@ -248,24 +260,27 @@ def check_points(problem: Any, rows: dict[str, np.ndarray], path: Any, allow: fr
     error = None
     if np.any((rows["points/material"] < 0) | (rows["points/material"] >= len(p.materials))):
         error = InputError(f"restart file {path}: points of more materials than the {len(p.materials)} here")
-    elif not np.all(problem.initial_grid.inside(rows["points/x"])):
+    elif not np.all((inside or problem.initial_grid.inside)(rows["points/x"])):
         error = InputError(f"restart file {path}: its points lie outside of this problem's grid")
     raise_on_all_ranks(comm, error)
     ids = rows["points/id"]
+    seeded, share = (ids, np.ones(len(ids))) if lineage is None else lineage.roots(ids)
     if "points" in allow:
         chosen = [getattr(load, "selection", None) for load in problem.loads]
         loaded = [selection.ids for selection in chosen if selection is not None]
         wanted = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *loaded]))
-        if not np.all(known_anywhere(comm, ids, wanted)):
+        if not np.all(known_anywhere(comm, seeded, wanted)):
             raise InputError(f"restart file {path}: its points don't have all those that bear loads here")
         return
     body = p.body if p.bodies > 1 else np.zeros(len(p))
-    mine = np.column_stack([np.ones(len(p)), p.X, p.volume0, p.material, body])
-    here = values_by_number(comm, p.id, mine, ids)
+    mine = np.column_stack([np.ones(len(p)), p.X, p.volume0, p.material, body, _reach(p)])
+    here = values_by_number(comm, p.id, mine, seeded)
+    here, reach = here[:, : -p.dim], here[:, -p.dim :]
     X, volume, material = (rows[f"points/{name}"] for name in ("X", "volume0", "material"))
     body, cell = rows.get("points/body", np.zeros(len(ids))), problem.initial_grid.smallest
-    there = np.column_stack([np.ones(len(ids)), X, volume, material, body])
-    slack = _NEAR * np.array([1, *cell, np.prod(cell), 1, 1])
+    there = np.column_stack([np.ones(len(ids)), X, volume / share, material, body])
+    slack = np.tile(_NEAR * np.array([1, *cell, np.prod(cell), 1, 1]), (len(ids), 1))
+    slack[:, 1 : 1 + p.dim] += np.where(share < 1.0, 1.0, 0.0)[:, None] * reach
     off = np.any(np.abs(here - there) > slack, axis=1)
     if np.any(off):
         at = int(np.argmax(off))
@@ -273,6 +288,12 @@ def check_points(problem: Any, rows: dict[str, np.ndarray], path: Any, allow: fr
             f"restart file {path}: its points are of another body: {_differs(ids[at], there[at], here[at])}"
         )
     raise_on_all_ranks(comm, error)
+
+
+def _reach(points: Any) -> np.ndarray:
+    """How far (m) the parts of points may lie from these along each axis (np, d)."""
+    found: np.ndarray = np.abs(points.half_axes0).sum(axis=1)
+    return found
 
 
 def _differs(number: int, there: np.ndarray, here: np.ndarray) -> str:

@@ -22,6 +22,7 @@ from mpi4py import MPI
 import h5py
 import numpy as np
 
+from ..bodies.lineage import Lineage
 from ..bodies.pointfields import MOTION_FIELDS
 from ..bodies.reference import Reference
 from ..errors import InputError
@@ -40,7 +41,7 @@ from .probes import restore_probes
 
 _FORMAT = 9
 _KIND = f"format {_FORMAT}"
-_WHOLE = ("terms", "steps")  # groups of arrays that every rank has whole
+_WHOLE = ("terms", "steps", "lineage")  # groups of arrays that every rank has whole
 _FINITE = ("points", "reference", "nodes", "cells", "equilibrium")  # that have nothing of a script's
 
 
@@ -67,15 +68,17 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
         "conditions": problem.condition_state(),
     }
     found = problem.equilibrium_state()
-    about["sizes"] = problem.step_sizes
+    about["sizes"], lineage = problem.step_sizes, dict[str, np.ndarray]()
     about["probes"] = {name: probe.saved() for name, probe in problem.probes.items()}
     if found is not None:
         about["equilibrium"], rows = found
         arrays |= {f"equilibrium/{name}": a for name, a in rows.items()}
     if isinstance(problem, QuasiStatic):
         about["trust"] = problem.box_record.state()
+        about["grids"], lineage = problem.grid_state()
     whole = {f"terms/{name.replace('/', '.')}": a for name, a in problem.term_state().items()}
     whole |= {f"steps/{name}": a for name, a in _steps(problem.steps).items()}
+    whole |= {f"lineage/{name}": a for name, a in lineage.items()}
     whole["about"] = np.frombuffer(json.dumps(about).encode(), dtype=np.uint8)
     for name, a in whole.items():  # the same on every rank
         arrays[name] = np.asarray(a) if comm.rank == 0 else np.asarray(a)[:0]
@@ -231,7 +234,10 @@ def _check(problem: Problem, saved: _Saved, path: Path, allowed: frozenset[str])
     error = next((_not_finite(name) for name, a in saved.rows.items() if not _is_finite(name, a)), None)
     raise_on_all_ranks(problem.comm, error)
     if not isinstance(problem, QuasiStaticFEM):
-        check_points(problem, saved.rows, path, allowed)
+        lineage = Lineage(**saved.group("lineage")) if saved.group("lineage") else None
+        of_points: Any = problem
+        inside = of_points.saved_grid(saved.about["grids"]).inside if "grid" not in allowed else None
+        check_points(problem, saved.rows, path, allowed, lineage, inside)
     return frozenset([group for group, _ in found] + ["conditions"] * fewer)
 
 
@@ -249,7 +255,7 @@ def _put(problem: Problem, saved: _Saved, path: Path, differing: frozenset[str])
     elif isinstance(problem, QuasiStatic):
         _put_points(problem, saved, differing)
         problem.box_record.restore(saved.about["trust"])
-    problem.steps = list(_steps_of(saved.group("steps")))
+    problem.steps = list(_steps_of(saved.group("steps"), getattr(problem, "regridding", None)))
     problem.step_sizes = tuple(saved.about["sizes"]) if saved.about["sizes"] else None
     known = {step.number: step for step in problem.steps}
     problem.restored = Restored(progress.step, known, problem.step_sizes)
@@ -267,6 +273,7 @@ def _put_points(problem: QuasiStatic, saved: _Saved, differing: frozenset[str]) 
         between = reference, rows["nodes/lattice"], rows["nodes/increments"]
     if "terms" in differing:
         kept = {name: a for name, a in kept.items() if not name.startswith("term ")}
+    problem.restore_grid({} if "grid" in differing else saved.about["grids"], saved.group("lineage"))
     points.replace({**_unyielded(rows), **saved.group("points")}, same=True)
     problem.restore(saved.progress, between, kept, saved.shares)
 
@@ -281,10 +288,12 @@ def _unyielded(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {"plastic_F": np.tile(np.eye(3), (n, 1, 1)), **none}
 
 
-def _steps_of(arrays: dict[str, np.ndarray]) -> Iterator[Step]:
+def _steps_of(arrays: dict[str, np.ndarray], grids: Any) -> Iterator[Step]:
     ends = np.cumsum(arrays["lengths"])
     for (number, factor, cuts, unresolved), end, n in zip(
         arrays["rows"].tolist(), ends, arrays["lengths"], strict=True
     ):
         history = tuple((force, energy) for force, energy in arrays["history"][end - n : end].tolist())
-        yield Step(int(number), factor, history, int(cuts), None if np.isnan(unresolved) else unresolved)
+        regrids = 0 if grids is None else grids.before(int(number))
+        share = None if np.isnan(unresolved) else unresolved
+        yield Step(int(number), factor, history, int(cuts), share, regrids=regrids)

@@ -259,6 +259,9 @@ class Conditions(Keeping, Whole, Turns):
     def _admit(self, where: Any, support: Support) -> None:
         """Take note of a support that the user has put on `where`, or refuse it."""
 
+    def _admit_term(self, term: Term) -> None:
+        """Refuse a term that can't be in this problem."""
+
     @collective("add", compare=True)
     def add(self, term: Term, *, counts: str | None = None) -> None:
         """Add a term: a contribution to the nodal system, such as a `SurfaceTerm` of one's own. In mid-run it
@@ -278,6 +281,7 @@ class Conditions(Keeping, Whole, Turns):
         check_counts(name, counts)
         checks.function(f"{name}: pieces", term.pieces, takes=("setting",))
         self.check_open()
+        self._admit_term(term)
         term.attach(self.layout, self.comm)
         term.taken = True
         term.begin_at(self.progress.factor, counts)

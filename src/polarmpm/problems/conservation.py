@@ -7,7 +7,7 @@ have the points' sum and the points' first moment, at the reset and after each s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 
@@ -61,6 +61,11 @@ class Conservation:
         self.comm.Allreduce(MPI.IN_PLACE, both)
         old, new = (Totals.of(numbers) for numbers in np.split(both, 2))
         _compare("points have moved between ranks", old, new, 0.0)
+
+    def points_joined(self, number: int) -> None:
+        """There are so many more points of the same body, as some have been split."""
+        if self._start is not None:
+            self._start = replace(self._start, count=self._start.count + number)
 
     def reset(self, interpolation: Interpolation) -> None:
         """Take the volumes to the nodes of a new interpolation."""

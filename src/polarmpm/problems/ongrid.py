@@ -75,8 +75,14 @@ class OnGrid(Problem):
     distribution: Callable[[], Route | None] | None = None  # moves points to ranks; None: by their places
 
     def _beside(self, where: PlaneSpec) -> PlaneSpec:
-        self.basis.check_plane(where, self.initial_grid)
-        return slopes.beside(where, self.initial_grid, self.points, self.grid)
+        initial, here = self._moving.initial, self._here(where)
+        self.basis.check_plane(here, initial)
+        slopes.beside(here, initial, self.points, self.grid)
+        return replace(where, beyond="auto")
+
+    def _here(self, where: PlaneSpec) -> PlaneSpec:
+        """A plane of the given grid in the one that the problem goes on from."""
+        return where
 
     def _tie(self, where: Any, support: Support, even: dict[int, bool]) -> None:
         if all(even.values()):
@@ -311,3 +317,21 @@ class OnGrid(Problem):
             unsymmetric = self.layout.rotations == 3 and self._couples_act
             if unsymmetric and c.couple is None:
                 c.couple = CoupleForm().compile(self.comm)
+
+    def _with_boxes(self, change: Callable[[], None]) -> None:
+        """Change what the boxes' energy depends on besides the increments; what it loses counts as
+        carried."""
+        boxes = self.box_record
+        before = boxes.energy(self._system)
+        change()
+        self.progress.carried_work += boxes.energy(self._system) - before
+
+    def _flow(self, system: LoadedPoints) -> None:
+        """Put the plastic flow of a converged step into the points' plastic state."""
+        i = system.interpolation
+        for batch, mapping in zip(i.batches, system.mappings, strict=True):
+            if mapping is not None and mapping.yielding is not None:
+                rows = batch.rows[mapping.yielding.rows]
+                mapping.update_plastic_state(self.points, rows, i.reference.q[rows])
+        i.pack()
+        system.place()

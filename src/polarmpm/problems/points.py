@@ -48,9 +48,10 @@ from .fitting import (
     check_second_gradients,
     touches_axis,
 )
+from .gridpolicies import RegridPolicy
 from .locking import check_locking, choose_form, warn_of_functions
 from .ongrid import Compiled
-from .stages import Staged
+from .regridding import Regridded, Regridding
 from .state import Fields, Progress
 from .surfaces import add_load
 from .telling import note_settings
@@ -61,12 +62,12 @@ _DISTORTED = WhenDistorted()
 PUBLISHED: dict[str, Any] = {"basis": "gimpm", "reset": 1, "balanced_reset": False, "locking": None}
 
 
-class QuasiStatic(Staged):
+class QuasiStatic(Regridded):
     """Equilibrium of material points on a grid under slowly changing loads. All methods are collective.
 
     Attributes:
         grid: the background grid as of the last reset.
-        initial_grid: the grid that was given; moving planes (see `plane`) stretch it.
+        initial_grid: the grid that was given; moving planes (see `plane`) stretch it, `regrid` changes it.
         rotation_limit: rotation increments that are larger than this (rad) somewhere get a new base after a
             step.
         rows: arrays (np, ...) of the script's own by name, one row a local point. They follow the points when
@@ -101,6 +102,9 @@ class QuasiStatic(Staged):
             see that a thin body bends; by default with all bases that have second derivatives, the splines.
         locking: "auto": materials that lock on coarse cells (docs/stability.md) see the mean volume, and
             relative rotation, of a patch of cells instead of their points' own; "always": all do; None: none.
+        regrid: a policy of other grids in the course of the run, such as `AlongBands` or `FollowBody`; or a
+            function of the problem that returns a grid, or None, at each reset. Points are split where cells
+            become finer (docs/grids.md). `regrids` tells of each change.
 
     Raises:
         InputError: an argument is out of range; materials that don't go together.
@@ -123,11 +127,12 @@ class QuasiStatic(Staged):
         solver: str = "auto",
         boxes: bool | None = None,
         locking: str | None = "auto",
+        regrid: RegridPolicy | Callable[[Any], Grid | None] | None = None,
     ):
         check_body(grid, points)
         self.balanced_reset = checks.flag("balanced_reset", balanced_reset)
         self.grid = self.initial_grid = grid
-        self._moving = MovingGrid(grid)
+        self._moving, self.regridding = MovingGrid(grid), Regridding(regrid)
         self.basis, self.policy = basis_of(basis), make_policy(reset)
         self.assembly, self.solver = check_assembly(assembly, self.basis), check_solver(solver)
         check_bodies(points, self.assembly)
@@ -144,6 +149,7 @@ class QuasiStatic(Staged):
         self._size = 0.0  # largest gradient of the last step's increments on this rank
         self.load_shares = LoadShares(grid.comm, rebalance)
         self._conservation = Conservation(grid.comm)
+        self.regridding.begin(self)
         self.ghost = make_penalty(ghost, points.materials, self.layout, self.basis, assembly)
         if self.ghost:
             self.add(Ghost(self.ghost, self.layout))
@@ -221,8 +227,8 @@ class QuasiStatic(Staged):
     # conditions -----------------------------------------------------------------------------------
     def _place(self, where: Any) -> tuple[Callable[[np.ndarray], np.ndarray], str]:
         if isinstance(where, PlaneSpec):
-            self.basis.check_plane(where, self.initial_grid)
-            return where.resolve(self.initial_grid, self.points, now=self.grid), where.name
+            self.basis.check_plane(where := self._here(where), self._moving.initial)
+            return where.resolve(self._moving.initial, self.points, now=self.grid), where.name
         what = "a plane, a Surface or a predicate of node positions (n, d) is"
         return checks.function("fix: where", where, what, takes=("positions",)), getattr(
             where, "__name__", "predicate"
@@ -312,6 +318,8 @@ class QuasiStatic(Staged):
         outcome.unresolved = self.box_record.unresolved(system, start)
         outcome.reason = self.box_record.refusal(outcome.unresolved)
         outcome.converged = not outcome.reason
+        if outcome.converged:
+            self._indicate(system, outcome)
 
     def _note(self, outcome: Outcome) -> None:
         self.box_record.note(outcome.unresolved, self.progress.step, self._size)
@@ -344,24 +352,6 @@ class QuasiStatic(Staged):
                     term.rebase_rotations()
                 p.rotation_factor = factor
         self._seal = Seal(self.points)
-
-    def _with_boxes(self, change: Callable[[], None]) -> None:
-        """Change what the boxes' energy depends on besides the increments; what it loses counts as
-        carried."""
-        boxes = self.box_record
-        before = boxes.energy(self._system)
-        change()
-        self.progress.carried_work += boxes.energy(self._system) - before
-
-    def _flow(self, system: LoadedPoints) -> None:
-        """Put the plastic flow of a converged step into the points' plastic state."""
-        i = system.interpolation
-        for batch, mapping in zip(i.batches, system.mappings, strict=True):
-            if mapping is not None and mapping.yielding is not None:
-                rows = batch.rows[mapping.yielding.rows]
-                mapping.update_plastic_state(self.points, rows, i.reference.q[rows])
-        i.pack()
-        system.place()
 
     # restart --------------------------------------------------------------------------------------
     def increments(self) -> tuple[Reference, np.ndarray, np.ndarray] | None:

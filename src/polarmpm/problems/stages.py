@@ -87,7 +87,7 @@ class Staged(OnGrid):
         self.points.check(check_selection(selection))
         if not len(selection):
             raise InputError("remove: the selection contains no point")
-        if len(selection) == self.points.total:
+        if self.comm.allreduce(len(self.points.rows(selection))) == self.points.total:
             raise InputError("remove: these are all points; nothing would be left of the body")
         name = f"removal {self.given.next('removal')}"
         stage = Stage(name, selection)

@@ -90,6 +90,7 @@ class Outcome:
         reason: why it failed, in words.
         unresolved: see `Step`.
         local: it failed as points had no stresses.
+        regrids: see `Step`.
     """
 
     converged: bool = False
@@ -97,6 +98,7 @@ class Outcome:
     reason: str = ""
     unresolved: float | None = None
     local: bool = False
+    regrids: int = 0
 
     @property
     def iterations(self) -> int:

@@ -69,6 +69,7 @@ class Step:
         unresolved: share of the step's work that is done inside the points' boxes, where neither the grid nor
             the points resolve it; None where points have no boxes.
         restored: of a run that goes on from a restart file; None: it began with the undeformed body.
+        regrids: how often `regrid=` changed the grid before it was solved; see `problem.regrids`.
     """
 
     number: int
@@ -77,6 +78,7 @@ class Step:
     cuts: int
     unresolved: float | None = None
     restored: Restored | None = field(default=None, compare=False, repr=False)
+    regrids: int = 0
 
     @property
     def iterations(self) -> int:
@@ -93,7 +95,7 @@ class Step:
         unresolved = "" if self.unresolved is None else f", {100 * self.unresolved:.2g} % unresolved"
         return (
             f"Step(number={self.number}, factor={self.factor:.9g}, {self.iterations} iterations, "
-            f"force measure {force}, {self.cuts} cuts{unresolved})"
+            f"force measure {force}, {self.cuts} cuts{unresolved}{', in another grid' * bool(self.regrids)})"
         )
 
 
@@ -178,7 +180,8 @@ def march(problem: Marching, schedule: Schedule, explain: Explain | None = None)
                 share = (step.factor - begin) / (schedule.to - begin) if schedule.to != begin else 1.0
                 bar.update(100 * share - bar.n)
                 force = step.history[-1][0]
-                bar.set_postfix_str(f"step {step.number}, {step.iterations} iterations, residual {force:.1e}")
+                what = f"step {step.number}, {step.iterations} iterations, residual {force:.1e}"
+                bar.set_postfix_str(what + ", in another grid" * bool(step.regrids))
             return step
 
         while (step := problem.whole(take)) is not None:
@@ -238,7 +241,8 @@ def _attempt(problem: Marching, factor: float, tried: list[str]) -> Step | Outco
         )
         return outcome
     reached, history = problem.progress.step, tuple(outcome.history)
-    return Step(reached, factor, history, len(tried), outcome.unresolved, restored_of(problem))
+    run, found = restored_of(problem), outcome
+    return Step(reached, factor, history, len(tried), found.unresolved, run, found.regrids)
 
 
 def clock_of(problem: Any) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..bodies.variation import largest_changes
 from ..errors import InputError
 from ..geometry.grid import Grid
 from ..geometry.lines import GROWTH, STEEPNESS, number_between, spread
@@ -41,37 +42,9 @@ def indicator(pilot: QuasiStatic) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     _comm(pilot)
     if not pilot.progress.step:
         raise InputError("pilot: has made no step yet; march it to the end first")
-    grid, comm = pilot.initial_grid, pilot.comm
-    number, means = _cell_means(pilot)
-    F, x = means[:, : -grid.dim], means[:, -grid.dim :]
-    index, found = grid.node_index(number), {}
-    for axis, name in enumerate("xyz"[: grid.dim]):
-        lines = grid.lines[axis]
-        value = np.zeros(len(lines))
-        at = np.searchsorted(number, number + grid.strides[axis])
-        at = np.minimum(at, len(number) - 1)
-        pair = np.flatnonzero(number[at] == number + grid.strides[axis])
-        change = np.linalg.norm(F[at[pair]] - F[pair], axis=1) / (x[at[pair], axis] - x[pair, axis])
-        np.maximum.at(value, index[pair, axis] + 1, change)
-        value[0], value[-1] = value[1], value[-2]
-        found[name] = (lines, value)
-    told: dict[str, tuple[np.ndarray, np.ndarray]] = comm.bcast(found)
-    return told
-
-
-def _cell_means(pilot: QuasiStatic) -> tuple[np.ndarray, np.ndarray]:
-    """Lattice numbers, ascending, of the cells of the undeformed body, and the means of F and X there, of
-    points that count by their volumes; the same on every rank."""
     grid, p = pilot.initial_grid, pilot.points
-    cells = grid.cell_number(grid.cells_of(p.X))
-    own, at = np.unique(cells, return_inverse=True)
-    rows = np.hstack([np.ones((len(p), 1)), p.F.reshape(len(p), 9), p.X]) * p.volume0[:, None]
-    sums = np.stack([np.bincount(at.ravel(), c, minlength=len(own)) for c in rows.T], axis=1)
-    numbers = np.concatenate(pilot.comm.allgather(own))
-    every = np.concatenate(pilot.comm.allgather(sums))
-    found, at = np.unique(numbers, return_inverse=True)
-    total = np.stack([np.bincount(at.ravel(), c, minlength=len(found)) for c in every.T], axis=1)
-    return found, total[:, 1:] / total[:, :1]
+    values = largest_changes(grid, p.X, p.F, p.X, p.volume0)
+    return {name: (grid.lines[axis], values[axis]) for axis, name in enumerate("xyz"[: grid.dim])}
 
 
 @collective("lines_from", comm=_comm, compare=True)
