@@ -143,6 +143,42 @@ def test_bounds_are_the_body(dim, number):
     np.testing.assert_allclose(np.prod(2 * points.half_length0, axis=1), points.volume0, rtol=1e-13)
 
 
+# thin bodies --------------------------------------------------------------------------------------
+@pytest.mark.parametrize("dim", [2, 3])
+def test_boxes_of_a_body_without_whole_ones_are_halved(dim):
+    """Volume, centroid and second moments are the body's; ids and points are the same on any ranks."""
+    size, centre = np.array([5.3, 0.44, 0.41])[:dim], np.array([4.2, 3.9, 3.6])[:dim]
+    inside = partial(in_block, size=size, centre=centre, angle=0.4)
+    grid = pm.Grid.box((0,) * dim, (8,) * dim, 1.0, COMM)
+    points = pm.seed(grid, inside, material=MICROPOLAR)
+    assert points.half_length0.max(initial=0.0) < 0.2501  # of a box .25
+    fewer = pm.seed(grid, inside, material=MICROPOLAR, points_per_cell=1)
+    assert points.total > 1.5 * fewer.total
+    volume = total(points)
+    assert volume == pytest.approx(np.prod(size), rel=1e-3)
+    np.testing.assert_allclose(total(points, points.X) / volume, centre, atol=1e-3)
+    away = points.X - centre
+    square = away[:, :, None] * away[:, None, :]
+    square += np.swapaxes(points.half_axes0, 1, 2) @ points.half_axes0 / 3.0
+    turn = rotation([0.0, 0.0, 0.4])[:dim, :dim]
+    np.testing.assert_allclose(
+        total(points, square) / volume, turn @ np.diag(size**2 / 12) @ turn.T, atol=2e-3
+    )
+    ids, x = np.concatenate(COMM.allgather(points.id)), np.concatenate(COMM.allgather(points.X))
+    alone = pm.seed(pm.Grid.box((0,) * dim, (8,) * dim, 1.0, MPI.COMM_SELF), inside, material=MICROPOLAR)
+    np.testing.assert_allclose(x[np.argsort(ids)], alone.X[np.argsort(alone.id)], atol=1e-12)
+
+
+def test_boxes_beside_whole_ones_stay():
+    """A body in which whole boxes fit has the points that were asked for, thin tails of it too."""
+    grid = pm.Grid.box((0, 0), (8, 8), 1.0, COMM)
+    points = pm.seed(
+        grid, partial(in_block, size=(3.0, 1.7), centre=(4.1, 4.2), angle=0.3), material=MICROPOLAR
+    )
+    boxes = np.floor(2 * points.X)
+    assert len(np.unique(boxes, axis=0)) == len(points)
+
+
 def test_predicates_are_called_with_many_positions():
     """The body's inside asks once, however many boxes there are."""
     calls = []

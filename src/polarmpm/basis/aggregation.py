@@ -14,10 +14,14 @@ centroids of boxes cut at simple places are.
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
 import numpy as np
 
 from ..geometry.grid import Grid, box_indices, snap
 from ..tools.parallel import Route, values_by_number
+
+_NEAR = 0.4955  # reach of points, in cells, from a face that is nearer than the opposite one
 
 
 def supporting_cells(grid: Grid, x: np.ndarray, thickness: float) -> np.ndarray:
@@ -51,12 +55,53 @@ def supporting_cells(grid: Grid, x: np.ndarray, thickness: float) -> np.ndarray:
     # where all cells are slivers, as with one point a cell near a plane, none can be moved to another one
     target = at_target()
     leans = (target[:, -1] > 0) & np.all((step == 0) | (target[:, :-1] == 0), axis=1) & np.any(step, axis=1)
+    alone = np.any(step, axis=1) & ~leans
+    if comm.allreduce(int(np.any(alone))):  # but the body's last ones, whose tails no other point reaches
+        ends = _ends(comm, grid, cells, step * alone[:, None], deepest)
+        step = np.where(leans[:, None], step, ends)
+        target = at_target()
+        leans = (
+            (target[:, -1] > 0) & np.all((step == 0) | (target[:, :-1] == 0), axis=1) & np.any(step, axis=1)
+        )
     step *= leans[:, None]
     # the cell behind the face may be a sliver in another direction
     step += at_target()[:, :-1] * leans[:, None]
     moved = values_by_number(comm, cells, step.astype(float), own).astype(np.int64)
     supporting: np.ndarray = index + moved[at[: len(x)]]
     return supporting
+
+
+def _ends(comm: MPI.Comm, grid: Grid, cells: np.ndarray, step: np.ndarray, deepest: np.ndarray) -> np.ndarray:
+    """Steps (m, d) of cells (numbers, (m,)) that have nothing on their other side, to the cell behind the
+    face, or if there are no points in it, to the one beside that to which the points are near. Collective.
+
+    Args:
+        step: across the faces of which they are slivers, (m, d).
+        deepest: how far their points reach from lower and upper faces (m, 2 d).
+    """
+    m, d = step.shape
+
+    def any_in(at: np.ndarray) -> np.ndarray:
+        found: np.ndarray = (
+            values_by_number(comm, cells, np.ones((m, 1)), cells + at @ grid.strides)[:, 0] > 0
+        )
+        return found
+
+    out = np.zeros_like(step)
+    for i in range(d):
+        along = np.zeros_like(step)
+        along[:, i] = step[:, i]
+        out[:, i] = np.where(any_in(-along), 0, step[:, i])
+    row, missing = np.arange(m), np.any(out, axis=1) & ~any_in(out)
+    order = np.argsort(deepest, axis=1, kind="stable")
+    for k in range(2 * d):
+        axis, near = order[:, k] % d, deepest[row, order[:, k]] < _NEAR
+        beside = out.copy()
+        beside[row, axis] = np.where(order[:, k] < d, -1, 1)
+        use = missing & near & (out[row, axis] == 0)
+        use &= any_in(beside * use[:, None])
+        out[use], missing = beside[use], missing & ~use
+    return out
 
 
 def _members(grid: Grid, x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

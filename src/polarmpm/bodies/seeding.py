@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -12,12 +12,12 @@ from mpi4py import MPI
 import numpy as np
 
 from ..errors import InputError, PointsOutsideGrid
-from ..geometry.grid import Grid
+from ..geometry.grid import Grid, box_indices
 from ..materials.base import Material, check_material
 from ..tools import checks
 from ..tools.machine import check_memory
 from ..tools.meetings import collective
-from ..tools.parallel import errors_on_all_ranks
+from ..tools.parallel import errors_on_all_ranks, known_anywhere
 from .cutboxes import half_axes, inside_parts
 from .partition import distribute
 from .points import Points
@@ -49,8 +49,9 @@ def seed(
 
     Each cell is divided into boxes, one a point. A box that the body's surface cuts becomes a point at the
     centroid of its part inside, with the volume and the second moments of that part: the points have the
-    body's volume, centroid and second moments, those of `bounds` exactly. Details of the body thinner than an
-    eighth of a cell in the plane, and a sixth in space, or than a third of a box may be missed.
+    body's volume, centroid and second moments, those of `bounds` exactly. Boxes are halved in each direction
+    where there is no whole one in a cell and those around it. Details thinner than an eighth of a cell in the
+    plane, and a sixth in space, or than a third of a box may be missed.
 
     Args:
         grid: background grid.
@@ -85,13 +86,12 @@ def seed(
     )
     _check_number(searched, len(xi), points_per_cell, everything=inside is None)
     body = _Body(inside, corners, cut and layout == "uniform", _parts(per_cell))
-    made = _found(searched, body, per_cell, xi, share)
+    made = _found(_Candidates(searched, per_cell, xi, share), body)
     _check_found(grid, made, "bounds" if inside is None else "inside")
     if layout != "uniform":
         made.axes = np.zeros_like(made.axes)
     points = made.points(material, grid.comm, checks.flag("axisymmetric", axisymmetric))
-    if not grid.equal:
-        points.lattices = ((grid, per_cell),)
+    points.lattices = () if grid.equal else ((grid, per_cell),)
     distribute(grid, points)
     return points
 
@@ -118,16 +118,28 @@ def _parts(per_cell: np.ndarray) -> int:
 
 @dataclass
 class _Boxes:
-    """Points to be: positions (n, d), volumes (n,), half lengths (n, d) and half axes (n, d, d)."""
+    """Points to be: positions (n, d), volumes (n,), half lengths (n, d) and half axes (n, d, d); numbers (n,)
+    of the candidates, and whether the body's surface, known by a predicate, cuts these (n,)."""
 
     x: np.ndarray
     volume: np.ndarray
     half: np.ndarray
     axes: np.ndarray
+    of: np.ndarray
+    cut: np.ndarray
 
     @classmethod
     def none(cls, dim: int) -> _Boxes:
-        return cls(np.zeros((0, dim)), np.zeros(0), np.zeros((0, dim)), np.zeros((0, dim, dim)))
+        return cls.along_grid(
+            np.zeros((0, dim)), np.zeros(0), np.zeros((0, dim)), np.zeros(0, dtype=np.int64)
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[_Boxes]) -> _Boxes:
+        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
+
+    def rows(self, rows: np.ndarray) -> _Boxes:
+        return _Boxes(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     def points(self, material: Material, comm: MPI.Comm, axisymmetric: bool) -> Points:
         """Points with these boxes, or with the rings that they become by a turn. Collective."""
@@ -141,8 +153,8 @@ class _Boxes:
         )
 
     @classmethod
-    def along_grid(cls, x: np.ndarray, volume: np.ndarray, half: np.ndarray) -> _Boxes:
-        return cls(x, volume, half, half[:, None, :] * np.eye(x.shape[1]))
+    def along_grid(cls, x: np.ndarray, volume: np.ndarray, half: np.ndarray, of: np.ndarray) -> _Boxes:
+        return cls(x, volume, half, half[:, None, :] * np.eye(x.shape[1]), of, np.zeros(len(x), dtype=bool))
 
 
 @dataclass
@@ -158,56 +170,116 @@ class _Body:
         """Boxes to be treated at once."""
         return _CHUNK // ((self.parts + 1) ** dim if self.cut and self.inside is not None else 1)
 
-    def boxes(self, x: np.ndarray, half: np.ndarray, volume: np.ndarray) -> _Boxes:
-        """What is inside of boxes around x (n, d) with half lengths (n, d) and volumes (n,)."""
+    def boxes(self, x: np.ndarray, half: np.ndarray, volume: np.ndarray, of: np.ndarray) -> _Boxes:
+        """What is inside of boxes around x (n, d) with half lengths (n, d), volumes (n,) and numbers (n,)."""
         if not self.cut:
             keep = _keep(x, self.inside, self.bounds)
-            return _Boxes.along_grid(x[keep], volume[keep], half[keep])
+            return _Boxes.along_grid(x[keep], volume[keep], half[keep], of[keep])
         if self.inside is None:
             if self.bounds is None:
-                return _Boxes.along_grid(x, volume, half)
-            return _clipped(x, half, volume, self.bounds)
+                return _Boxes.along_grid(x, volume, half, of)
+            return _clipped(x, half, volume, of, self.bounds)
         part = inside_parts(x, half, lambda y: _keep(y, self.inside, None), self.parts)
-        made = _Boxes.along_grid(part.centre, volume[part.kept] * part.share, half[part.kept])
+        kept = part.kept
+        made = _Boxes.along_grid(part.centre, volume[kept] * part.share, half[kept], of[kept])
         covariance = part.covariance[part.cut]
         made.axes[part.cut] = half_axes(covariance)
         made.half[part.cut] = np.sqrt(3.0 * np.einsum("nii->ni", covariance))
+        made.cut = part.cut
         return made
 
 
-def _clipped(x: np.ndarray, half: np.ndarray, volume: np.ndarray, bounds: Any) -> _Boxes:
+def _clipped(x: np.ndarray, half: np.ndarray, volume: np.ndarray, of: np.ndarray, bounds: Any) -> _Boxes:
     """Boxes cut by bounds that are the body itself; sides that rounding would move stay."""
     least = _ROUNDING * half
     low, high = np.maximum(x - half, np.asarray(bounds[0])), np.minimum(x + half, np.asarray(bounds[1]))
     keep = np.all(high - low > least, axis=1)
-    x, half, volume, low, high, least = (a[keep] for a in (x, half, volume, low, high, least))
+    x, half, volume, of, low, high, least = (a[keep] for a in (x, half, volume, of, low, high, least))
     clipped = 2.0 * half - (high - low) > least
     length = np.where(clipped, 0.5 * (high - low), half)
     return _Boxes.along_grid(
-        np.where(clipped, 0.5 * (low + high), x), volume * np.prod(length / half, axis=1), length
+        np.where(clipped, 0.5 * (low + high), x), volume * np.prod(length / half, axis=1), length, of
     )
 
 
-def _found(searched: Grid, body: _Body, per_cell: np.ndarray, xi: np.ndarray, share: np.ndarray) -> _Boxes:
-    """What is inside of this rank's share of the cells searched, in the order of the ids. Collective."""
-    dim, comm = searched.dim, searched.comm
-    span = np.array(searched.shape)
-    axes = np.argsort(-span, kind="stable")  # the longest axis varies slowest: ranks get slices of it
-    cells = int(np.prod(span))
-    start, stop = (cells * r // comm.size for r in (comm.rank, comm.rank + 1))
-    step = max(1, body.chunk(dim) // len(xi))
+@dataclass
+class _Candidates:
+    """Boxes in the cells searched, numbered cell by cell: `per_cell` (d,) of each, at places xi (k, d) with
+    shares (k,) of its volume."""
+
+    searched: Grid
+    per_cell: np.ndarray
+    xi: np.ndarray
+    share: np.ndarray
+
+    def __post_init__(self) -> None:
+        self.span = np.array(self.searched.shape)
+        self.axes = np.argsort(-self.span, kind="stable")  # the longest one varies slowest: ranks get slices
+
+    def cells(self, of: np.ndarray) -> np.ndarray:
+        """Lattice index (n, d) of the cells of boxes of these numbers (n,)."""
+        number = np.unravel_index(of // len(self.xi), self.span[self.axes])
+        return np.stack(number, axis=1)[:, np.argsort(self.axes)]
+
+    def at(self, of: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Centres (n, d), half lengths (n, d) and volumes (n,) of boxes of these numbers (n,)."""
+        index, k = self.cells(of), of % len(self.xi)
+        sizes = self.searched.sizes(index)
+        volume = self.share[k] * np.prod(sizes, axis=1)
+        return self.searched.position(index + self.xi[k]), 0.5 * sizes / self.per_cell, volume
+
+
+def _found(candidates: _Candidates, body: _Body) -> _Boxes:
+    """What is inside of this rank's share of the candidates, in the order of the ids. Collective."""
+    comm, dim, each = candidates.searched.comm, candidates.searched.dim, len(candidates.xi)
+    cells = int(np.prod(candidates.span))
+    start, stop = (each * (cells * r // comm.size) for r in (comm.rank, comm.rank + 1))
+    step = max(1, body.chunk(dim) // each) * each
     found, number_found = [_Boxes.none(dim)], 0
     with errors_on_all_ranks(comm):
         for begin in range(start, stop, step):
-            number = np.arange(begin, min(begin + step, stop))
-            index = np.stack(np.unravel_index(number, span[axes]), axis=1)[:, np.argsort(axes)]
-            x = searched.position(index[:, None, :] + xi[None]).reshape(-1, dim)
-            sizes = np.repeat(searched.sizes(index), len(xi), axis=0)
-            volume = np.tile(share, len(index)) * np.prod(sizes, axis=1)
-            found.append(body.boxes(x, 0.5 * sizes / per_cell, volume))
+            of = np.arange(begin, min(begin + step, stop))
+            found.append(body.boxes(*candidates.at(of), of))
             number_found += len(found[-1].x)
-            check_memory("points_per_cell", per_cell.tolist(), number_found * _BYTES)
-    return _Boxes(*(np.concatenate(column) for column in zip(*map(astuple, found), strict=True)))
+            check_memory("points_per_cell", candidates.per_cell.tolist(), number_found * _BYTES)
+    made = _Boxes.joined(found)
+    thin = np.flatnonzero(_is_thin(candidates, made))
+    if not comm.allreduce(len(thin)):
+        return made
+    with errors_on_all_ranks(comm):
+        finer = _halved(candidates, body, made.of[thin])
+        check_memory("points_per_cell", candidates.per_cell.tolist(), (len(made.x) + len(finer.x)) * _BYTES)
+    both = _Boxes.joined([made.rows(np.setdiff1d(np.arange(len(made.x)), thin)), finer])
+    return both.rows(np.argsort(both.of, kind="stable"))
+
+
+def _is_thin(candidates: _Candidates, made: _Boxes) -> np.ndarray:
+    """Which boxes are parts of a body that holds no whole box in their cell and those around it, (n,).
+    Collective."""
+    comm, searched = candidates.searched.comm, candidates.searched
+    thin = made.cut.copy()
+    if not comm.allreduce(int(thin.any())):
+        return thin
+    number = searched.cell_number(candidates.cells(made.of))
+    whole, cut = np.unique(number[~thin]), np.unique(number[thin])
+    around = (box_indices((3,) * searched.dim) - 1) @ searched.strides
+    near = known_anywhere(comm, whole, (cut[:, None] + around).ravel()).reshape(len(cut), -1)
+    thin[thin] = ~np.any(near, axis=1)[np.searchsorted(cut, number[thin])]
+    return thin
+
+
+def _halved(candidates: _Candidates, body: _Body, of: np.ndarray) -> _Boxes:
+    """What is inside of the halves in each direction of boxes of these numbers."""
+    dim, body = candidates.searched.dim, replace(body, parts=max(3, math.ceil(body.parts / 2)))
+    side = box_indices((2,) * dim) - 0.5
+    step, found = max(1, body.chunk(dim) // len(side)), [_Boxes.none(dim)]
+    for begin in range(0, len(of), step):
+        some = of[begin : begin + step]
+        x, half, volume = candidates.at(some)
+        x = (x[:, None] + side * half[:, None]).reshape(-1, dim)
+        half, volume = (np.repeat(a, len(side), axis=0) for a in (0.5 * half, volume / len(side)))
+        found.append(body.boxes(x, half, volume, np.repeat(some, len(side))))
+    return _Boxes.joined(found)
 
 
 def _points_per_cell(value: Any, dim: int) -> np.ndarray:
