@@ -118,11 +118,7 @@ def test_modules_and_functions_are_short():
 
 # seams --------------------------------------------------------------------------------------------------
 # what the other folders see of it
-FACES_OF_A_BASIS = {
-    ("basis", "base"),
-    ("basis", "followed"),
-    ("basis", "registry"),
-}  # what the other folders see of it
+FACES_OF_A_BASIS = {("basis", "base"), ("basis", "followed"), ("basis", "registry")}
 
 
 def is_basis(node: ast.AST) -> bool:

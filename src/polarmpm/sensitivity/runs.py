@@ -110,6 +110,7 @@ class Sensitivity:
         self.steps = dict.fromkeys(self.names, step or _STEPS[self.sides])
         problem, self._observables = self._built(self.given)
         building.check_problem(problem)
+        building.warn_of_resets(problem)
         self._check_deterministic(problem)
         self._leader = Leader(problem)
         self._pairs = {name: self._pair(self._leader, name) for name in self.names}
