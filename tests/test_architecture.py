@@ -119,10 +119,6 @@ def test_modules_and_functions_are_short():
 # seams --------------------------------------------------------------------------------------------------
 # what the other folders see of it
 FACES_OF_A_BASIS = {("basis", "base"), ("basis", "followed"), ("basis", "registry")}
-    ("basis", "base"),
-    ("basis", "followed"),
-    ("basis", "registry"),
-}  # what the other folders see of it
 
 
 def is_basis(node: ast.AST) -> bool:
