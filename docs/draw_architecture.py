@@ -51,6 +51,7 @@ ROOMS = (
     Room("sensitivity", "derivatives by parameters", "use"),
     Room("io", "ParaView, tables, restart", "use"),
     Room("plot", "figures", "use"),
+    Room("identification", "parameters from measurements", "use"),
     Room("geotechnics", "factors of safety", "use"),
     Room("study", "error against time, demos", "use"),
 )
