@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import polarmpm as pm
+from polarmpm.plot import styled
 
 HERE = Path(__file__).parent
 E, POISSON = 1e6, 0.3  # Pa, -
@@ -157,11 +158,12 @@ def solutions_table(rows):
     return "\n".join(lines) + "\n"
 
 
+@styled()
 def draw(rows, file):
     """CPU time and memory of a step, and iterations of a solution, over unknowns."""
     from polarmpm.plot import figures as plot
 
-    figure, axes = plot.subplots(1, 3, figsize=(13, 4.2))
+    figure, axes = plot.subplots(1, 3, figsize=plot.fitted(13, 4.2))
     styles = {("mpm", "direct"): "C0s--", ("mpm", "multigrid"): "C0o-"}
     styles |= {("gimpm", "direct"): "C1s--", ("gimpm", "multigrid"): "C1o-"}
     for (basis, solver), style in styles.items():

@@ -20,6 +20,7 @@ from statistics import median
 import numpy as np
 
 import polarmpm as pm
+from polarmpm.plot import styled
 
 HERE = Path(__file__).parent
 PACKAGES = ("KratosMPMApplication", "KratosLinearSolversApplication")
@@ -269,11 +270,12 @@ def markdown(results):
     return "\n".join(lines) + "\n"
 
 
+@styled()
 def draw(results, path):
     """CPU time per point and iteration over the number of points: least, with a bar up to the median."""
     from polarmpm.plot import figures as plot
 
-    figure, ax = plot.subplots(figsize=(7.0, 4.8))
+    figure, ax = plot.subplots(figsize=plot.fitted(7.0, 4.8))
     styles = ("o", "#444444"), ("v", "#999999"), ("s", "#0072b2"), ("D", "#56b4e9"), ("^", "#d55e00")
     rows = summarise(results)
     numbers = sorted({r["per_cell"] for r in rows})

@@ -13,6 +13,7 @@ import numpy as np
 from stress_cases import BASES, COMM, Record, Watch, block_points
 
 import polarmpm as pm
+from polarmpm.plot import styled
 
 YOUNG = 1e6  # Pa
 RATIOS = (0.0, 0.3, 0.45, 0.49, 0.499, 0.4999)
@@ -103,11 +104,12 @@ def reference_error(scene, nu, micropolar):
     return Record("locking", case, error < 0.01, error=error, measure="difference of the work")
 
 
+@styled()
 def draw(records, file: Path):
     """Work over Poisson's ratio, in a figure."""
     from polarmpm.plot import figures as plot
 
-    figure, axes = plot.subplots(1, 2, figsize=(10, 3.8), sharey=True)
+    figure, axes = plot.subplots(1, 2, figsize=plot.fitted(10, 3.8), sharey=True)
     found = {r.case: 1 - r.error for r in records if r.group == "locking" and r.error is not None}
     names = {
         "mpm": "MPM",
@@ -139,7 +141,7 @@ def draw(records, file: Path):
                 )
         axis.axhline(1.0, color="k", lw=0.6)
         axis.set(xticks=at, xticklabels=[f"{nu:g}" for nu in RATIOS], xlabel="Poisson's ratio", ylim=(0, 1.1))
-        axis.set_title(f"{scene}, cells of 1/{CELLS[scene]} m", fontsize=10)
+        axis.set_title(f"{scene}, cells of 1/{CELLS[scene]} m")
     axes[0].set_ylabel("work over that of the reference")
-    axes[0].legend(fontsize=8, loc="lower left", title="pale: micropolar", title_fontsize=8)
+    axes[0].legend(fontsize=8, loc="lower left", title="pale: micropolar")
     plot.save(figure, file)

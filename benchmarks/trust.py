@@ -17,6 +17,7 @@ from mpm_versus_fem import LENGTH, REFERENCE, arch_mesh, demo, finite_elements
 
 import polarmpm as pm
 from polarmpm import study
+from polarmpm.plot import styled
 
 HERE = Path(__file__).parent
 POSITIONS = [(-100.0, 0.0), (-99.5, 0.0), (-99.75, 0.25)]  # m, y of the centre of curvature, lowest z
@@ -188,11 +189,12 @@ def markdown(rows):
     return "\n".join(lines) + "\n"
 
 
+@styled()
 def draw(resets, recommended, file):
     """Error of u_x over resets, and of all components with the recommended settings."""
     from polarmpm.plot import figures as plot
 
-    figure, axes = plot.subplots(1, 2, figsize=(11, 4.4))
+    figure, axes = plot.subplots(1, 2, figsize=plot.fitted(11, 4.4))
     colours = {"MPM": "C0", "GIMPM": "C1", "B-splines": "C2"}
     for method in study.methods(resets):
         mine = [r for r in resets if r.method == method and r.result]
@@ -210,7 +212,7 @@ def draw(resets, recommended, file):
     axes[0].minorticks_off()
     axes[1].set(xlabel="run (3 positions; 15-60 steps; 3-6 points)", ylabel="error (%)", ylim=(-4, 4))
     axes[1].axhspan(-2, 2, color="0.92", zorder=0)
-    axes[1].set_title("recommended settings, cells as large as the section", fontsize=10)
+    axes[1].set_title("recommended settings, cells as large as the section")
     for axis in axes:
         axis.axhline(0, color="k", lw=0.6)
         axis.legend(fontsize=8)

@@ -12,6 +12,7 @@ from mpi4py import MPI
 import numpy as np
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.study import commandline as demo
 
 WIDTH, HEIGHT, SHORTENING = 0.025, 0.05, 0.01  # m, of a quarter
@@ -131,12 +132,13 @@ def measure(columns):
     return {name: [float(row[k]) for row in rows] for k, name in enumerate(names)}
 
 
+@styled()
 def draw(solved, file):
     """The band of each column, coloured by chi, and the curves of stress over strain."""
     from polarmpm.plot import figures as plot
 
     n = len(solved)
-    figure, axes = plot.subplots(1, n + 1, figsize=(3.4 * n + 4.5, 4.6))
+    figure, axes = plot.subplots(1, n + 1, figsize=plot.fitted(3.4 * n + 4.5, 4.6))
     curves = {}
     for ax, ((cell, psi), (problem, curve)) in zip(axes, solved.items(), strict=False):
         name = f"h = {cell * 1e3:g} mm, $\\psi$ = {psi:g}°"
@@ -149,7 +151,7 @@ def draw(solved, file):
             undeformed=False,
         )
         if ax is not None:
-            ax.set_title(name, fontsize=9)
+            ax.set_title(name)
         curves[name] = (100 * curve[0], curve[1] / 1e3)
     plot.load_displacement(curves, axes[-1], xlabel="axial strain (%)", ylabel="axial stress (kPa)")
     plot.save(figure, file, comm=MPI.COMM_WORLD)

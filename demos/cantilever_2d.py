@@ -10,6 +10,7 @@ from mpi4py import MPI
 import numpy as np
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.study import commandline as demo
 
 LENGTH, HEIGHT, FORCE = 10.0, 1.0, 50e3  # m, m, N per metre of width
@@ -77,12 +78,13 @@ def main(argv=None):
     return demo.report(args, "cantilever_2d", solved["b"][0], result)
 
 
+@styled()
 def draw(solved, file):
     """Both bent beams coloured by the bending stress, and the load over the tip's deflection."""
     from polarmpm.plot import figures as plot
 
     comm, curves = solved["a"][0].comm, {}
-    figure, axes = plot.subplots(1, 3, figsize=(15, 4.6))
+    figure, axes = plot.subplots(1, 3, figsize=plot.fitted(15, 4.6))
     for (case, (problem, path)), ax in zip(solved.items(), axes[:2], strict=True):
         stress = problem.fields().stress[:, 0, 0] / 1e6
         plot.plot_points(problem.points, stress, ax, label="horizontal normal stress (MPa)", cmap="coolwarm")

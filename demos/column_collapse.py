@@ -12,6 +12,7 @@ from mpi4py import MPI
 import numpy as np
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.study import commandline as demo
 
 WEIGHT = 20e3  # N/m^3 at load factor 1
@@ -126,17 +127,18 @@ def measure(columns):
     return out
 
 
+@styled()
 def draw(solved, file):
     """The columns at the end, coloured by chi, and the curves of weight over settlement."""
     from polarmpm.plot import figures as plot
 
     n = len(solved)
-    figure, axes = plot.subplots(1, n + 1, figsize=(4.6 * (n + 1), 4.2))
+    figure, axes = plot.subplots(1, n + 1, figsize=plot.fitted(4.6 * (n + 1), 4.2))
     curves = {}
     for ax, (cells, (problem, path)) in zip(axes, solved.items(), strict=False):
         plot.plot_points(problem.points, problem.points.hardening, ax, label="hardening variable $\\chi$ (-)")
         if ax is not None:
-            ax.set_title(f"{cells} x {cells} cells", fontsize=10)
+            ax.set_title(f"{cells} x {cells} cells")
         curves[f"{cells} x {cells} cells"] = (path[0], path[1] / 1e3)
     plot.load_displacement(
         curves, axes[-1], xlabel="displacement of the corner (m)", ylabel="specific weight (kN/m$^3$)"

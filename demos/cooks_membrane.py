@@ -12,6 +12,7 @@ import numpy as np
 from dolfinx import mesh
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.plot.drawing import finish_curves
 from polarmpm.study import commandline as demo
 
@@ -136,6 +137,7 @@ def main(argv=None):
     )
 
 
+@styled()
 def draw(result, shown, file):
     """The corner over the cells for each ratio, and the pressure in one body."""
     from polarmpm.plot import figures as plot
@@ -143,7 +145,9 @@ def draw(result, shown, file):
     ratios, last = list(result["reference"]), list(shown)[-1]
     points = [name for name in shown if not name.startswith("fem")]
     name = points[-1] if points else last
-    figure, axes = plot.subplots(1, len(ratios) + 1, figsize=(4.9 * (len(ratios) + 1), 4.4), squeeze=False)
+    figure, axes = plot.subplots(
+        1, len(ratios) + 1, figsize=plot.fitted(4.9 * (len(ratios) + 1), 4.4), squeeze=False
+    )
     axes, body = axes.flat, shown[name]
     plot_body(plot, body, axes[-1])
     for ax, nu in zip(axes, ratios, strict=False):
@@ -154,10 +158,10 @@ def draw(result, shown, file):
             ax.plot(cells, list(of_nu[nu].values()), marker="osD^v"[k], markersize=9 - k, label=BASES[kind])
         ax.axhline(REFERENCE[nu], color="0.35", lw=1.2, ls="--", label="reference")
         ax.set_xticks(cells)
-        ax.set_title(f"ν = {nu}", fontsize=10)
+        ax.set_title(f"ν = {nu}")
         finish(ax)
     if MPI.COMM_WORLD.rank == 0:
-        axes[-1].set_title(f"{BASES[name]}, ν = {ratios[-1]}, {cells[-1]} cells", fontsize=10)
+        axes[-1].set_title(f"{BASES[name]}, ν = {ratios[-1]}, {cells[-1]} cells")
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 
 
@@ -174,7 +178,7 @@ def plot_body(plot, problem, ax):
 def finish(ax):
     ax.set_xlabel("cells along the clamp")
     ax.set_ylabel("rise of the corner (m)")
-    finish_curves(ax, fontsize=8)
+    finish_curves(ax)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import numpy as np
 from dolfinx import mesh
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.study import commandline as demo
 
 RADIUS, SIDE, ANGLE = 100.0, 1.0, np.pi / 4  # m, m, rad
@@ -72,12 +73,13 @@ def main(argv=None):
     return demo.report(args, "curved_cantilever_fem", problem, result)
 
 
+@styled()
 def draw(problem, path, file):
     """The bent arch coloured by u_z, and the end's path with the beam solution."""
     from polarmpm.plot import figures as plot
 
     body = problem.elements
-    figure, axes = plot.subplots(1, 2, figsize=(11, 4.6), solid=[0])
+    figure, axes = plot.subplots(1, 2, figsize=plot.fitted(11, 4.6), solid=[0])
     plot.plot_mesh(body, body.displacement[:, 2], axes[0], label="$u_z$ (m)", edges=False)
     force = np.linspace(0, FORCE, len(path))
     curves = {f"$u_{c}$": (path[:, i], force) for i, c in enumerate("xyz")}

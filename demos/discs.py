@@ -12,6 +12,7 @@ from mpi4py import MPI
 import numpy as np
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.study import commandline as demo
 
 RADIUS, SPEED = 0.2, 0.1  # m, m/s
@@ -101,11 +102,12 @@ def main(argv=None):
     return demo.report(args, "discs", solved[-1][2], result)
 
 
+@styled()
 def draw(solved, file):
     """Energies and velocity over time, and the discs at the end."""
     from polarmpm.plot import figures as plot
 
-    figure, axes = plot.subplots(1, 2, figsize=(11, 4.2))
+    figure, axes = plot.subplots(1, 2, figsize=plot.fitted(11, 4.2))
     if axes[0] is not None:
         for k, (row, (time, kinetic, stored, _), _) in enumerate(solved):
             label = f"cells of {row['cell'] * 1e3:g} mm"

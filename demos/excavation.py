@@ -15,6 +15,7 @@ import numpy as np
 from dolfinx import mesh
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.plot.drawing import finish_curves
 from polarmpm.study import commandline as demo
 from polarmpm.study.exact import GradientRing
@@ -287,6 +288,7 @@ def main(argv=None):
     return demo.report(args, "excavation", last, result, **{name: getattr(args, name) for name in options})
 
 
+@styled()
 def draw(result, solved, args, file):
     """Stresses of the round one over the radius; the square one with the largest principal stress, and that
     of its corner over the size of the cells."""
@@ -294,7 +296,7 @@ def draw(result, solved, args, file):
 
     names = {0.0: "classical", args.length: f"l = {args.length:g} m"}
     panels = ["round"] * ("round" in solved) + [*names, "peaks"] * ("square" in solved)
-    figure, axes = plot.subplots(1, len(panels), figsize=(4.9 * len(panels), 4.4), squeeze=False)
+    figure, axes = plot.subplots(1, len(panels), figsize=plot.fitted(4.9 * len(panels), 4.4), squeeze=False)
     axes = dict(zip(panels, axes.flat, strict=True))
     if "round" in solved:
         draw_profiles(axes["round"], solved["round"], names, args)
@@ -306,7 +308,7 @@ def draw(result, solved, args, file):
             values = principal(problem, args.share)
             plot.plot_points(problem.points, np.minimum(values, cap), axes[length], label=label, **look)
             if MPI.COMM_WORLD.rank == 0:
-                axes[length].set_title(f"square, {names[length]}, cells of {args.cells[-1]:g} m", fontsize=10)
+                axes[length].set_title(f"square, {names[length]}, cells of {args.cells[-1]:g} m")
         if MPI.COMM_WORLD.rank == 0:
             for prefix, name in (("", names[args.length]), ("classical_", names[0.0])):
                 peaks = result[f"{prefix}corner_peak"]
@@ -345,7 +347,7 @@ def draw_profiles(ax, problems, names, args):
 def finish(ax, xlabel, ylabel):
     ax.set_xlabel(xlabel)
     ax.set_ylabel(ylabel)
-    finish_curves(ax, fontsize=8)
+    finish_curves(ax)
 
 
 if __name__ == "__main__":

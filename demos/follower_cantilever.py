@@ -12,6 +12,7 @@ import numpy as np
 from dolfinx import mesh
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.study import commandline as demo
 from polarmpm.study.exact import pressed_cantilever
 
@@ -136,12 +137,13 @@ def main(argv=None):
     return demo.report(args, "follower_cantilever", solved["points"][0], result, **options)
 
 
+@styled()
 def draw(solved, loads, exact, height, file):
     """The curled beam of points upon the elastica, the end's path over the load, and how far it is from the
     elastica's."""
     from polarmpm.plot import figures as plot
 
-    figure, axes = plot.subplots(1, 3, figsize=(15, 4.4))
+    figure, axes = plot.subplots(1, 3, figsize=plot.fitted(15, 4.4))
     problem = solved["points"][0]
     stress = problem.fields("stress").stress[:, 2, 2] / (POISSON * YOUNG)
     plot.plot_points(
@@ -157,7 +159,7 @@ def draw(solved, loads, exact, height, file):
         for k in np.linspace(0, len(loads) - 1, 6).round().astype(int):
             x, y = pressed_cantilever(loads[k]).T
             axes[0].plot(x, y + height / 2, color="0.4", lw=0.8, ls="--")
-        axes[0].set_title(f"material points; dashed: elastica up to $pL^3/EI$ = {loads[-1]:g}", fontsize=10)
+        axes[0].set_title(f"material points; dashed: elastica up to $pL^3/EI$ = {loads[-1]:g}")
     paths = {f"$u_{c}$, {n}": (p[:, k], loads) for n, (_, p) in solved.items() for k, c in enumerate("xy")}
     every = max(1, len(loads) // 10)  # of the marks
     reference = {"elastica": (exact[::every].T.ravel(), np.tile(loads[::every], 2))}
@@ -172,7 +174,7 @@ def draw(solved, loads, exact, height, file):
         styles = dict(zip(solved, ("-", ":", "-.", "--"), strict=True))
         for k, line in enumerate(axes[1].get_lines()[:-1]):
             line.set(marker="", color=f"C{k % 2}", linestyle=list(styles.values())[k // 2])
-        axes[1].legend(frameon=False, fontsize=8)
+        axes[1].legend(frameon=False)
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 
 

@@ -14,6 +14,7 @@ from mpi4py import MPI
 import numpy as np
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.study import commandline as demo
 
 WIDTH, HEIGHT = 0.2, 0.1  # m
@@ -139,11 +140,12 @@ def main(argv=None):
     return demo.report(args, "granular_column", solved[-1][1], result, aspect=args.aspect)
 
 
+@styled()
 def draw(solved, file):
     """The column at rest on the finest grid, all surfaces, and the fronts over time."""
     from polarmpm.plot import figures as plot
 
-    figure, axes = plot.subplots(1, 3, figsize=(15, 3.8))
+    figure, axes = plot.subplots(1, 3, figsize=plot.fitted(15, 3.8))
     problem = solved[-1][1]
     plot.plot_points(problem.points, problem.points.hardening, axes[0], label="plastic strain (-)")
     curves = {f"{row['cell'] * 1e3:g} mm": (path[0], path[1]) for row, _, path in solved}

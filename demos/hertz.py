@@ -15,6 +15,7 @@ from mpi4py import MPI
 import numpy as np
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.plot.drawing import finish_curves
 from polarmpm.study import commandline as demo
 
@@ -98,11 +99,12 @@ def main(argv=None):
     return demo.report(args, "hertz", problem, result, sites=args.sites, gap=args.gap)
 
 
+@styled()
 def draw(result, problem, args, file):
     """The pressure over the contact, and the stress beneath it."""
     from polarmpm.plot import figures as plot
 
-    figure, axes = plot.subplots(1, 2, figsize=(11, 4.2), width_ratios=(1, 1.15))
+    figure, axes = plot.subplots(1, 2, figsize=plot.fitted(11, 4.2), width_ratios=(1, 1.15))
     stress = problem.fields("stress").stress
     radius = 4 * result["half_width"]
     s = stress - np.trace(stress, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
@@ -126,7 +128,7 @@ def draw_pressure(ax, result):
     ax.set_ylabel("pressure (kPa)")
     ax.set_xlim(left=0)
     ax.set_ylim(bottom=0)
-    finish_curves(ax, fontsize=9)
+    finish_curves(ax)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from mpi4py import MPI
 import numpy as np
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.plot.drawing import finish_curves
 from polarmpm.study import commandline as demo
 
@@ -144,11 +145,12 @@ def main(argv=None):
     return demo.report(args, "incline", problem, result, **{key: getattr(args, key) for key in names})
 
 
+@styled()
 def draw(curves, file):
     """Ways and turns over the time, and closed forms."""
     from polarmpm.plot import figures as plot
 
-    figure, axes = plot.subplots(1, 2, figsize=(10.5, 4.2))
+    figure, axes = plot.subplots(1, 2, figsize=plot.fitted(10.5, 4.2))
     if MPI.COMM_WORLD.rank == 0:
         colours = dict(zip(CASES, ("#0072b2", "#d55e00", "#009e73", "#cc79a7"), strict=True))
         for name, curve in curves.items():
@@ -165,8 +167,8 @@ def draw(curves, file):
             ax.set_xlabel("time (s)")
             ax.set_ylabel(what)
             ax.set_xlim(left=0)
-            finish_curves(ax, fontsize=8)
-        axes[0].set_title("lines: closed forms", fontsize=9)
+            finish_curves(ax)
+        axes[0].set_title("lines: closed forms")
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import ufl
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.study import commandline as demo
 from polarmpm.study import manufactured
 
@@ -86,11 +87,12 @@ def main(argv=None):
     return demo.report(args, "manufactured_solution", problem, result, coarsest=args.coarsest)
 
 
+@styled()
 def draw(sizes, errors, histories, path, comm):
     """Errors over cell size, and the Newton residuals of every grid."""
     from polarmpm.plot import figures as plot
 
-    figure, (left, right) = plot.subplots(1, 2, figsize=(10, 4.2))
+    figure, (left, right) = plot.subplots(1, 2, figsize=plot.fitted(10, 4.2))
     h = 1 / np.array(sizes)
     for name, marker in zip(errors[0], "os^d", strict=True):
         left.loglog(h, [e[name] for e in errors], marker + "-", label=name.replace("_", " "))

@@ -14,6 +14,7 @@ import numpy as np
 from dolfinx import mesh
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.study import commandline as demo
 
 YOUNG, POISSON = 1550.0, 0.3  # MPa
@@ -160,13 +161,16 @@ def main(argv=None):
     return demo.report(args, "oriented_sheet", last, result, side=args.side, model=args.model)
 
 
+@styled()
 def draw(solved, side, file):
     """Two of the sheets, coloured by their deflection, and the pull-ins of all over the load."""
     from polarmpm.plot import figures as plot
 
     shown = [name for name in ("e_1", "both", "e_2", "classical") if name in solved][:2]
     count = len(shown) + 1
-    figure, axes = plot.subplots(1, count, figsize=(5.2 * count, 4.4), solid=list(range(count - 1)))
+    figure, axes = plot.subplots(
+        1, count, figsize=plot.fitted(5.2 * count, 4.4), solid=list(range(count - 1))
+    )
     comm = MPI.COMM_WORLD
     bodies = {name: solved[name][0].elements for name in shown}
     highest = max(body.displacement[:, 2].max(initial=0.0) for body in bodies.values())
@@ -176,7 +180,7 @@ def draw(solved, side, file):
         label = "deflection (L)" if name == shown[-1] else None
         plot.plot_mesh(body, body.displacement[:, 2] / side, ax, label=label, **look)
         if ax is not None:
-            ax.set_title(f"a quarter, {TITLES[name]}", fontsize=10)
+            ax.set_title(f"a quarter, {TITLES[name]}")
     curves = {}
     for name, (_, path) in solved.items():
         for k, place in ((2, "A"), (3, "B")):
@@ -185,7 +189,7 @@ def draw(solved, side, file):
     if comm.rank == 0:
         for k, line in enumerate(axes[-1].get_lines()):
             line.set(color=f"C{k // 2}", linestyle=("-", "--")[k % 2])
-        axes[-1].legend(frameon=False, fontsize=8, loc="lower right")
+        axes[-1].legend(frameon=False, loc="lower right")
     plot.save(figure, file, comm=comm)
 
 

@@ -15,6 +15,7 @@ from mpi4py import MPI
 import numpy as np
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.plot.drawing import finish_curves
 from polarmpm.study import commandline as demo
 
@@ -99,18 +100,19 @@ def main(argv=None):
     return demo.report(args, "penetration", problem, result, **{name: getattr(args, name) for name in names})
 
 
+@styled()
 def draw(result, problem, args, file):
     """Hardness over l / a, and the microrotation beneath the wedge of the last run."""
     from polarmpm.plot import figures as plot
 
-    figure, axes = plot.subplots(1, 2, figsize=(11, 4.3), width_ratios=(1, 1.1))
+    figure, axes = plot.subplots(1, 2, figsize=plot.fitted(11, 4.3), width_ratios=(1, 1.1))
     turn = problem.points.rotation_vector[:, 2]
     look = {"label": "microrotation (rad)", "undeformed": False}
     plot.plot_points(problem.points, turn, axes[1], **look)
     if MPI.COMM_WORLD.rank == 0:
         axes[1].set_xlim(0, 0.5 * SIDE)
         axes[1].set_ylim(0.5 * SIDE, 1.02 * SIDE)
-        axes[1].set_title(f"l = {args.lengths[-1]:g} m", fontsize=10)
+        axes[1].set_title(f"l = {args.lengths[-1]:g} m")
         ratio = np.array(result["lengths"]) / np.array(result["half_widths"])
         ax = axes[0]
         ax.semilogx(ratio, result["hardness"], "o-", color="#0072b2", lw=1.4, label="hardness")
@@ -120,7 +122,7 @@ def draw(result, problem, args, file):
         ax.axhline(1.0, color="0.35", lw=1.0)
         ax.set_xlabel("characteristic length / half width of the contact (-)")
         ax.set_ylabel("over that of a classical body (-)")
-        finish_curves(ax, fontsize=9)
+        finish_curves(ax)
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 
 

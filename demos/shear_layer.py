@@ -15,6 +15,7 @@ import numpy as np
 from dolfinx import mesh
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.study import commandline as demo
 
 WIDTH, HEIGHT, SHIFT = 0.01, 0.1, 0.02  # m
@@ -212,6 +213,7 @@ def summary(solved):
     }
 
 
+@styled()
 def draw(solved, args, file):
     """Force-displacement curves, profiles over the height, and the slices of the first length."""
     from polarmpm.plot import figures as plot
@@ -222,7 +224,7 @@ def draw(solved, args, file):
         views["microrotation (rad)"] = lambda points: points.rotation_vector[:, 2]
     ratios = [2.6, 2.0] + [0.75] * (len(views) * len(shown))
     figure, axes = plot.subplots(
-        1, len(ratios), figsize=(2.1 * sum(ratios), 4.6), gridspec_kw={"width_ratios": ratios}
+        1, len(ratios), figsize=plot.fitted(2.1 * sum(ratios), 4.6), gridspec_kw={"width_ratios": ratios}
     )
     curves, profiles = {}, {}
     for (g, length), (problem, path) in solved.items():

@@ -12,6 +12,7 @@ import numpy as np
 from dolfinx import mesh
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.plot.drawing import finish_curves
 from polarmpm.study import commandline as demo
 
@@ -254,11 +255,12 @@ def main(argv=None):
     return demo.report(args, "size_effects", problem, result, scenes=args.scenes)
 
 
+@styled()
 def draw(result, file):
     """Stiffness over the classical one, less one, over the size: lines are closed forms, marks computed."""
     from polarmpm.plot import figures as plot
 
-    figure, axes = plot.subplots(1, len(result), figsize=(5.2 * len(result), 4.4), squeeze=False)
+    figure, axes = plot.subplots(1, len(result), figsize=plot.fitted(5.2 * len(result), 4.4), squeeze=False)
     for ax, (name, rows) in zip(axes.flat, result.items(), strict=True):
         if MPI.COMM_WORLD.rank:
             continue
@@ -285,7 +287,7 @@ def draw_rows(ax, rows):
     ax.xaxis.set_minor_locator(NullLocator())
     ax.set_xticks(sizes, [f"{size:g}" for size in sizes])
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    finish_curves(ax, fontsize=7)
+    finish_curves(ax)
 
 
 if __name__ == "__main__":

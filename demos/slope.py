@@ -13,6 +13,7 @@ from mpi4py import MPI
 import numpy as np
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.study import commandline as demo
 
 HEIGHT, CREST, BASE = 10.0, 12.0, 32.0  # m: of the slope, and widths at its top and foot
@@ -91,11 +92,12 @@ def main(argv=None):
     return demo.report(args, "slope", found.standing, result, **ends)
 
 
+@styled()
 def draw(found, file):
     """Displacement over the factor, and the plastic strain where the slope fails."""
     from polarmpm.plot import figures as plot
 
-    figure, axes = plot.subplots(1, 2, figsize=(12, 3.9), width_ratios=(1, 1.7))
+    figure, axes = plot.subplots(1, 2, figsize=plot.fitted(12, 3.9), width_ratios=(1, 1.7))
     problem = found.failed
     values = problem.points.hardening
     cap = problem.comm.allreduce(float(np.quantile(values, 0.995)) if len(values) else 0.0, op=MPI.MAX)
@@ -111,10 +113,10 @@ def draw(found, file):
         found.plot(axes[0], length=(1e3, "mm"))
         scale = 1e3 * WEIGHT * HEIGHT**2 / YOUNG
         axes[0].plot(THEIRS[0], scale * np.array(THEIRS[1]), "k+", ms=8, mew=1.4, label="Griffiths and Lane")
-        axes[0].legend(frameon=False, fontsize=8, loc="upper left")
+        axes[0].legend(frameon=False, loc="upper left")
         load = next(t.load for t in found.trials if t.factor == found.factor[1])
         axes[1].set_title(
-            f"strength divided by {found.factor[1]:.3f}, under {100 * load:.0f} % of the weight", fontsize=10
+            f"strength divided by {found.factor[1]:.3f}, under {100 * load:.0f} % of the weight"
         )
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 

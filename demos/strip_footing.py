@@ -16,6 +16,7 @@ import numpy as np
 from dolfinx import mesh
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.plot.drawing import finish_curves
 from polarmpm.study import commandline as demo
 
@@ -144,13 +145,14 @@ def main(argv=None):
     )
 
 
+@styled()
 def draw(result, shown, args, file):
     """Loads over settlements, and the plastic strain under one footing."""
     from polarmpm.plot import figures as plot
 
     points = [name for name in shown if not name.startswith("fem")]
     name = (points or list(shown))[0]
-    figure, axes = plot.subplots(1, 2, figsize=(11, 4.4), width_ratios=(1, 1.3))
+    figure, axes = plot.subplots(1, 2, figsize=plot.fitted(11, 4.4), width_ratios=(1, 1.3))
     problem = shown[name]
     values = problem.points.hardening
     cap = problem.comm.allreduce(float(np.quantile(values, 0.99)) if len(values) else 0.0, op=MPI.MAX)
@@ -160,7 +162,7 @@ def draw(result, shown, args, file):
     else:
         plot.plot_points(problem.points, np.minimum(values, cap), axes[1], **look)
     if MPI.COMM_WORLD.rank == 0:
-        axes[1].set_title(f"{BASES[name]}, {args.cells} cells under the half", fontsize=10)
+        axes[1].set_title(f"{BASES[name]}, {args.cells} cells under the half")
         draw_curves(axes[0], result["curves"])
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 
@@ -174,7 +176,7 @@ def draw_curves(ax, curves):
     ax.set_xticks(np.linspace(0, SETTLEMENT, 5))
     ax.set_xlabel("settlement / b (-)")
     ax.set_ylabel("load / (c effective width) (-)")
-    finish_curves(ax, fontsize=8)
+    finish_curves(ax)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ points of the last layer. Both sources print a moment of 8e9 N m, which doesn't 
 import numpy as np
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.study import commandline as demo
 
 LENGTH, SIDE = 5.0, 1.0  # m
@@ -80,12 +81,13 @@ def main(argv=None):
     return demo.report(args, "torsion", problem, result, moment=args.moment)
 
 
+@styled()
 def draw(problem, angle, turns, moment, file):
     """The twisted shaft, the angle along it, and turns over the moment."""
     from polarmpm.plot import figures as plot
 
     comm = problem.comm
-    figure, axes = plot.subplots(1, 3, figsize=(15, 4.2), solid=[0])
+    figure, axes = plot.subplots(1, 3, figsize=plot.fitted(15, 4.2), solid=[0])
     along, turned = (plot.gather(comm, a) for a in (problem.points.x[:, 0], angle / (2 * np.pi)))
     if comm.rank == 0:
         axes[1].plot(along, turned, ".", ms=2)

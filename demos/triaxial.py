@@ -16,6 +16,7 @@ import numpy as np
 from dolfinx import mesh
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.plot.drawing import finish_curves
 from polarmpm.study import commandline as demo
 
@@ -255,11 +256,12 @@ def main(argv=None):
     return demo.report(args, "triaxial", problem, result, **parameters)
 
 
+@styled()
 def draw(curves, file):
     """q over the axial strain, over p, and the volumetric strain."""
     from polarmpm.plot import figures as plot
 
-    figure, axes = plot.subplots(1, 3, figsize=(12, 4))
+    figure, axes = plot.subplots(1, 3, figsize=plot.fitted(12, 4))
     if MPI.COMM_WORLD.rank == 0:
         scale = {"axial strain": 100, "p": 1e-3, "q": 1e-3, "volumetric strain": 100}
         names = {"axial strain": "axial strain (%)", "p": "p (kPa)", "q": "q (kPa)"}
@@ -274,8 +276,8 @@ def draw(curves, file):
                 ax.plot(a, b, "-", lw=1, color=line.get_color())
             ax.set_xlabel(names[x])
             ax.set_ylabel(names[y])
-            finish_curves(ax, fontsize=8)
-        axes[0].set_title("points: computed; lines: closed forms", fontsize=9)
+            finish_curves(ax)
+        axes[0].set_title("points: computed; lines: closed forms")
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 
 

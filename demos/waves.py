@@ -13,6 +13,7 @@ from mpi4py import MPI
 import numpy as np
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.study import commandline as demo
 from polarmpm.study.exact import micropolar_waves
 
@@ -129,11 +130,12 @@ def main(argv=None):
     return demo.report(args, "waves", problem, result)
 
 
+@styled()
 def draw(rows, file):
     """Frequencies over wave numbers."""
     from polarmpm.plot import figures as plot
 
-    figure, ax = plot.subplots(1, 1, figsize=(6, 4.2))
+    figure, ax = plot.subplots(1, 1, figsize=plot.fitted(6, 4.2))
     if ax is not None:
         k = np.linspace(1.0, 1.05 * max(row["k"] for row in rows), 200)
         branches = np.array([exact(one)[0] for one in k])

@@ -13,6 +13,7 @@ from mpi4py import MPI
 import numpy as np
 
 import polarmpm as pm
+from polarmpm.plot import styled
 from polarmpm.study import commandline as demo
 
 DIAMETERS = (12.0, 15.0, 20.0, 30.0, 170.0)  # micrometres
@@ -114,12 +115,13 @@ def main(argv=None):
     return demo.report(args, "wire_torsion", last, result, cells=args.cells, length=args.length)
 
 
+@styled()
 def draw(solved, file):
     """Normalised torque over normalised curvature of all wires; the thinnest one with its microrotation and
     its hardening variable."""
     from polarmpm.plot import figures as plot
 
-    figure, axes = plot.subplots(1, 3, figsize=(15, 4.6), solid=[1, 2])
+    figure, axes = plot.subplots(1, 3, figsize=plot.fitted(15, 4.6), solid=[1, 2])
     curves = {f"2a = {d:g} µm": (path["curvature"], path["torque"] / 1e6) for d, (_, path) in solved.items()}
     plot.load_displacement(
         curves, axes[0], xlabel="twist per length times a (-)", ylabel="torque / $a^3$ (MPa)"

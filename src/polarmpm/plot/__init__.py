@@ -5,7 +5,7 @@ from typing import Any
 from .figures import gather, load_displacement, plot_mesh, plot_points, save, subplots
 from .gridlines import plot_grid
 from .movies import Movie, movie
-from .style import COLOURS, COLUMN, PAGE, styled
+from .style import COLOURS, COLUMN, PAGE, fitted, styled
 from .viewing import View, view
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "STYLE",
     "Movie",
     "View",
+    "fitted",
     "gather",
     "load_displacement",
     "movie",

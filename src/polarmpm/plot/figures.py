@@ -27,7 +27,7 @@ from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks
 from . import drawing
 from .meshfaces import Faces, gather_faces
 from .options import Options, check_axes, check_curves, check_panels
-from .style import COLUMN, PAGE, styled
+from .style import COLUMN, PAGE, fitted, styled
 
 _MOST_FACES = 60_000
 # corners of a box's faces, the first axis running fastest; lower and upper face of each axis
@@ -421,4 +421,4 @@ def _draw_solid_mesh(
     drawing.finish_solid(ax, [a.reshape(-1, 3) for a in drawn], view)
 
 
-__all__ = ["gather", "load_displacement", "plot_mesh", "plot_points", "save", "subplots"]
+__all__ = ["fitted", "gather", "load_displacement", "plot_mesh", "plot_points", "save", "styled", "subplots"]

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from ..tools import checks
+
 # inches: one column and the whole page of the usual journals (90 and 190 mm)
 COLUMN, PAGE = 3.54, 7.48
 
@@ -40,6 +42,18 @@ def _style() -> dict[str, Any]:
         "image.cmap": "viridis",
         "pdf.fonttype": 42,  # text stays text
     }
+
+
+def fitted(width: float, height: float) -> tuple[float, float]:
+    """Width and height (inches) of a figure of these proportions, as wide as a column or, where it is wider
+    than two, as the page: panels are planned in the size in which they're easily seen.
+
+    Raises:
+        InputError: not positive lengths.
+    """
+    width, height = checks.number("width", width, above=0.0), checks.number("height", height, above=0.0)
+    wide = COLUMN if width <= 2 * COLUMN else PAGE
+    return wide, height * wide / width
 
 
 @contextmanager

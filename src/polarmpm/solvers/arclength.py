@@ -18,10 +18,9 @@ from typing import Any, Protocol
 from mpi4py import MPI
 
 import numpy as np
-from tqdm import tqdm
 
 from ..errors import InputError, LocalFailure
-from ..tools import checks
+from ..tools import checks, progress
 from ..tools.parallel import errors_on_all_ranks
 from . import newton
 from .linear import SingularTangent
@@ -311,8 +310,7 @@ class Marching(Stepped, Protocol):
 
 def march(problem: Marching, schedule: ArcSchedule, explain: Explain | None = None) -> Iterator[Step]:
     """Converged steps; see `Problem.march_arc_length`. `explain` as of `stepping.march`."""
-    hidden = (not schedule.progress) if schedule.progress is not None else None
-    with tqdm(disable=True if problem.comm.rank else hidden, bar_format=_BAR) as bar:
+    with progress.bar(False if problem.comm.rank else schedule.progress, bar_format=_BAR) as bar:
         steps = enumerate(forgotten_at_end(problem, _steps(problem, schedule, explain)), 1)
 
         def take() -> tuple[Step | None, bool]:

@@ -11,10 +11,9 @@ from typing import Any, Protocol, TypeVar
 from mpi4py import MPI
 
 import numpy as np
-from tqdm import tqdm
 
 from ..errors import InputError, NotConverged
-from ..tools import checks
+from ..tools import checks, progress
 from .newton import Outcome
 
 T = TypeVar("T")
@@ -165,10 +164,9 @@ def march(problem: Marching, schedule: Schedule, explain: Explain | None = None)
     Args:
         explain: puts into an error that is about to be raised why the step has failed.
     """
-    hidden = (not schedule.progress) if schedule.progress is not None else None
-    if problem.comm.rank:
-        hidden = True
-    with tqdm(total=100, unit="%", disable=hidden, bar_format=_BAR) as bar:
+    with progress.bar(
+        False if problem.comm.rank else schedule.progress, total=100, unit="%", bar_format=_BAR
+    ) as bar:
         stepper = _adaptive if schedule.adaptive else _equal
         begin = problem.progress.factor
         steps = forgotten_at_end(problem, stepper(problem, schedule, explain))
