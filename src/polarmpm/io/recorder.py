@@ -24,7 +24,6 @@ from .paraview import Collection, box_corners, mark_of, padded
 _NOWHERE = 1e30  # m: the gap of a site that faces nothing
 
 
-
 class Recorder:
     """Writes states of a problem for ParaView; all methods are collective.
 
@@ -168,7 +167,10 @@ class Recorder:
         obstacles = [term for term in self.problem.terms if isinstance(term, Sites)]
         names = ("gap", "pressure", "area", "traction", "couple")
         data = {"obstacle": [np.full(len(one.gap), k + 1)[own] for k, one in enumerate(obstacles)]}
-        data |= {name: [np.nan_to_num(getattr(one, name), posinf=_NOWHERE)[own] for one in obstacles] for name in names}
+        data |= {
+            name: [np.nan_to_num(getattr(one, name), posinf=_NOWHERE)[own] for one in obstacles]
+            for name in names
+        }
         joined = {name: np.concatenate(parts) for name, parts in data.items() if parts}
         for name in ("traction", "couple"):
             values = joined.get(name, np.zeros((0, 0)))

@@ -13,8 +13,8 @@ from ..conditions.loads import Applied, HandedOver
 from ..conditions.supports import Support
 from ..errors import InputError
 from ..terms.base import Term
-from ..terms.ghost import Ghost
 from ..terms.bodycontact import BodyContact
+from ..terms.ghost import Ghost
 from ..terms.obstacles import Obstacle
 from ..tools import checks
 from .given import Given
