@@ -36,8 +36,19 @@ def test_granular_column(folder):
 
 
 def test_discs_rebound(folder):
-    """On coarse cells: they keep their momentum, and bounce."""
+    """On coarse cells: the discs meet when they touch, keep their momentum and energy, and bounce."""
     found = demo_result(folder, "discs", "--cells", "0.1", "--steps", "80", "--points-per-cell", "4")
+    assert found["momentum"] < 1e-12
+    assert found["energy_error"] < 0.01
+    assert 0.97 < found["restitution"] < 1.0
+    assert abs(found["gap_cells"]) < 0.5
+
+
+def test_discs_through_their_nodes(folder):
+    """The same discs as one body: they feel each other from afar."""
+    options = ("--cells", "0.1", "--steps", "80", "--points-per-cell", "4", "--reset", "1")
+    found = demo_result(folder, "discs", *options, "--contact", "nodes")
     assert found["momentum"] < 1e-12
     assert found["energy_error"] < 0.05
     assert 0.8 < found["restitution"] < 1.0
+    assert 1.0 < found["gap_cells"] < 4.0

@@ -21,6 +21,8 @@ from .fields import AnyField, choose, field_arrays
 from .mesh import NODAL, mesh_piece
 from .paraview import Collection, box_corners, mark_of, padded
 
+_NOWHERE = 1e30  # m: the gap of a site that faces nothing
+
 
 class Recorder:
     """Writes states of a problem for ParaView; all methods are collective.
@@ -167,7 +169,8 @@ class Recorder:
         names = ("gap", "pressure", "area", "traction", "couple")
         data = {"obstacle": [np.full(len(one.gap), k + 1)[own] for k, one in enumerate(obstacles)]}
         data |= {
-            name: [np.nan_to_num(getattr(one, name), posinf=_FAR)[own] for one in obstacles] for name in names
+            name: [np.nan_to_num(getattr(one, name), posinf=_NOWHERE)[own] for one in obstacles]
+            for name in names
         }
         joined = {name: np.concatenate(parts) for name, parts in data.items() if parts}
         for name in ("traction", "couple"):

@@ -24,6 +24,8 @@ from .surfaceterms import undeformed_area
 
 _REACH = 1.0  # cells: sites that are nearer to another body when a step begins may touch it in the step
 _FAR = 1.6  # cells: so far other sites are looked for
+_BEHIND = 0.5  # cells behind a surface: functions of the cell there tell how the surface moves
+_CORRECTIONS = 3  # by Newton's method, of the places that sites face
 _SPAN = 1.05  # of a site's piece of the surface, beyond which it isn't there
 
 
@@ -161,13 +163,14 @@ class BodyContact(Sites):
         moved = self.F[j] @ np.linalg.inv(self._F_at[j])
         away = x[at] - found.gap[at, None] * normal[j] - x[j]
         back = np.linalg.solve(moved, away[:, :, None])[:, :, 0]
-        self.facing, self.against = np.zeros_like(x), np.zeros_like(x)
+        self.facing, self.against, self.target = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
+        self.target[at] = x[at] - found.gap[at, None] * normal[j]
         self.facing[at], self.against[at] = (self.surface.x + self._u_at)[j] + back, normal[j]
 
     def _cells_faced(self) -> np.ndarray:
-        """Cells that carry what the sites face (n, d); without a partner none."""
-        missing = np.iinfo(np.int64).min
-        return np.where(self.partner[:, None] >= 0, self._cells[self.partner], missing)
+        """Lowest cells of those that carry what the sites face (n, d); without a partner none."""
+        missing, lowest = np.iinfo(np.int64).min, np.minimum(self._cells, self._behind)
+        return np.where(self.partner[:, None] >= 0, lowest[self.partner], missing)
 
     def pieces(self, setting: Setting) -> list[Piece]:
         assert isinstance(setting, GridSetting)
@@ -181,15 +184,17 @@ class BodyContact(Sites):
             before = np.einsum("nji,nj->ni", self.F, self.surface.normal)
             before /= np.linalg.norm(before, axis=1, keepdims=True)
             self.surface = Surface(self.surface.x, self.surface.area, before)
-        self._cells = setting.cells_beside(self.name, self.parents)
+        # functions of cells that the body hardly enters would let a pressure turn its surface
+        behind = self.x - _BEHIND * self._size * self.normals()
+        self._cells, self._behind = setting.cells_behind(self.name, self.parents, self.body, behind)
         self._look()
         if not self._checked:
             self._check_start()
         self._grouped, self.regroup = self._cells_faced(), False
-        self._functions = setting.at
+        self._functions, self._within = setting.at, setting.within
         carried = setting.beside(self.name, self.parents, self.surface.x + self._u_at)
         faces = self.partner[carried.rows] >= 0
-        boxes = setting.boxes(self._cells[self.partner[carried.rows[faces]]])
+        boxes = setting.boxes(self._grouped[carried.rows[faces]], more=1)
         # the last one to be told of a converged step tells its contact
         return [FacingPiece(self, carried, faces, boxes), MovedPiece(self, carried)]
 
@@ -205,10 +210,23 @@ class BodyContact(Sites):
                 f"{-self.gap[deepest]:.4g} m deep in body {other}, more than half a cell ({self._size:.4g} m)"
             )
 
-    def table(self, rows: np.ndarray) -> np.ndarray:
-        """Values and gradients (1/m) of the functions at the places that sites `rows` face, (m, 1 + d, n)."""
-        at: np.ndarray = self._functions(self.facing[rows], self._grouped[rows])
-        return at
+    def table(self, rows: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of sites `rows`, at increments x (m, n, d) of the nodes of what they face: where the places that
+        they face were when increments began to count (m, d), and values of the nodes' functions there, with
+        gradients (1/m) of those that tell how the surface turns, (m, 1 + d, n)."""
+        place, d, faced = self.facing[rows], self.layout.dim, self.partner[rows]
+        lowest = self._grouped[rows]
+
+        def table_of(cells: np.ndarray) -> np.ndarray:
+            table: np.ndarray = self._within(self._functions(place, cells[faced]), cells[faced], lowest)
+            return table
+
+        for _ in range(_CORRECTIONS):
+            table = table_of(self._cells)
+            now = place + np.einsum("mn,mnj->mj", table[:, 0], x)
+            moved = np.eye(d) + np.einsum("min,mnj->mji", table[:, 1:], x)
+            place = place + np.linalg.solve(moved, (self.target[rows] - now)[:, :, None])[:, :, 0]
+        return place, np.concatenate([table_of(self._cells)[:, :1], table_of(self._behind)[:, 1:]], axis=1)
 
     def values(self, factor: float) -> list[np.ndarray]:
         return []

@@ -30,21 +30,22 @@ class FacingPiece(Piece):
         self.pairs = np.stack(np.divmod(np.arange(d * d), d), axis=1)
         self._value = carried.table[at, 0]
         self._place = (term.surface.x + term.displacement)[self.rows]
-        self._put(np.zeros((len(self.rows), self._value.shape[1] * 2, term.layout.block)))
+        count = sum(int(np.prod(part.count)) for part in self.boxes.parts)
+        self._put(np.zeros((len(self.rows), count, term.layout.block)))
 
     def _put(self, x: np.ndarray) -> None:
         """The step begins at increments x (m, n, b), with the partners that sites have now."""
-        table, d = self.term.table(self.rows), self.term.layout.dim
-        m, n = self._value.shape
-        self._map = np.zeros((m, self.term.form.size, 2 * n, d))  # from nodal increments to y
+        (m, n), d = self._value.shape, self.term.layout.dim
+        facing, table = self.term.table(self.rows, x[:, n:, :d])
+        self._map = np.zeros((m, self.term.form.size, x.shape[1], d))  # from nodal increments to y
         for k, (_, component, axes) in enumerate(self.term.form.slots.slots):
             if axes:
                 self._map[:, k, n:, component] = table[:, 1 + axes[0]]
             else:
                 self._map[:, k, :n, component] = self._value
                 self._map[:, k, n:, component] = -table[:, 0]
-        self._map = self._map.reshape(m, self.term.form.size, 2 * n * d)
-        self._start = self._place - self.term.facing[self.rows]
+        self._map = self._map.reshape(m, self.term.form.size, x.shape[1] * d)
+        self._start = self._place - facing
         self._before = self._y(x)
 
     def _y(self, x: np.ndarray) -> np.ndarray:

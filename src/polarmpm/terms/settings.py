@@ -18,6 +18,7 @@ from ..bodies.points import Points
 from ..errors import InputError
 from ..geometry.grid import Grid, box_indices
 from ..kinematics.layout import Layout
+from ..tools.parallel import known_anywhere
 from .base import Boxes, Carried, Places, Setting
 
 _INWARD = 1e-6  # cells: a point on a plane of the grid belongs to the cell behind it, against its normal
@@ -117,18 +118,35 @@ class GridSetting(Setting):
         last = np.maximum(w.lowest[at], w.lowest[at] + w.count[at] - self.basis.functions)
         return rows, np.clip(own, w.lowest[at], last)
 
-    def cells_beside(self, name: str, parents: np.ndarray) -> np.ndarray:
-        """Lattice index (n, d) of the cells whose functions carry places beside points of given ids (n,), on
-        any rank; the bodies', see `Grid.of_bodies`. Collective."""
+    def cells_behind(
+        self, name: str, parents: np.ndarray, body: np.ndarray, x: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Lattice index (n, d) of the cells whose functions carry places beside points of given ids (n,), and
+        of the cells of bodies (n,) that places x (n, d) (m) are in: the same where the bodies don't reach
+        these, or they are no neighbours. Of any rank; the bodies', see `Grid.of_bodies`. Collective."""
         rows, cells = self._cells_beside(name, parents)
         every = np.zeros((len(parents), self.grid.dim), dtype=np.int64)
         every[rows] = cells
         self.comm.Allreduce(MPI.IN_PLACE, every)
-        return every
+        wanted = self.grid.of_bodies(self.grid.cells_of(x), body)
+        known = known_anywhere(self.comm, self.reached, self.grid.cell_number(wanted))
+        known &= np.all(np.abs(wanted - every) <= 1, axis=1)
+        return every, np.where(known[:, None], wanted, every)
 
-    def boxes(self, cells: np.ndarray) -> Boxes:
-        """Nodes of the functions of cells (n, d)."""
-        return Boxes((self.basis.functions,) * self.grid.dim, self.grid.node_number(cells))
+    def within(self, table: np.ndarray, cells: np.ndarray, lowest: np.ndarray) -> np.ndarray:
+        """What `at` gives for cells (n, d), on boxes of one node more in each direction from the functions of
+        cells `lowest` (n, d) on, which begin there or at the next ones."""
+        d, f = self.grid.dim, self.basis.functions
+        out = np.zeros((*table.shape[:2], *(f + 1,) * d))
+        parts = table.reshape(*table.shape[:2], *(f,) * d)
+        for step in box_indices((2,) * d):
+            rows = np.all(cells - lowest == step, axis=1)
+            out[(rows, slice(None), *(slice(k, k + f) for k in step))] = parts[rows]
+        return out.reshape(*table.shape[:2], (f + 1) ** d)
+
+    def boxes(self, cells: np.ndarray, more: int = 0) -> Boxes:
+        """Nodes of the functions of cells (n, d), and so many more in each direction."""
+        return Boxes((self.basis.functions + more,) * self.grid.dim, self.grid.node_number(cells))
 
     def at(self, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """`Basis.at` of cells (n, d) of whatever body."""
