@@ -1,9 +1,10 @@
 """Direct solver against multigrid: iterations, CPU time and memory over the number of unknowns.
 
-A cube is held below and pulled and sheared above in one load step, once with each solver. Then the
-iterations of one linear solution to 1e-8, for lengths of the material from a thousandth of a cell to a
-hundred cells and for cubes that cut the grid at random. Each run has a process of its own. `--full` adds a
-million material points (11 GB, ten minutes), `--quick` leaves out the larger cubes.
+A cube is held below and pulled and sheared above in one load step, once with each solver: the direct one,
+multigrid on the lattice, and the algebraic one that meshes have. Then the iterations of one linear solution
+to 1e-8, for lengths of the material from a thousandth of a cell to a hundred cells, for cubes that cut the
+grid at random, for flat cells and graded lines. Each step has a process of its own. `--full` adds a million
+material points (7 GB), `--quick` leaves out the larger cubes.
 """
 
 import argparse
@@ -19,10 +20,14 @@ import numpy as np
 
 import polarmpm as pm
 from polarmpm.plot import styled
+from polarmpm.solvers.choice import algebraic, register_solver
 
 HERE = Path(__file__).parent
 E, POISSON = 1e6, 0.3  # Pa, -
 ALIGNED, OFF, TURNED = "aligned", "off the planes", "turned"
+FLAT, GRADED = "flat cells 1:8", "lines 1:20"
+SOLVERS = ("direct", "algebraic", "multigrid")
+register_solver("algebraic", algebraic, whole_rows=True)
 LENGTHS = (1e-3, 1.0, 1e2)  # of a cell
 COLUMNS = [
     "kind", "basis", "cut", "length", "cells", "points", "unknowns", "solver", "newton", "krylov",
@@ -49,9 +54,24 @@ class Cube:
         return np.all(np.abs(x @ self.frame) <= self.half, axis=1)
 
 
+def lines_of(cells, cut):
+    """Lines across each axis, one beyond each side of the body."""
+    sizes = [np.ones(cells)] * 3
+    if cut == FLAT:
+        sizes = [np.ones(cells), np.ones(cells), np.full(cells, 1 / 8)]
+    elif cut == GRADED:
+        sizes = [20.0 ** (np.arange(cells) / (cells - 1) - 0.5)] * 3
+    return [np.concatenate([[-s[0], 0.0], np.cumsum(np.r_[s, s[-1]])]) for s in sizes]
+
+
 def build(cells, basis, cut, length, solver, seed=0):
     """A cube of cells of 1 m and 2^3 points each, and its points on top."""
-    if cut == TURNED:
+    if cut in (FLAT, GRADED):
+        lines = lines_of(cells, cut)
+        grid, bounds = pm.Grid.graded(*lines), np.array([a[[1, -2]] for a in lines]).T
+        points = pm.seed(grid, material=material(length), points_per_cell=2, bounds=bounds)
+        foot = 1e-6
+    elif cut == TURNED:
         inside = Cube(cells, seed)
         low, high = inside.bounds
         grid = pm.Grid.box(np.floor(low) - 1, np.ceil(high) + 1, 1.0)
@@ -106,7 +126,9 @@ def run(kind, cells, basis, cut, length, solver, seed):
 
 
 def in_a_process(*arguments):
-    """A row from a process of its own."""
+    """A row, of a step from a process of its own."""
+    if arguments[0] == "solution":
+        return run(*arguments)
     code = [sys.executable, __file__, "--row", json.dumps(arguments)]
     out = subprocess.run(code, check=True, capture_output=True, text=True).stdout
     return json.loads(out.splitlines()[-1])
@@ -117,15 +139,20 @@ def runs(quick, full):
     sizes = (8, 12, 16, 20) if quick else (8, 12, 16, 20, 26)
     for basis, cut in (("mpm", ALIGNED), ("gimpm", OFF)):
         for cells in sizes:
-            for solver in ("direct", "multigrid"):
-                if (basis, cells, solver) != ("gimpm", 26, "direct"):
+            for solver in SOLVERS:
+                if solver != "direct" or cells <= 16:
                     yield "step", cells, basis, cut, 1.0, solver, 0
         if full:
             yield "step", 50, basis, cut, 1.0, "multigrid", 0
     for length in LENGTHS:
-        for basis, cut in (("mpm", ALIGNED), ("mpm", OFF), ("gimpm", OFF), ("mpm", TURNED)):
+        for basis, cut in (("mpm", ALIGNED), ("mpm", OFF), ("gimpm", OFF), ("mpm", TURNED), ("bspline", OFF)):
             for cells in (8, 12, 16) if quick else (8, 12, 16, 26):
-                yield "solution", cells, basis, cut, length, "multigrid", cells
+                if (basis, cells) != ("bspline", 26):
+                    yield "solution", cells, basis, cut, length, "multigrid", cells
+    for basis in ("mpm", "bspline"):
+        for cut in (FLAT, GRADED):
+            for cells in (8, 12, 16):
+                yield "solution", cells, basis, cut, 1.0, "multigrid", cells
 
 
 # results ------------------------------------------------------------------------------------------
@@ -164,8 +191,11 @@ def draw(rows, file):
     from polarmpm.plot import figures as plot
 
     figure, axes = plot.subplots(1, 3, figsize=plot.fitted(13, 4.2))
-    styles = {("mpm", "direct"): "C0s--", ("mpm", "multigrid"): "C0o-"}
-    styles |= {("gimpm", "direct"): "C1s--", ("gimpm", "multigrid"): "C1o-"}
+    styles = {
+        (basis, solver): f"{colour}{mark}"
+        for basis, colour in (("mpm", "C0"), ("gimpm", "C1"))
+        for solver, mark in zip(SOLVERS, ("s--", "^:", "o-"), strict=True)
+    }
     for (basis, solver), style in styles.items():
         mine = [r for r in rows if (r["kind"], r["basis"], r["solver"]) == ("step", basis, solver)]
         unknowns, label = [r["unknowns"] for r in mine], f"{basis.upper()}, {solver}"
@@ -174,6 +204,7 @@ def draw(rows, file):
         axes[1].plot(unknowns, [r["memory_mb"] for r in mine], style, ms=4, label=label)
     colours = dict(zip(LENGTHS, ("C2", "C3", "C4"), strict=True))
     marks = {("mpm", ALIGNED): "o-", ("mpm", OFF): "^-", ("gimpm", OFF): "v--", ("mpm", TURNED): "s:"}
+    marks |= {("bspline", OFF): "d-."}
     solutions = [r for r in rows if r["kind"] == "solution"]
     for length, colour in colours.items():
         for (basis, cut), mark in marks.items():

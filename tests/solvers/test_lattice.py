@@ -239,3 +239,30 @@ def test_a_zero_matrix_is_no_tangent():
     with pytest.raises(SingularTangent):  # noqa: PT012
         solver.factor()
         solver.solve(right)
+
+
+# cells of several sizes ---------------------------------------------------------------------------------
+def sized(lines: list[np.ndarray], basis: str) -> Any:
+    """A body between the first and the last of the lines along each axis."""
+    ends = [np.r_[2 * a[0] - a[1], a, 2 * a[-1] - a[-2]] for a in lines]
+    low, high = (np.array([a[k] for a in lines]) for k in (0, -1))
+    points = pm.seed(
+        grid := pm.Grid.graded(*ends, comm=COMM), material=material(), points_per_cell=2, bounds=(low, high)
+    )
+    problem = pm.QuasiStatic(grid, points, **{**pm.PUBLISHED, "basis": basis}, solver="multigrid")
+    floor = low[-1] + 1e-9 * (high - low)[-1]
+    problem.fix(lambda x: x[:, -1] <= floor, u=0, theta=0)
+    problem.load(points.farthest((0,) * (len(lines) - 1) + (1,)), force=np.full(len(lines), 1e3))
+    return problem
+
+
+EQUAL = np.arange(9.0)
+GRADED = np.r_[0.0, np.cumsum(20.0 ** (np.arange(8) / 7))] * 0.2
+
+
+@pytest.mark.parametrize("basis", ["mpm", "bspline"])
+def test_iterations_hardly_depend_on_the_sizes_of_cells(basis):
+    """Flat cells 1:8, lines 1:20 in one direction and in all."""
+    count = iterations(sized([EQUAL] * 3, basis))
+    for lines in ([EQUAL, EQUAL, EQUAL / 8], [GRADED, EQUAL, EQUAL], [GRADED] * 3):
+        assert iterations(sized(lines, basis)) <= 1.6 * count + 2 * (COMM.size - 1)

@@ -31,7 +31,13 @@ class Solver:
 
 
 def _direct(tangent: Tangent) -> LinearSolver:
-    return DirectSolver(tangent.matrix, tangent.symmetric, tangent.far_from_symmetric, stored=tangent.stored)
+    return DirectSolver(
+        tangent.matrix,
+        tangent.symmetric,
+        tangent.far_from_symmetric,
+        stored=tangent.stored,
+        compact=tangent.large,
+    )
 
 
 def _multigrid(tangent: Tangent) -> LinearSolver:

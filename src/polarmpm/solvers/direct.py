@@ -23,7 +23,9 @@ _METHODS = ["definite", "symmetric", "general"]  # the last one for unsymmetric 
 # earlier tangent is worth its iterations, of which it may take a few before it's given up.
 _KEEP, _OLD, _OLD_LIMIT = 500.0, 5, 25
 _STRICTER = 0.01  # norms of forces and of energy tell too little in bending, and Newton's method would stall
-_SMALL = 5500  # unknowns up to which CHOLMOD, on one rank, takes less time than MUMPS
+# Unknowns up to which CHOLMOD, on one rank, takes less time than MUMPS, and of compact bodies, whose factors
+# MUMPS keeps
+_SMALL, _SMALL_COMPACT = 5500, 1500
 
 
 class DirectSolver:
@@ -45,6 +47,7 @@ class DirectSolver:
         far_from_symmetric: bool = False,
         memory: int = 0,
         stored: tuple[np.ndarray, np.ndarray] | None = None,
+        compact: bool = False,
     ):
         """Take over a matrix, whose entries may change before each `factor`.
 
@@ -54,6 +57,7 @@ class DirectSolver:
             memory: that a rank may use (MB); 0: all.
             stored: the entries that the matrix uses, and where those of the diagonal are; None: it has
                 its own.
+            compact: the body has many nodes in a layer.
         """
         self.matrix, self.symmetric, self.comm = matrix, symmetric, matrix.comm.tompi4py()
         self._blocked = matrix.getType() in ("seqbaij", "mpibaij")
@@ -68,7 +72,8 @@ class DirectSolver:
         self._given_up = False  # tangents change too much for a factor to be kept
         self._methods = ["general"] if far_from_symmetric else _METHODS[: 2 if symmetric else 3]
         blocked = self._blocked and matrix.getBlockSize() > 1  # CHOLMOD takes none, and PETSc's error leaks
-        if symmetric and self.comm.size == 1 and matrix.size[0] <= _SMALL and not blocked:
+        small = matrix.size[0] <= (_SMALL_COMPACT if compact else _SMALL)
+        if symmetric and self.comm.size == 1 and small and not blocked:
             self._methods = ["small", *self._methods]
         self._method = self._methods[0]
 

@@ -61,7 +61,7 @@ def conjugate_gradients(e: Equations, x: np.ndarray, right: np.ndarray, aim: flo
         work = e.dot(r, z)
         if rounds == 0:
             energy = work
-        if work == 0.0:
+        if work == 0.0 and e.norm(r) <= allowed:
             return out
         if not (work > 0.0 and math.isfinite(work)):
             out.failed = BROKEN

@@ -12,7 +12,7 @@ import numpy as np
 
 from .direct import DirectSolver
 from .hierarchy import Hierarchy
-from .krylov import INDEFINITE, Equations, Result, conjugate_gradients, flexible_gmres
+from .krylov import INDEFINITE, LIMIT, Equations, Result, conjugate_gradients, flexible_gmres
 from .linear import ACCURACY, LatticeRows, SingularTangent
 from .memory import free_memory
 
@@ -127,7 +127,7 @@ class LatticeSolver:
             result = self._iterate(methods[0], solution, rhs, accuracy)
             if not result.failed:
                 return solution
-            if not (methods[0] == _CG and result.failed == "limit") and not np.all(np.isfinite(solution)):
+            if result.failed != LIMIT:
                 solution[:] = 0.0
             if self._old and result.failed != INDEFINITE:  # once more with a hierarchy of this tangent
                 self._build()
