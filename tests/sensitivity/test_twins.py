@@ -178,7 +178,7 @@ def test_resets_that_lose_stresses_are_told_of():
 
 
 @pytest.mark.mpi
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 def test_two_ranks_whose_points_move():
     """To other ranks at resets; the same derivatives as on one."""
     one, two = (on_ranks(ranks, "column", __file__)[0] for ranks in (1, 2))

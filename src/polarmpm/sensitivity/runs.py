@@ -199,6 +199,7 @@ class Sensitivity:
 
     def _follow(self, step: Step) -> None:
         """Let the twins take the step that the run has just taken."""
+        building.check_kinks(self.problem)
         path = self._leader.record.path
         self._taken.append(self.problem.progress.factor if path is None else path)
         for name in self.names:

@@ -252,6 +252,7 @@ class Twin:
         self.problem, self.observables = problem, observables
         problem.search = self.search = TwinSearch(leader)
         self._basis: Followed | None = None
+        self._lost = ""  # why it could not follow a reset
         if leader.on_grid:
             problem.basis = self._basis = Followed(problem.basis)
             problem.policy = _Policy()
@@ -286,7 +287,15 @@ class Twin:
         return route
 
     def reset(self) -> None:
-        """Reset the grid as the leading run has. Collective."""
+        """Reset the grid as the leading run has. What goes wrong, which is no fault of that run, is told by
+        `follow`. Collective."""
+        try:
+            with apart():
+                self._reset()
+        except Apart as e:
+            self._lost = str(e)
+
+    def _reset(self) -> None:
         p, leader = self.problem, self.leader
         assert self._basis is not None
         self._basis.like, self._basis.places = leader.chosen, leader.places
@@ -311,6 +320,8 @@ class Twin:
         Raises:
             Apart: it can't.
         """
+        if self._lost:
+            raise Apart(self._lost)
         p, leader, path = self.problem, self.leader, self.leader.record.path
         if leader.on_grid:
             p._rotation_limit = np.finfo(float).tiny if leader.rebased else np.inf
