@@ -76,6 +76,19 @@ def test_a_shape_that_does_not_fit():
         pm.identify(test, start=SHEET, free=["mu"])
 
 
+@pytest.mark.timeout(200)
+@pytest.mark.skipif(COMM.size > 1, reason="processes of one rank")
+def test_a_pool_finds_the_same_digits():
+    """Two processes share the parameters of one experiment."""
+    true = computed([1.0], places=PLACES)
+    data = {name: (of[0], 1e-3) for name, of in true.items()}
+    test = pm.Experiment(sheet, data=data, places=PLACES)
+    options = {"start": SHEET | START, "free": ["mu", "gamma", "kappa"], "most": 2}
+    serial, pool = (pm.identify(test, workers=n, **options) for n in (1, 2))
+    assert serial.values == pool.values
+    np.testing.assert_array_equal(serial.covariance, pool.covariance)
+
+
 # places ---------------------------------------------------------------------------------------------
 def quadratic(X):
     x, y = X[:, 0], X[:, 1]
