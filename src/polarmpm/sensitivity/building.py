@@ -7,14 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, TrustWarning
 from ..forms.elementkernels import NativeElementForms
 from ..materials.base import parameter_values
 from ..problems.elements import QuasiStaticFEM
 from ..problems.points import QuasiStatic
+from ..solvers.resetting import Never
 from ..terms.obstacles import Obstacle
 from ..tools import checks
+from ..tools.caller import warn
 from ..tools.checks import shown
+from ..tools.parallel import errors_on_all_ranks
 from .twins import quiet as quiet
 
 Observables = Mapping[str, Callable[[], Any]]
@@ -107,6 +110,20 @@ def check_problem(problem: Any) -> None:
             "elements of assembly 'dolfinx', which those with second gradients take, aren't differentiated; "
             "allowed is assembly = 'native'"
         )
+
+
+def warn_of_resets(problem: Any) -> None:
+    """Where resets lose much of the stresses, a derivative isn't what a fit needs. Collective."""
+    if not isinstance(problem, QuasiStatic) or problem.balanced_reset or isinstance(problem.policy, Never):
+        return
+    with errors_on_all_ranks(problem.comm):  # of warnings a script may make errors
+        if problem.comm.rank == 0:
+            warn(
+                "balanced_reset = False: what resets lose makes answers a sawtooth in the parameters. "
+                "Derivatives are those of its teeth, which may be off the trend by 10 % and more; with the "
+                "default resets they are the trend (docs/sensitivity.md)",
+                TrustWarning,
+            )
 
 
 def conditions(problem: Any) -> list[tuple[str, bool]]:

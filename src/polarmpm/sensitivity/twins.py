@@ -9,7 +9,8 @@ polynomials of the points) holds for the twin, too, whose answer is then smooth 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -19,7 +20,7 @@ from ..assembly.borrowed import BorrowedElements, BorrowedPoints
 from ..assembly.system import NodalSystem
 from ..basis.followed import Followed
 from ..bodies.partition import LoadShares
-from ..errors import LocalFailure, PolarMPMError
+from ..errors import LocalFailure, NotConserved, PointsOutsideGrid, PolarMPMError, SupportLost
 from ..problems.attempts import Search
 from ..solvers.arclength import Path
 from ..solvers.linear import SingularTangent
@@ -66,7 +67,9 @@ class TwinSearch(Search):
         outcome = Outcome()
         try:
             search()
-            outcome.converged = True
+            outcome.converged = self.check <= BAR
+            if not outcome.converged:
+                outcome.reason = f"chord steps leave {self.check:.2g} of the imbalance, {BAR:g} is allowed"
         except (LocalFailure, SingularTangent) as e:
             outcome.reason = str(e)
         return outcome
@@ -263,7 +266,7 @@ class Twin:
             initial = p.system.initial
             if leader.fell_back and initial is not None and initial.active():
                 p.whole(p._fall_back)
-        with quiet():
+        with quiet(), apart():
             if path is None:
                 outcome = p.attempt(leader.problem.progress.factor)
             else:
@@ -275,6 +278,15 @@ class Twin:
     def close(self) -> None:
         """Free its memory. Collective."""
         self.problem.close()
+
+
+@contextmanager
+def apart() -> Iterator[None]:
+    """What ends a twin's step, and didn't end the run's, tells that it is none."""
+    try:
+        yield
+    except (NotConserved, PointsOutsideGrid, SupportLost) as e:
+        raise Apart(str(e)) from e
 
 
 def quiet() -> Any:
