@@ -76,8 +76,8 @@ def identify(
     workers = checks.whole("workers", workers, least=1)
     if workers > 1 and comm.size > 1:
         raise checks.refuse("workers", workers, f"1 where {comm.size} ranks compute each experiment together")
-    tasks = [probe(test, unknown.values(begins[0])) for test in found]
-    with Evaluator(tasks, workers) as evaluator:
+    tasks = [probe(test, unknown.values(begins[0]), comm) for test in found]
+    with Evaluator(tasks, workers, comm) as evaluator:
         objective = Objective(found, unknown, evaluator, comm)
         ends = [_one_start(objective, v, known, most, first=k == 0) for k, v in enumerate(begins)]
     best = min((end for end in ends if end is not None), key=lambda end: end.objective)

@@ -250,7 +250,7 @@ class Fit:
 
     def plot_data(self, names: Any = None) -> Any:
         """Measured and computed values: a panel for each observable, in which the experiments' curves lie; of
-        fields the computed over the measured values. Returns the axes, in an array, of `polarmpm.plot`'s
+        fields the residuals over the measured values. Returns the axes, in an array, of `polarmpm.plot`'s
         style; `plot.save(axes[0], path)` writes the figure.
 
         Args:
