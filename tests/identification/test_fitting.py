@@ -50,7 +50,12 @@ def test_wires_without_noise():
     fit = pm.identify(bar_test(sigma=0.01), start=BAR_START, free=BAR_FREE)
     for name, value in fit.values.items():
         assert abs(value / BAR[name] - 1) < 0.05  # a weak prior is left: noise of 1 % would hide n
+    fit = pm.identify(bar_test(sigma=0.003), start=BAR_START, free=BAR_FREE, most=3)
+    assert not fit.converged
+    assert fit.evaluations == 3
+    assert "stopped before a minimum" in str(fit)
     fit = pm.identify(bar_test(sigma=0.003), start=BAR_START, free=BAR_FREE)
+    assert fit.converged
     for name, value in fit.values.items():
         assert abs(value / BAR[name] - 1) < 1e-6, name
     assert fit.evaluations <= 15

@@ -29,7 +29,7 @@ def _styled() -> Any:
 
 
 def fit_against_data(fit: Any, names: Any = None) -> Any:
-    """One panel for each observable, with the curves of its experiments; of fields the residuals over measured
+    """A panel for each observable, with the curves of its experiments; of fields the residuals over measured
     values. See `Fit.plot_data`."""
     if names is not None:
         known = list(dict.fromkeys(c.name for c in fit.compared))

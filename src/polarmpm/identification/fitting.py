@@ -112,17 +112,17 @@ def _one_start(objective: Objective, v: np.ndarray, priors: Priors, most: int, f
         return most - (objective.evaluations - before)
 
     now = priors
-    v, shown = minimised(objective, v, priors, left(), until_shown=True)
-    if shown:
+    v, end = minimised(objective, v, priors, left(), until_shown=True)
+    if end == "shown":
         now = priors.without_weak()
-        v, _ = minimised(objective, v, now, left())
+        v, end = minimised(objective, v, now, left())
         if not (judged(objective, v, now).spread <= TRUSTED).all():
             # without the prior it has gone to where the data show less: once more, to the end with it
             now = priors
-            v, _ = minimised(objective, v, now, left())
+            v, end = minimised(objective, v, now, left())
     judgement = judged(objective, v, now)
     found = objective(v)
     assert found is not None
     chi2 = float(found[0] @ found[0])
     whole = chi2 + float((((v - now.mean) / now.sd) ** 2).sum())
-    return Start(v, chi2, whole, most - left(), judgement, now.mean)
+    return Start(v, chi2, whole, most - left(), judgement, now.mean, end == "minimum")

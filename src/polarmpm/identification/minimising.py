@@ -128,12 +128,13 @@ def judged(objective: Objective, v: np.ndarray, priors: Priors) -> Judgement:
 
 def minimised(
     objective: Objective, v0: np.ndarray, priors: Priors, most: int, until_shown: bool = False
-) -> tuple[np.ndarray, bool]:
-    """The minimum next to v0; or a point on the way, and True, at which the data show all unknowns."""
+) -> tuple[np.ndarray, str]:
+    """The minimum next to v0 and "minimum"; a point on the way at which the data show all unknowns, and
+    "shown"; or the best one so far after the most evaluations, and "stopped"."""
     from scipy.optimize import least_squares  # takes a while to import
 
     if not len(v0):
-        return v0, False
+        return v0, "minimum"
     last = v0
 
     def residual(w: np.ndarray) -> np.ndarray:
@@ -160,11 +161,11 @@ def minimised(
     assert at_start is not None
     size = len(at_start[0])
     if most < 1:
-        return v0, False
+        return v0, "stopped"
     # the first trust region is as large as the start, so that the start has to be 0
     options: dict[str, Any] = {**_TOLERANCES, "x_scale": _SCALE, "max_nfev": most + 1}
     try:
         end = least_squares(residual, np.zeros_like(v0), jac=jacobian, method="trf", **options)
     except _Shown:
-        return last, True
-    return v0 + end.x, False
+        return last, "shown"
+    return v0 + end.x, "minimum" if end.status > 0 else "stopped"
