@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import polarmpm as pm
+from tests.helpers.ranks import on_ranks, report
 from tests.sensitivity import scenes
 from tests.sensitivity.scenes import BEAM, SOIL, differences, digits, rates
 
@@ -31,6 +32,7 @@ def marches(steps: int) -> Any:
         ({"locking": "always"}, 6),
     ],
 )
+@pytest.mark.filterwarnings("ignore:balanced_reset")
 def test_cantilever(options, least):
     scene = partial(scenes.cantilever, **options)
     found = rates(scene, BEAM, ["E", "l"], marches(3))
@@ -39,24 +41,25 @@ def test_cantilever(options, least):
 
 
 def test_flow_under_a_platen():
-    found = rates(scenes.column, SOIL, ["mu", "c", "kappa"], marches(3))
-    assert digits(found, differences(scenes.column, SOIL, ["mu", "c", "kappa"], marches(3), 1e-5)) >= 5.5
+    found = rates(scenes.column, SOIL, ["c", "kappa"], marches(3))
+    assert digits(found, differences(scenes.column, SOIL, ["c", "kappa"], marches(3), 1e-5)) >= 5.5
 
 
 def test_elements():
-    found = rates(scenes.elements, SOIL, ["mu", "c"], marches(3))
-    assert digits(found, differences(scenes.elements, SOIL, ["mu", "c"], marches(3), 1e-5)) >= 6
+    found = rates(scenes.elements, SOIL, ["c"], marches(3))
+    assert digits(found, differences(scenes.elements, SOIL, ["c"], marches(3), 1e-5)) >= 6
 
 
 def test_surfaces():
-    found = rates(scenes.held_on_surfaces, BEAM, ["E", "l"], marches(3))
-    assert digits(found, differences(scenes.held_on_surfaces, BEAM, ["E", "l"], marches(3), 1e-5)) >= 6
+    found = rates(scenes.held_on_surfaces, BEAM, ["l"], marches(3))
+    assert digits(found, differences(scenes.held_on_surfaces, BEAM, ["l"], marches(3), 1e-5)) >= 6
 
 
 ARCH = {**BEAM, "l": 0.1}
 
 
 @pytest.mark.parametrize("options", [{}, {"balanced_reset": False, "basis": "mpm"}])
+@pytest.mark.filterwarnings("ignore:balanced_reset")
 def test_along_the_path(options):
     """Through the limit point, where there is no derivative at a given load."""
 
@@ -166,6 +169,24 @@ def test_no_number_is_given_where_there_is_none(monkeypatch):
             run.march(3)
 
 
+def test_resets_that_lose_stresses_are_told_of():
+    with (
+        pytest.warns(pm.TrustWarning, match="sawtooth"),
+        pm.Sensitivity(partial(scenes.cantilever, balanced_reset=False), BEAM, ["E"], sides=1),
+    ):
+        pass
+
+
+@pytest.mark.mpi
+@pytest.mark.timeout(120)
+def test_two_ranks_whose_points_move():
+    """To other ranks at resets; the same derivatives as on one."""
+    one, two = (on_ranks(ranks, "column", __file__)[0] for ranks in (1, 2))
+    assert two["moved"] > 0
+    for name, found in one["rates"].items():
+        np.testing.assert_allclose(two["rates"][name], found, rtol=0, atol=1e-7 * np.abs(found).max())
+
+
 def test_numbers_that_dont_matter():
     """Their derivatives are zero but for rounding, and no twin goes astray."""
     found = rates(scenes.cantilever, {**BEAM, "unused": 3.0}, ["E", "unused"], marches(2))
@@ -252,3 +273,17 @@ def test_observables_are_numbers():
 
     with pm.Sensitivity(build, BEAM, ["E"]) as run, pytest.raises(pm.InputError, match="observables: name"):
         next(run.march(3))
+
+
+def _on_these_ranks(_: str) -> dict[str, Any]:
+    with pm.Sensitivity(scenes.column, SOIL, ["mu", "c"], pressed=0.004, rebalance=1.0001) as run:
+        points, rates = run.problem.points, []
+        first = points.id.copy()
+        for _ in run.march(4):
+            rates.append(run.rates["force"])
+        moved = points.comm.allreduce(int(np.setdiff1d(points.id, first).size))
+    return {"moved": moved, "rates": {n: [step[n] for step in rates] for n in ("mu", "c")}}
+
+
+if __name__ == "__main__":
+    report(_on_these_ranks)

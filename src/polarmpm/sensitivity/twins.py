@@ -28,11 +28,16 @@ from ..solvers.newton import Controls, Outcome
 from ..tools.parallel import Route, values_by_number
 from .leading import Along, Leader, Record
 
-CHORDS, MOST_CHORDS = 2, 10
+CHORDS, MOST_CHORDS = 2, 25
 ENOUGH = 1e-7  # imbalance after the chord steps over that before, at which there are enough of them
 BAR = 1e-3  # the same, above which a twin is no twin
 _ROUNDING, _LEVEL = 0.01, 1.0  # times the level of rounding: what chord steps can't make smaller; may leave
 _STALLED = 0.5  # ratio of imbalances above which another chord step brings nothing
+_GOOD, _PATIENCE = (
+    1e-4,
+    4,
+)  # while more than this share of the imbalance is left, so many steps may bring nothing
+_RANK = 1e-14  # of the products of earlier steps
 
 
 class Apart(PolarMPMError, RuntimeError):
@@ -97,16 +102,22 @@ class TwinSearch(Search):
             path: its load factor is an unknown, too.
         """
         found: list[float] = []
+        secants, best = _Secants(system), system.x
         while True:
             system.evaluate(False)
             r = system.residual - left
             found.append(_norm(system, r))
+            best = system.x if found[-1] <= min(found) else best
             if _ended(found, level):
                 break
             if path is None:
-                system.add(system.solve_free(-r, False))
+                system.add(secants.step(r))
             else:
                 _correct(path, r, self.leader.record)
+        if path is None and found[-1] > min(found):  # iterations have led on to something worse
+            system.jump(best)
+            system.evaluate(False)
+            found.append(min(found))
         first, last = found[0], found[-1]
         if not np.isfinite(last):
             return np.inf
@@ -143,7 +154,47 @@ def _ended(found: list[float], level: float) -> bool:
         return True
     if steps < CHORDS:
         return steps > 0 and now <= _ROUNDING * level
-    return now <= max(ENOUGH * found[0], _ROUNDING * level) or now > _STALLED * found[-2]
+    patience = 1 if min(found) <= _GOOD * found[0] else _PATIENCE
+    stalled = steps >= CHORDS + patience - 1 and min(found[-patience:]) > _STALLED * min(found[:-patience])
+    return now <= max(ENOUGH * found[0], _ROUNDING * level) or stalled
+
+
+class _Secants:
+    """Chord steps; where a factor is a poor one, such as that of an iteration that was far away, what earlier
+    steps have done to the residual is put to use (Anderson's acceleration, in the norm of forces)."""
+
+    def __init__(self, system: NodalSystem):
+        self._system = system
+        self._last: tuple[np.ndarray, np.ndarray] | None = None
+        self._moved: list[np.ndarray] = []
+        self._changed: list[np.ndarray] = []
+
+    def step(self, residual: np.ndarray) -> np.ndarray:
+        """Correction (nodes, block) for a residual. Collective."""
+        system, x = self._system, self._system.x
+        forces = system.on_free(residual)
+        if self._last is not None:
+            self._moved.append(x - self._last[0])
+            self._changed.append(forces - self._last[1])
+        self._last = x, forces
+        moved: np.ndarray = np.zeros_like(x)
+        if self._changed:
+            for share, m, change in zip(self._shares(forces), self._moved, self._changed, strict=True):
+                moved -= share * m
+                forces = forces - share * change
+        moved += system.solve_free(-forces, False)
+        return moved
+
+    def _shares(self, forces: np.ndarray) -> np.ndarray:
+        """By which earlier changes of the residual make most of it vanish. Collective."""
+        own, scale = slice(0, self._system.owned), self._system.as_force
+        rows = np.array([(c[own] * scale).ravel() for c in (*self._changed, forces)])
+        products = self._system.comm.allreduce(rows @ rows.T)
+        size = np.sqrt(np.diag(products)[:-1])
+        size = np.where(size > 0.0, size, 1.0)
+        matrix = products[:-1, :-1] / np.outer(size, size)
+        shares: np.ndarray = np.linalg.lstsq(matrix, products[:-1, -1] / size, rcond=_RANK)[0] / size
+        return shares
 
 
 def _put(system: NodalSystem, x: np.ndarray) -> None:
