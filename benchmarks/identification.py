@@ -140,7 +140,7 @@ def column(args):
 
 def coverage(args):
     """Curve and fields of a column, from the truth, with new noise each time."""
-    given = argparse.Namespace(cell=args.cell, noise=0.3, seed=0)
+    given = argparse.Namespace(cell=args.cell, noise=args.noise, seed=0)
     clean = columns.synthetic(argparse.Namespace(**{**vars(given), "noise": 0.0}))
     sigmas = columns.STRESS * given.noise, columns.CAMERA * given.noise
     inside, z = [], []
@@ -172,6 +172,7 @@ def main():
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--seed", type=int, default=3, help="of the noise")
     parser.add_argument("--cell", type=float, default=2.5e-3, help="of the column (m)")
+    parser.add_argument("--noise", type=float, default=0.3, help="of the realisations, as of the demo")
     parser.add_argument("--realisations", type=int, default=20)
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results")
     args = parser.parse_args()
