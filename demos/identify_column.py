@@ -124,7 +124,6 @@ def draw(fit, file):
     axes[0].set_xlabel("load factor (-)")
     axes[0].set_ylabel("mean stress (Pa)")
     axes[1].set_xlabel("displacement (m), measured")
-    axes[1].set_ylabel("displacement (m), computed")
     plot.save(axes[0], file, comm=MPI.COMM_WORLD)
 
 

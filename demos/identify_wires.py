@@ -20,7 +20,7 @@ ELASTIC_START = {"E": 90e9, "n": 0.3, "l_t": 1.9e-6, "psi": 1.0}
 RADII = np.array((3.7e-6, 6e-6, 11e-6, 20e-6, 37e-6))  # m
 PLASTIC = {"k": 150e6, "H": 75e6, "l_p": 3.7e-6, "l": 3.7e-6, "kappa": 3e9}  # Pa, Pa, m, m, Pa
 TIMES = {"k": 1.3, "H": 2.0, "l_p": 0.6, "l": 1.2, "kappa": 0.5}  # of the truth, where the search starts
-DIAMETERS = (12e-6, 20e-6, 40e-6)  # m
+DIAMETERS = (12.0, 20.0, 40.0)  # micrometres
 TWISTS = np.array((0.005, 0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.5))  # rad, over a length of one diameter
 
 
@@ -70,8 +70,8 @@ def elastic_fit(args, rng):
 
 def plastic_fit(args, rng):
     tests = []
-    for diameter in DIAMETERS:
-        torque, problem = [], None
+    for diameter in 1e-6 * np.array(args.diameters):
+        torque = []
         problem, observables = wire(PLASTIC, diameter, args.cells)
         for twist in TWISTS:
             list(problem.march(1, to=twist, adaptive=True, progress=False))
@@ -101,6 +101,7 @@ def main(argv=None):
             "--noise": {"type": demo.positive, "default": 0.01, "help": "share of each measured value"},
             "--seed": {"type": int, "default": 7, "help": "of the noise"},
             "--cells": {"type": demo.count, "default": 4, "help": "across a wire, an even number"},
+            "--diameters": {"type": float, "nargs": "+", "default": DIAMETERS, "help": "micrometres"},
             "--free": {"nargs": "+", "choices": tuple(PLASTIC), "default": ["k", "H", "l_p"]},
             "--workers": {"type": demo.count, "default": 2, "help": "processes, on one rank"},
         },
@@ -115,7 +116,7 @@ def main(argv=None):
     elastic.save(folder / "elastic.json")
     plastic.save(folder / "plastic.json")
     draw(elastic, plastic, folder / "identify_wires.png")
-    problem, _ = wire(plastic.parameters, DIAMETERS[0], args.cells)
+    problem, _ = wire(plastic.parameters, 1e-6 * args.diameters[0], args.cells)
     with pm.Recorder(folder / "wire.pvd", problem, fields=("displacement", "hardening")) as record:
         for step in problem.march(6, to=TWISTS[-1], adaptive=True, progress=False):
             record(step)

@@ -75,7 +75,7 @@ if TYPE_CHECKING:
     from .identification.places import Places
     from .identification.planning import Plan, plan
     from .identification.profile import Profile
-    from .identification.reading import Curve, read_curve
+    from .identification.reading import Curve, MeasuredField, read_curve, read_field
     from .identification.result import Compared, Fit, Outlier
     from .identification.transforms import Bounds, Linear
     from .materials.clay import CamClay, Houlsby
@@ -99,7 +99,7 @@ _LATER = {
     **dict.fromkeys(("Bounds", "Linear"), "identification.transforms"),
     **dict.fromkeys(("Compared", "Fit", "Outlier"), "identification.result"),
     **dict.fromkeys(("Plan", "plan"), "identification.planning"),
-    **dict.fromkeys(("Curve", "read_curve"), "identification.reading"),
+    **dict.fromkeys(("Curve", "MeasuredField", "read_curve", "read_field"), "identification.reading"),
     "Places": "identification.places",
     "lines_from": "study.pilot",
 }
@@ -157,6 +157,7 @@ __all__ = [
     "Linear",
     "Material",
     "MaterialField",
+    "MeasuredField",
     "MicropolarElastic",
     "MohrCoulomb",
     "NeoHookean",
@@ -212,6 +213,7 @@ __all__ = [
     "plan",
     "plane",
     "read_curve",
+    "read_field",
     "register_basis",
     "register_solver",
     "save_restart",

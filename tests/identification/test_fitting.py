@@ -50,7 +50,12 @@ def test_wires_without_noise():
     fit = pm.identify(bar_test(sigma=0.01), start=BAR_START, free=BAR_FREE)
     for name, value in fit.values.items():
         assert abs(value / BAR[name] - 1) < 0.05  # a weak prior is left: noise of 1 % would hide n
+    fit = pm.identify(bar_test(sigma=0.003), start=BAR_START, free=BAR_FREE, most=3)
+    assert not fit.converged
+    assert fit.evaluations == 3
+    assert "stopped before a minimum" in str(fit)
     fit = pm.identify(bar_test(sigma=0.003), start=BAR_START, free=BAR_FREE)
+    assert fit.converged
     for name, value in fit.values.items():
         assert abs(value / BAR[name] - 1) < 1e-6, name
     assert fit.evaluations <= 15
@@ -192,19 +197,17 @@ def test_a_plan_predicts_the_spread():
     assert plan.intervals()["E"][0] < BAR["E"] < plan.intervals()["E"][1]
 
 
-@pytest.mark.timeout(120)
 @pytest.mark.skipif(COMM.size > 1, reason="processes of one rank")
-def test_a_pool_finds_the_same_digits():
-    def fit(workers):
-        tests = [bar_test(0.003), bar_test(0.01, seed=2)]
-        return pm.identify(tests, start=BAR_START, free=BAR_FREE, workers=workers)
-
-    serial, pool = fit(1), fit(2)
-    assert serial.values == pool.values
-    np.testing.assert_array_equal(serial.covariance, pool.covariance)
+def test_functions_that_no_other_process_finds():
     test = pm.Experiment(lambda p, at: line(p, at), at=X, data={"y": (X, 1.0)})
     with pytest.raises(pm.InputError, match="can't be sent to another process"):
         pm.identify(test, start={"a": 1.0, "b": 1.0}, free=["a"], workers=2)
+
+
+@pytest.mark.skipif(COMM.size == 1, reason="several ranks")
+def test_ranks_start_no_processes():
+    with pytest.raises(pm.InputError, match=r"workers = 2: 1 where \d ranks"):
+        pm.identify(bar_test(0.01), start=BAR_START, free=BAR_FREE, workers=2)
 
 
 def test_settings_pass_between_processes():

@@ -88,3 +88,16 @@ def test_refused(written, text, options, message):
 def test_a_file_that_is_not_there(folder):
     with pytest.raises(pm.InputError, match="can't be read"):
         pm.read_curve(folder / "none.csv", "a", "b")
+
+
+def test_fields(written):
+    file = written("x [mm];y [mm];u [um];v [um]\n0;0;1;2\n1;0;;4\n;1;5;6\n1;1;7;8\n")
+    field = pm.read_field(file, ("x", "y"), ("u", ("v", "µm")))
+    np.testing.assert_allclose(field.X, [(0, 0), (1e-3, 0), (1e-3, 1e-3)])
+    np.testing.assert_allclose(field.values, [(1e-6, 2e-6), (np.nan, 4e-6), (7e-6, 8e-6)])
+    with pytest.raises(pm.InputError, match=r"values\[0\] = 'w'"):
+        pm.read_field(file, ("x", "y"), ("w",))
+    with pytest.raises(pm.InputError, match="places = 'x'"):
+        pm.read_field(file, "x", ("u",))
+    with pytest.raises(pm.InputError, match="no row has a place"):
+        pm.read_field(written("x (mm),u (mm)\n,1\n"), ["x"], ["u"])

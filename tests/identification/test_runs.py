@@ -76,6 +76,19 @@ def test_a_shape_that_does_not_fit():
         pm.identify(test, start=SHEET, free=["mu"])
 
 
+@pytest.mark.timeout(200)
+@pytest.mark.skipif(COMM.size > 1, reason="processes of one rank")
+def test_a_pool_finds_the_same_digits():
+    """Two processes share the parameters of one experiment."""
+    true = computed([1.0], places=PLACES)
+    data = {name: (of[0], 1e-3) for name, of in true.items()}
+    test = pm.Experiment(sheet, data=data, places=PLACES)
+    options = {"start": SHEET | START, "free": ["mu", "gamma", "kappa"], "most": 2}
+    serial, pool = (pm.identify(test, workers=n, **options) for n in (1, 2))
+    assert serial.values == pool.values
+    np.testing.assert_array_equal(serial.covariance, pool.covariance)
+
+
 # places ---------------------------------------------------------------------------------------------
 def quadratic(X):
     x, y = X[:, 0], X[:, 1]
@@ -119,3 +132,29 @@ def test_few_points_have_places():
     points = pm.seed(grid, bounds=((0, 0), (1, 1)), material=MICROPOLAR, points_per_cell=1)
     assert points.total == 1
     np.testing.assert_allclose(pm.Places(points, [(0.6, 0.5)]).values(3 * np.ones(len(points))), [3.0])
+
+
+# errors ---------------------------------------------------------------------------------------------
+def uneven(p, at):
+    """Fails on the last rank, away from the start."""
+    if p["a"] != 1.0 and COMM.rank == COMM.size - 1:
+        raise RuntimeError("a bug of the script")
+    return {"y": p["a"] * at}
+
+
+def test_errors_of_a_script_are_raised_on_all_ranks():
+    test = pm.Experiment(uneven, at=[1.0, 2.0], data={"y": ([3.0, 6.0], 0.1)})
+    here = RuntimeError if COMM.rank == COMM.size - 1 else pm.ErrorOnAnotherRank
+    with pytest.raises(here, match="a bug of the script"):
+        pm.identify(test, start={"a": 1.0}, free=["a"])
+
+
+def test_contact_has_no_derivatives():
+    def build(p):
+        problem, found = sheet({**SHEET, **p})
+        problem.obstacle(pm.HalfSpace((0, -1), (0, -2.5)))
+        return problem, found
+
+    test = pm.Experiment(build, data={"deflection": (-1.0, 0.1)})
+    with pytest.raises(pm.InputError, match="contact"):
+        pm.identify(test, start={"mu": 2e3}, free=["mu"])

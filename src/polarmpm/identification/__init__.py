@@ -5,7 +5,7 @@ from .fitting import identify
 from .places import Places
 from .planning import Plan, plan
 from .profile import Profile
-from .reading import Curve, read_curve
+from .reading import Curve, MeasuredField, read_curve, read_field
 from .result import Compared, Fit, Outlier
 from .transforms import Bounds, Linear
 
@@ -16,6 +16,7 @@ __all__ = [
     "Experiment",
     "Fit",
     "Linear",
+    "MeasuredField",
     "Outlier",
     "Places",
     "Plan",
@@ -23,4 +24,5 @@ __all__ = [
     "identify",
     "plan",
     "read_curve",
+    "read_field",
 ]

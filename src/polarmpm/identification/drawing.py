@@ -29,7 +29,7 @@ def _styled() -> Any:
 
 
 def fit_against_data(fit: Any, names: Any = None) -> Any:
-    """One panel for each observable, with the curves of all its experiments; fields as computed over measured
+    """A panel for each observable, with the curves of its experiments; of fields the residuals over measured
     values. See `Fit.plot_data`."""
     if names is not None:
         known = list(dict.fromkeys(c.name for c in fit.compared))
@@ -69,17 +69,14 @@ def _curves(ax: Any, name: str, compared: list[Any]) -> None:
 
 
 def _field(ax: Any, name: str, compared: list[Any]) -> None:
-    """All values of fields, computed over measured."""
-    ends = []
+    """Residuals of all values of fields over the measured ones."""
     for k, c in enumerate(compared):
         there = np.isfinite(c.measured)
-        measured, model = c.measured[there], c.model[there]
-        ax.plot(measured, model, ".", color=COLOURS[k % len(COLOURS)], markersize=2.5)
-        ends += [measured.min(), measured.max()]
-    line = [min(ends), max(ends)]
-    ax.plot(line, line, "-", color=_GREY, lw=0.8, zorder=0)
+        ax.plot(c.measured[there], c.residuals[there], ".", color=COLOURS[k % len(COLOURS)], markersize=2.5)
+    for level in (-2, 0, 2):
+        ax.axhline(level, ls="-" if level == 0 else "--", color=_GREY, lw=0.6, zorder=0)
     ax.set_xlabel(f"{name}, measured")
-    ax.set_ylabel(f"{name}, computed")
+    ax.set_ylabel("(computed − measured) / σ (-)")
 
 
 def correlations(fit: Any, ax: Any = None) -> Any:

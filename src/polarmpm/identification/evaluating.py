@@ -15,11 +15,14 @@ from functools import partial
 from multiprocessing import get_context
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 
-from ..errors import InputError, PolarMPMError
+from ..errors import ErrorOnAnotherRank, InputError, PolarMPMError, RanksApart
 from ..sensitivity.runs import Sensitivity
 from ..tools import checks
+from ..tools.parallel import errors_on_all_ranks
 from .experiment import Experiment, Task
 
 # changes of an unknown for differences: closed forms are smooth, runs as smooth as tolerances and resets
@@ -42,14 +45,15 @@ class Evaluated:
     failure: str = ""
 
 
-def probe(test: Experiment, p: Mapping[str, float]) -> Task:
+def probe(test: Experiment, p: Mapping[str, float], comm: MPI.Intracomm) -> Task:
     """The task of an experiment, for which its function is called once. Collective.
 
     Raises:
         InputError: it returns something else than it should; an observable is missing.
     """
     task = test.task()
-    returned = task.build(dict(p), **_given(task))
+    with errors_on_all_ranks(comm):
+        returned = task.build(dict(p), **_given(task))
     name = getattr(test.build, "__name__", "build")
     if isinstance(returned, Mapping):
         task = replace(task, closed=True)
@@ -79,7 +83,11 @@ def _given(task: Task) -> dict[str, Any]:
 
 
 def evaluate(
-    task: Task, p: Mapping[str, float], slopes: Mapping[str, float], first: bool = False
+    task: Task,
+    p: Mapping[str, float],
+    slopes: Mapping[str, float],
+    first: bool = False,
+    comm: MPI.Intracomm | None = None,
 ) -> Evaluated:
     """Values and derivatives. Collective, but for closed forms.
 
@@ -87,13 +95,16 @@ def evaluate(
         slopes: by free parameter, its change (in its unit) for a change of 1 of its unknown; none: values
             only.
         first: the parameters are those of the start: what goes wrong is raised.
+        comm: ranks that compute it together; None: this one alone.
     """
     try:
-        with np.errstate(over="ignore"):
+        with errors_on_all_ranks(comm or MPI.COMM_SELF), np.errstate(over="ignore"):
             if task.closed or task.method == "differences" or not slopes:
                 values, rates = _by_differences(task, p, slopes)
             else:
                 values, rates = _by_run(task, p, slopes)
+    except (ErrorOnAnotherRank, RanksApart):
+        raise
     except _NUMERIC as e:
         if first:
             raise
@@ -205,11 +216,11 @@ class Evaluator:
 
     Args:
         tasks: see `probe`.
-        workers: number of processes; 1: here.
+        workers: number of processes; 1: here, on all ranks together.
     """
 
-    def __init__(self, tasks: Sequence[Task], workers: int = 1):
-        self.tasks = list(tasks)
+    def __init__(self, tasks: Sequence[Task], workers: int, comm: MPI.Intracomm):
+        self.tasks, self.comm = list(tasks), comm
         self.workers = workers
         self._lock, self._pool = threading.Lock(), None
         if workers > 1:
@@ -220,7 +231,7 @@ class Evaluator:
 
     def __call__(self, p: Mapping[str, float], slopes: Mapping[str, float], first: bool = False) -> Answers:
         if self._pool is None:
-            return [evaluate(task, p, slopes, first) for task in self.tasks]
+            return [evaluate(task, p, slopes, first, self.comm) for task in self.tasks]
         # more processes than experiments share the parameters of each, whose run they all make
         shares = max(1, min(self.workers // len(self.tasks), len(slopes)))
         parts = [{name: slopes[name] for name in list(slopes)[k::shares]} for k in range(shares)]

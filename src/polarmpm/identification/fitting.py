@@ -76,8 +76,8 @@ def identify(
     workers = checks.whole("workers", workers, least=1)
     if workers > 1 and comm.size > 1:
         raise checks.refuse("workers", workers, f"1 where {comm.size} ranks compute each experiment together")
-    tasks = [probe(test, unknown.values(begins[0])) for test in found]
-    with Evaluator(tasks, workers) as evaluator:
+    tasks = [probe(test, unknown.values(begins[0]), comm) for test in found]
+    with Evaluator(tasks, workers, comm) as evaluator:
         objective = Objective(found, unknown, evaluator, comm)
         ends = [_one_start(objective, v, known, most, first=k == 0) for k, v in enumerate(begins)]
     best = min((end for end in ends if end is not None), key=lambda end: end.objective)
@@ -112,17 +112,17 @@ def _one_start(objective: Objective, v: np.ndarray, priors: Priors, most: int, f
         return most - (objective.evaluations - before)
 
     now = priors
-    v, shown = minimised(objective, v, priors, left(), until_shown=True)
-    if shown:
+    v, end = minimised(objective, v, priors, left(), until_shown=True)
+    if end == "shown":
         now = priors.without_weak()
-        v, _ = minimised(objective, v, now, left())
+        v, end = minimised(objective, v, now, left())
         if not (judged(objective, v, now).spread <= TRUSTED).all():
             # without the prior it has gone to where the data show less: once more, to the end with it
             now = priors
-            v, _ = minimised(objective, v, now, left())
+            v, end = minimised(objective, v, now, left())
     judgement = judged(objective, v, now)
     found = objective(v)
     assert found is not None
     chi2 = float(found[0] @ found[0])
     whole = chi2 + float((((v - now.mean) / now.sd) ** 2).sum())
-    return Start(v, chi2, whole, most - left(), judgement, now.mean)
+    return Start(v, chi2, whole, most - left(), judgement, now.mean, end == "minimum")

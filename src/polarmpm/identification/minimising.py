@@ -18,6 +18,8 @@ from .judging import TRUSTED, Judgement, judge
 from .transforms import Free
 
 _SCALE = 0.3  # of unknowns: the first steps are no longer
+_NEAR = 1e-3  # decrease of chi2 that isn't worth an evaluation: .03 standard deviations
+_NOISY = 0.1  # chi2 per value from which on data count as noisy; others are followed to the last digit
 _TOLERANCES = {"xtol": 1e-4, "ftol": 1e-5, "gtol": 1e-10}
 
 
@@ -116,6 +118,17 @@ def make_priors(free: Free, given: Any, weak: float | None) -> Priors:
     return Priors(mean, sd, is_weak)
 
 
+class _Near(Exception):
+    """What is left to the minimum is much less than the noise."""
+
+
+def _to_gain(jacobian: np.ndarray, residual: np.ndarray) -> float:
+    """By how much a Gauss-Newton step would make the sum of squares smaller: squared, the distance to the
+    minimum in standard deviations."""
+    step = np.linalg.lstsq(jacobian, -residual, rcond=None)[0]
+    return float(np.square(jacobian @ step).sum())
+
+
 class _Shown(Exception):
     """The data show all parameters by now: the weak prior can go."""
 
@@ -128,12 +141,13 @@ def judged(objective: Objective, v: np.ndarray, priors: Priors) -> Judgement:
 
 def minimised(
     objective: Objective, v0: np.ndarray, priors: Priors, most: int, until_shown: bool = False
-) -> tuple[np.ndarray, bool]:
-    """The minimum next to v0; or a point on the way, and True, at which the data show all unknowns."""
+) -> tuple[np.ndarray, str]:
+    """The minimum next to v0 and "minimum"; a point on the way at which the data show all unknowns, and
+    "shown"; or the best one so far after the most evaluations, and "stopped"."""
     from scipy.optimize import least_squares  # takes a while to import
 
     if not len(v0):
-        return v0, False
+        return v0, "minimum"
     last = v0
 
     def residual(w: np.ndarray) -> np.ndarray:
@@ -154,17 +168,22 @@ def minimised(
             and (judged(objective, last, priors).spread < TRUSTED).all()
         ):
             raise _Shown
-        return np.vstack([found[1], np.diag(1.0 / priors.sd)])
+        whole = np.vstack([found[1], np.diag(1.0 / priors.sd)])
+        if found[0] @ found[0] > _NOISY * size and _to_gain(whole, residual(w)) < _NEAR:
+            raise _Near
+        return whole
 
     at_start = objective(v0)
     assert at_start is not None
     size = len(at_start[0])
     if most < 1:
-        return v0, False
+        return v0, "stopped"
     # the first trust region is as large as the start, so that the start has to be 0
     options: dict[str, Any] = {**_TOLERANCES, "x_scale": _SCALE, "max_nfev": most + 1}
     try:
         end = least_squares(residual, np.zeros_like(v0), jac=jacobian, method="trf", **options)
     except _Shown:
-        return last, True
-    return v0 + end.x, False
+        return last, "shown"
+    except _Near:
+        return last, "minimum"
+    return v0 + end.x, "minimum" if end.status > 0 else "stopped"

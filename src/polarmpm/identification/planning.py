@@ -111,9 +111,9 @@ def plan(
     limit, workers = checks.number("limit", limit, above=0.0), checks.whole("workers", workers, least=1)
     if workers > 1 and comm.size > 1:
         raise checks.refuse("workers", workers, f"1 where {comm.size} ranks compute each experiment together")
-    tasks = [probe(test, unknown.start) for test in found]
+    tasks = [probe(test, unknown.start, comm) for test in found]
     slopes = dict(zip(unknown.names, unknown.slopes(unknown.start), strict=True))
-    with Evaluator(tasks, workers) as evaluator:
+    with Evaluator(tasks, workers, comm) as evaluator:
         answers = evaluator(unknown.start, slopes, True)
     rows: dict[str, np.ndarray] = {}
     for k, (test, answer) in enumerate(zip(found, answers, strict=True)):

@@ -92,8 +92,8 @@ def profile(fit: Any, name: str, points: int, reach: float, tests: Any) -> Profi
     sd = np.delete(fit.judgement.priors, k)
     priors = Priors(np.delete(fit.prior_means, k), sd, np.zeros(len(sd), dtype=bool))
     rows: dict[int, tuple[float, np.ndarray]] = {middle: (fit.misfit, others)}
-    tasks = [probe(test, fit.parameters) for test in found]
-    with Evaluator(tasks, fit.workers) as evaluator:
+    tasks = [probe(test, fit.parameters, fit.comm) for test in found]
+    with Evaluator(tasks, fit.workers, fit.comm) as evaluator:
         for way in (range(middle + 1, len(held)), range(middle - 1, -1, -1)):
             near = others
             for i in way:

@@ -135,6 +135,71 @@ def read_curve(
     Raises:
         InputError: a file that can't be read, a column or unit that isn't there, an entry that is no number.
     """
+    wanted = [("x", x), ("y", y), *([("sigma", sigma)] if sigma is not None else [])]
+    columns, arrays = _table(path, wanted, delimiter, decimal)
+    there = np.isfinite(arrays[0])
+    if not there.any():
+        raise InputError(f"path = {os.fspath(path)!r}: column {columns[0]!r} has no numbers")
+    kept = [a[there] for a in arrays]
+    return Curve(kept[0], kept[1], kept[2] if sigma is not None else None, columns)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredField:
+    """A field that was measured at places, in SI units; NaN where a value is missing.
+
+    Attributes:
+        X: places (n, d), for `Places`.
+        values: (n, k), such as displacements.
+        columns: names of the columns, of places and values.
+    """
+
+    X: np.ndarray
+    values: np.ndarray
+    columns: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.X)
+
+
+def read_field(
+    path: str | os.PathLike[str],
+    places: Sequence[str | tuple[str, str]],
+    values: Sequence[str | tuple[str, str]],
+    *,
+    delimiter: str | None = None,
+    decimal: str = ".",
+) -> MeasuredField:
+    """Read a field from a table in a text file, such as digital image correlation writes: a row a place.
+
+    Args:
+        places: columns of the coordinates in the undeformed body, ("x", "y") or with their units.
+        values: columns of what was measured there, ("u", "v") or with their units.
+        path, delimiter, decimal: see `read_curve`, also for units and missing values.
+
+    Returns:
+        The field in SI units; rows without a place are left out.
+
+    Raises:
+        InputError: as of `read_curve`.
+    """
+    for name, specs in (("places", places), ("values", values)):
+        if isinstance(specs, str) or not checks.several(specs) or not len(specs):
+            raise checks.refuse(name, specs, 'names of columns, ("x", "y"), or names and units')
+    wanted = [(f"places[{k}]", spec) for k, spec in enumerate(places)]
+    wanted += [(f"values[{k}]", spec) for k, spec in enumerate(values)]
+    columns, arrays = _table(path, wanted, delimiter, decimal)
+    table, d = np.stack(arrays, axis=1), len(places)
+    table = table[np.isfinite(table[:, :d]).all(axis=1)]
+    if not len(table):
+        raise InputError(f"path = {os.fspath(path)!r}: no row has a place")
+    return MeasuredField(table[:, :d], table[:, d:], columns)
+
+
+def _table(
+    path: Any, wanted: Sequence[tuple[str, Any]], delimiter: Any, decimal: Any
+) -> tuple[tuple[str, ...], list[np.ndarray]]:
+    """Names and numbers (SI) of columns, which are wanted by arguments' names."""
     file = checks.path("path", path)
     checks.choice("decimal", decimal, (".", ","))
     try:
@@ -150,19 +215,13 @@ def read_curve(
     if len(delimiter) != 1 or delimiter == decimal:
         raise checks.refuse("delimiter", delimiter, f"one character other than {decimal!r} is needed")
     header, *rows = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
-    wanted = [("x", x), ("y", y), *([("sigma", sigma)] if sigma is not None else [])]
     columns, arrays = [], []
     for name, spec in wanted:
         k, factor = _column(name, spec, header)
         columns.append(header[k].strip())
-        arrays.append(
-            factor * np.array([_number(file, i, row, k, decimal) for i, row in enumerate(rows)], float)
-        )
-    there = np.isfinite(arrays[0])
-    if not there.any():
-        raise InputError(f"path = {str(file)!r}: column {columns[0]!r} has no numbers")
-    kept = [a[there] for a in arrays]
-    return Curve(kept[0], kept[1], kept[2] if sigma is not None else None, tuple(columns))
+        numbers = [_number(file, i, row, k, decimal) for i, row in enumerate(rows)]
+        arrays.append(factor * np.array(numbers, dtype=float))
+    return tuple(columns), arrays
 
 
 def _column(argument: str, spec: Any, header: Sequence[str]) -> tuple[int, float]:

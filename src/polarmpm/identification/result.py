@@ -44,6 +44,7 @@ class Start:
         evaluations: it has taken.
         judgement: of the derivatives there.
         priors: means (n,) of the priors of the unknowns.
+        converged: a minimum was found before the most evaluations were made.
     """
 
     v: np.ndarray
@@ -52,6 +53,7 @@ class Start:
     evaluations: int
     judgement: Judgement
     priors: np.ndarray
+    converged: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +116,7 @@ class Fit:
         compared: measured and computed values.
         starts: for each start its `chi2`, `evaluations` and `values`, the one that was taken first.
         failures: runs that have failed on the way, and why.
+        converged: a minimum was found before the most evaluations were made.
         dominated: parameters that are held by their priors, weak ones included, rather than by data.
     """
 
@@ -127,6 +130,7 @@ class Fit:
     starts: list[dict[str, Any]]
     failures: list[str]
     limit: float
+    converged: bool
     tests: Sequence[Experiment] = ()
     workers: int = 1
     comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_WORLD)
@@ -250,7 +254,7 @@ class Fit:
 
     def plot_data(self, names: Any = None) -> Any:
         """Measured and computed values: a panel for each observable, in which the experiments' curves lie; of
-        fields the computed over the measured values. Returns the axes, in an array, of `polarmpm.plot`'s
+        fields the residuals over the measured values. Returns the axes, in an array, of `polarmpm.plot`'s
         style; `plot.save(axes[0], path)` writes the figure.
 
         Args:
@@ -298,6 +302,7 @@ class Fit:
             "dof": self.dof,
             "evaluations": self.evaluations,
             "limit": self.limit,
+            "converged": self.converged,
             "start": self.free.start,
             "free": {name: told(t) for name, t in self.free.transforms.items()},
             "unknowns": self.v.tolist(),
@@ -337,7 +342,8 @@ class Fit:
             judgement = Judgement(*(_array(told[name], np.inf) for name in names))
             fit = cls(
                 free, np.array(told["unknowns"]), judgement, np.array(told["prior_means"]), told["chi2"],
-                told["evaluations"], compared, told["starts"], told["failures"], told["limit"], comm=comm,
+                told["evaluations"], compared, told["starts"], told["failures"], told["limit"],
+                told["converged"], comm=comm,
             )  # fmt: skip
         except (KeyError, TypeError, ValueError, AttributeError) as e:
             raise InputError(
@@ -362,13 +368,14 @@ def make_fit(objective: Any, best: Start, all_: Sequence[Start], limit: float, w
         {
             "chi2": s.chi2,
             "evaluations": s.evaluations,
+            "converged": s.converged,
             "values": {n: objective.free.value(n, w) for n, w in zip(objective.free.names, s.v, strict=True)},
         }
         for s in ordered
     ]
     return Fit(
         objective.free, best.v, best.judgement, best.priors, best.chi2, objective.evaluations, compared,
-        starts, list(objective.failures), limit, objective.tests, workers, objective.comm,
+        starts, list(objective.failures), limit, best.converged, objective.tests, workers, objective.comm,
     )  # fmt: skip
 
 

@@ -51,6 +51,8 @@ def fit_in_words(fit: Any) -> str:
     lines = table(rows)
     per = f" = {fit.chi2 / fit.dof:.3g}" if fit.dof > 0 else ""
     lines.append(f"chi2 / dof = {fit.chi2:.4g} / {fit.dof}{per}; {fit.evaluations} evaluations")
+    if not fit.converged:
+        lines.append("stopped before a minimum was found: allow more evaluations, or start elsewhere")
     lines += identified(fit.judgement, fit.free, fit.v, fit.limit)
     if (fit.judgement.sd > TRUSTED).any():
         wide = [n for n, sd in zip(fit.names, fit.judgement.sd, strict=True) if sd > TRUSTED]
