@@ -17,7 +17,7 @@ from .tables import check_name, check_rows, digits, error_names, methods
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")
 _MARKERS = "osD^vP<>"
-_PHASE_COLOURS = ("#4c78a8", "#e45756", "#f58518", "#72b7b2", "#54a24b", "#b279a2", "#9d755d", "#bab0ac")
+_PHASE_COLOURS = ("#0072B2", "#D55E00", "#E69F00", "#56B4E9", "#009E73", "#CC79A7", "#999999", "#DDDDDD")
 _AXES = {"h": "cell size (m)", "cpu_s": "CPU time of the load steps (s)"}
 
 
