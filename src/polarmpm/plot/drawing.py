@@ -75,7 +75,7 @@ def colour_bar(ax: Any, mappable: Any, label: str, dim: int) -> None:
         bar = ax.figure.colorbar(mappable, cax=place, label=label)
     bar.outline.set_visible(False)
     along = bar.ax.xaxis if bar.orientation == "horizontal" else bar.ax.yaxis
-    along.set_major_locator(MaxNLocator(6))
+    along.set_major_locator(MaxNLocator(4 if bar.orientation == "horizontal" else 6))
     numbers = ScalarFormatter(useMathText=True)
     numbers.set_powerlimits((-3, 4))  # 12 x 10^4 rather than 120000, which would run into its neighbour
     along.set_major_formatter(numbers)
