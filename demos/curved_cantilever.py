@@ -77,7 +77,7 @@ def main(argv=None):
     with (
         pm.Recorder(folder / "arch.pvd", problem, fields=("displacement", "rotation"), grid=True) as record,
         pm.Table(folder / "arch.csv", tip=lambda: points.mean_displacement(tip)) as table,
-        demo.film(args, folder / "arch.gif", problem, "displacement", "z", undeformed=True) as film,
+        demo.film(args, folder / "arch.gif", problem, "displacement", "z") as film,
     ):
         for step in problem.march(args.steps):
             record(step)

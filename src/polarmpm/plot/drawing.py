@@ -141,6 +141,7 @@ def solid_undeformed(ax: Any, polygons: np.ndarray, outward: np.ndarray, view: t
     seen = outward @ _camera(view) > 0
     body = Poly3DCollection(polygons[seen], facecolor=to_rgba(GREY, 0.25), edgecolor="none")
     body.set_antialiased(False)  # no hairlines between neighbours
+    body.set_rasterized(len(polygons) > _MANY)
     ax.add_collection3d(body)
 
 
@@ -151,7 +152,9 @@ def solid_faces(ax: Any, polygons: np.ndarray, colour: np.ndarray, edges: bool =
     colour = colour.copy()
     colour[:, :3] *= _brightness(polygons)[:, None]
     line = colour * [0.5, 0.5, 0.5, 1.0] if edges else colour
-    ax.add_collection3d(Poly3DCollection(polygons, facecolor=colour, edgecolor=line, linewidth=0.2))
+    body = Poly3DCollection(polygons, facecolor=colour, edgecolor=line, linewidth=0.2)
+    body.set_rasterized(len(polygons) > _MANY)
+    ax.add_collection3d(body)
 
 
 def _camera(view: tuple[float, float]) -> np.ndarray:
