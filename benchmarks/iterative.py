@@ -188,9 +188,9 @@ def solutions_table(rows):
 @styled()
 def draw(rows, file):
     """CPU time and memory of a step, and iterations of a solution, over unknowns."""
-    from polarmpm.plot import figures as plot
+    from polarmpm import plot
 
-    figure, axes = plot.subplots(1, 3, figsize=plot.fitted(13, 4.2))
+    figure, axes = plot.subplots(1, 3, figsize=(plot.PAGE, 3.0))
     styles = {
         (basis, solver): f"{colour}{mark}"
         for basis, colour in (("mpm", "C0"), ("gimpm", "C1"))
@@ -200,8 +200,8 @@ def draw(rows, file):
         mine = [r for r in rows if (r["kind"], r["basis"], r["solver"]) == ("step", basis, solver)]
         unknowns, label = [r["unknowns"] for r in mine], f"{basis.upper()}, {solver}"
         seconds = [r["set_up_s"] + r["solve_s"] for r in mine]
-        axes[0].plot(unknowns, seconds, style, ms=4, label=label)
-        axes[1].plot(unknowns, [r["memory_mb"] for r in mine], style, ms=4, label=label)
+        axes[0].plot(unknowns, seconds, style, label=label)
+        axes[1].plot(unknowns, [r["memory_mb"] for r in mine], style, label=label)
     colours = dict(zip(LENGTHS, ("C2", "C3", "C4"), strict=True))
     marks = {("mpm", ALIGNED): "o-", ("mpm", OFF): "^-", ("gimpm", OFF): "v--", ("mpm", TURNED): "s:"}
     marks |= {("bspline", OFF): "d-."}
@@ -215,15 +215,13 @@ def draw(rows, file):
                 [r["krylov"] for r in mine],
                 mark,
                 color=colour,
-                ms=4,
-                lw=1,
                 label=label,
             )
     for length, colour in colours.items():
         axes[2].plot([], [], color=colour, label=f"length {length:g} cells")
     for axis, name in zip(axes, ("set-up and solve (CPU s)", "memory (MB)", "iterations"), strict=True):
         axis.set(xscale="log", xlabel="unknowns", ylabel=name)
-        axis.legend(fontsize=7)
+        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncol=2, columnspacing=0.8)
     axes[0].set(yscale="log", title="one load step")
     axes[1].set(yscale="log", title="one load step")
     axes[2].set(title="one linear solution to 1e-8", ylim=(0, None))

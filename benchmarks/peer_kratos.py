@@ -273,9 +273,9 @@ def markdown(results):
 @styled()
 def draw(results, path):
     """CPU time per point and iteration over the number of points: least, with a bar up to the median."""
-    from polarmpm.plot import figures as plot
+    from polarmpm import plot
 
-    figure, ax = plot.subplots(figsize=plot.fitted(7.0, 4.8))
+    figure, ax = plot.subplots(figsize=(1.3 * plot.COLUMN, 3.2))
     styles = ("o", "#444444"), ("v", "#999999"), ("s", "#0072b2"), ("D", "#56b4e9"), ("^", "#d55e00")
     rows = summarise(results)
     numbers = sorted({r["per_cell"] for r in rows})
@@ -288,9 +288,9 @@ def draw(results, path):
             ax.plot(at, least / 3, "--", color=colour, label="a third of Kratos")
     ax.set_xticks(numbers, [f"{n}²" for n in numbers])
     ax.set_ylim(bottom=0.0)
-    ax.set(xlabel="points per cell", ylabel="CPU time per point and iteration (µs)")
+    ax.set(xlabel="points per cell", ylabel="CPU time per point and\niteration (µs)")
     ax.grid(alpha=0.3)
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
+    ax.legend(loc="upper center", bbox_to_anchor=(0.45, -0.17), ncols=2, frameon=False)
     plot.save(figure, path)
 
 

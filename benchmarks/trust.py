@@ -199,15 +199,17 @@ def draw(resets, recommended, file):
     for method in study.methods(resets):
         mine = [r for r in resets if r.method == method and r.result]
         name, kind = method.split(", ")
-        style = {"ls": "-" if kind == "carried" else "--", "marker": "o", "color": colours[name], "ms": 4}
+        style = {"ls": "-" if kind == "carried" else "--", "marker": "o", "color": colours[name]}
         axes[0].plot(
             [int(r.label.split()[0]) for r in mine], [relative(r)[0] for r in mine], label=method, **style
         )
     recommended = [r for r in recommended if r.method == "recommended"]
     for k, component in enumerate("xyz"):
         values = [relative(r)[k] for r in recommended]
-        axes[1].plot(np.arange(len(values)), values, "o", ms=4, label=f"$u_{component}$")
-    axes[0].set(xscale="log", xlabel="number of resets", ylabel="error of $u_x$ (%)", xticks=RESETS)
+        axes[1].plot(np.arange(len(values)), values, "o", label=f"$u_{component}$")
+    axes[0].set(
+        xscale="log", xlabel="number of resets", ylabel="error of $u_x$ (%)", xticks=RESETS, ylim=(-26, 25)
+    )
     axes[0].set_xticklabels([str(n) for n in RESETS])
     axes[0].minorticks_off()
     axes[1].set(xlabel="run (3 positions; 15-60 steps; 3-6 points)", ylabel="error (%)", ylim=(-4, 4))
@@ -215,7 +217,7 @@ def draw(resets, recommended, file):
     axes[1].set_title("recommended settings, cells as large as the section")
     for axis in axes:
         axis.axhline(0, color="k", lw=0.6)
-        axis.legend(fontsize=8)
+        axis.legend(loc="upper left" if axis is axes[0] else "upper right")
     plot.save(figure, file)
 
 
@@ -230,13 +232,14 @@ def main():
     parser.add_argument(
         "--only", choices=groups, help="one part; the figure takes the others from their files"
     )
+    parser.add_argument("--redraw", action="store_true", help="the figure alone, from the files")
     parser.add_argument("--output", type=Path, default=HERE / "results", metavar="DIR")
     args = parser.parse_args()
 
     def show(row):
         print(markdown([row]).splitlines()[-1], flush=True)
 
-    for name in [args.only] if args.only else groups:
+    for name in [] if args.redraw else [args.only] if args.only else groups:
         rows = study.run(groups[name](args.quick), {"micropolar": REFERENCE}, record=show)
         study.write_csv(rows, args.output / f"trust_{name}.csv")
         study.write_text(args.output / f"trust_{name}.md", markdown(rows))

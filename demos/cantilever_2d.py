@@ -85,9 +85,12 @@ def draw(solved, file):
 
     comm, curves = solved["a"][0].comm, {}
     figure, axes = plot.subplots(1, 3, figsize=plot.fitted(15, 4.6))
+    stresses = {case: problem.fields().stress[:, 0, 0] / 1e6 for case, (problem, _) in solved.items()}
+    most = comm.allreduce(max(np.abs(s).max(initial=0.0) for s in stresses.values()), MPI.MAX)
+    look = {"limits": (-most, most), "cmap": "coolwarm"}  # one scale for both
     for (case, (problem, path)), ax in zip(solved.items(), axes[:2], strict=True):
-        stress = problem.fields().stress[:, 0, 0] / 1e6
-        plot.plot_points(problem.points, stress, ax, label="horizontal normal stress (MPa)", cmap="coolwarm")
+        label = "normal stress $\\sigma_{xx}$ (MPa)"
+        plot.plot_points(problem.points, stresses[case], ax, label=label, **look)
         ax.set_title(f"({case}) bending length {material(case).engineering()['l_b']:g} m")
         ax.set(xlim=(-0.5, 10.5), ylim=(-7.2, 1.5))
         curves[f"({case})"] = (-path[:, 1], np.linspace(0, FORCE / 1e3, len(path)))

@@ -73,9 +73,11 @@ def solve(cells, args, folder):
     with (
         pm.Recorder(folder / f"column_{cells}.pvd", problem, fields=fields) as record,
         pm.Table(folder / f"column_{cells}.csv", settlement=settlement, work=problem.energies) as table,
+        demo.film(args, folder / f"column_{cells}.gif", problem, "hardening") as film,
     ):
         for step in steps():
             table.record(step)
+            film.record(step)
             if step.number % 5 == 0:
                 record(step)
             path.append((settlement(), WEIGHT * step.factor, yielding()))
@@ -95,6 +97,7 @@ def main(argv=None):
             "--cells": {"type": int, "nargs": "+", "default": [12, 24, 48], "help": "along the sides"},
             "--ghost": {"type": float, "default": 0.3, "help": "ghost penalty as a share of the moduli"},
             "--settlement": {"type": float, "default": SETTLEMENT, "help": "at which runs end (m)"},
+            **demo.MOVIE,
         },
     )
     folder = demo.output_folder(args, MPI.COMM_WORLD)

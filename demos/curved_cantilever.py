@@ -67,6 +67,7 @@ def main(argv=None):
         more={
             "--centre": {"type": float, "default": -100.0, "help": "y of the centre of curvature (m)"},
             "--bottom": {"type": float, "default": 0.0, "help": "lowest z of the section (m)"},
+            **demo.MOVIE,
         },
     )
     problem, tip = build(args)
@@ -76,9 +77,11 @@ def main(argv=None):
     with (
         pm.Recorder(folder / "arch.pvd", problem, fields=("displacement", "rotation"), grid=True) as record,
         pm.Table(folder / "arch.csv", tip=lambda: points.mean_displacement(tip)) as table,
+        demo.film(args, folder / "arch.gif", problem, "displacement", "z") as film,
     ):
         for step in problem.march(args.steps):
             record(step)
+            film.record(step)
             table.record(step)
             path.append(points.mean_displacement(tip))
     draw(problem, np.array(path), folder / "arch.png")

@@ -85,8 +85,11 @@ def solve(cell, args, folder):
     with (
         pm.Recorder(folder / f"{name}.pvd", problem, fields=("velocity", "hardening")) as record,
         pm.Table(folder / f"{name}.csv", front=lambda: front_of(problem), work=problem.energies) as table,
+        demo.film(args, folder / f"{name}.gif", problem, "velocity", length=(1e3, "mm")) as film,
     ):
         for step in problem.march(args.time, dt=args.dt, adaptive=True, smallest=1e-2):
+            if step.number % 5 == 0:
+                film.record(step)
             work = problem.energies()
             path.append((step.time, front_of(problem), work["kinetic"]))
             if step.number % 20 == 0:
@@ -130,6 +133,7 @@ def main(argv=None):
             "--aspect": {"type": float, "default": HEIGHT / WIDTH, "help": "height over width"},
             "--time": {"type": float, "default": 0.7, "help": "at which runs end at the latest (s)"},
             "--micropolar": {"action": "store_true", "help": "bars that turn"},
+            **demo.MOVIE,
         },
     )
     args.dt = args.time / args.steps

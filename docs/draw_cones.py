@@ -11,6 +11,7 @@ import numpy as np
 
 from polarmpm.materials.cones import CONES, cone_slopes, plane_friction
 from polarmpm.materials.pyramids import edge_numbers, lode_function
+from polarmpm.plot import PAGE, styled
 
 COLOURS = dict(zip(CONES, ("#D55E00", "#0072B2", "#009E73", "#CC79A7"), strict=True))  # Okabe-Ito
 PHI, PSI, CORNER = math.radians(30), 0.0, math.radians(25)
@@ -75,10 +76,10 @@ def plane_strength(axes):
     axes.grid(alpha=0.3)
 
 
+@styled()
 def main():
     """The figure."""
-    plt.rcParams.update({"font.size": 8, "axes.titlesize": 8, "lines.linewidth": 1.3})
-    figure, (left, right) = plt.subplots(1, 2, figsize=(6.7, 3.2))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(PAGE, 3.4), layout="none")
     deviatoric_plane(left)
     plane_strength(right)
     figure.legend(
@@ -90,7 +91,7 @@ def main():
         handlelength=1.6,
     )
     figure.subplots_adjust(left=0.01, right=0.98, top=0.92, bottom=0.24, wspace=0.12)
-    figure.savefig(Path(__file__).parent / "images" / "cones.png", dpi=200)
+    figure.savefig(Path(__file__).parent / "images" / "cones.png", dpi=220)
 
 
 if __name__ == "__main__":

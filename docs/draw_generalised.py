@@ -9,11 +9,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.patches import Polygon
 
+from polarmpm.plot import PAGE, styled
+
 BLUE, RED, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"  # Okabe-Ito
 FILL = "#DCE9F4"
 
 
-def arrow(axes, start, end, colour, width=1.6, style="-|>", **options):
+def arrow(axes, start, end, colour, width=1.2, style="-|>", **options):
     axes.annotate(
         "",
         end,
@@ -49,13 +51,13 @@ def microspace(axes):
         axes.plot(shift, 0, "o", color="black", markersize=6)
     arrow(axes, (-0.55, 0), (0.25, 0), GREY)
     axes.text(-0.15, 0.1, "F, H", ha="center", color=GREY)
-    axes.text(-1.25, -0.12, "point", ha="center", va="top", fontsize=8)
+    axes.text(-1.25, -0.12, "point", ha="center", va="top", fontsize=7)
     arrow(axes, (-1.75, -0.68), (-0.75, -0.68), GREY, 1.0, "<->")
     axes.text(-1.25, -0.76, "$l_1$", ha="center", va="top", color=GREY)
     arrow(axes, (-1.93, -0.5), (-1.93, 0.5), GREY, 1.0, "<->")
     axes.text(-1.99, 0, "$l_2$", ha="right", va="center", color=GREY)
     axes.text(
-        1.05, -0.66, "places at which\nthe energy is taken", ha="center", va="top", color=RED, fontsize=8
+        1.05, -0.66, "places at which\nthe energy is taken", ha="center", va="top", color=RED, fontsize=7
     )
     axes.set(xlim=(-2.35, 1.95), ylim=(-1.15, 1.05), title="A micro-space around a point")
 
@@ -84,7 +86,7 @@ def directors(axes):
         foot, top = mid(s) - 0.5 * d, mid(s) + 0.5 * d
         arrow(axes, foot, top, colour, 2.2)
         axes.plot(*mid(s), "o", color="black", markersize=4)
-        axes.text(*(top + np.array([-0.05, 0.05])), name, ha="center", va="bottom", color=colour, fontsize=9)
+        axes.text(*(top + np.array([-0.05, 0.05])), name, ha="center", va="bottom", color=colour, fontsize=7)
     axes.set(xlim=(-0.6, 3.9), ylim=(-0.75, 2.6), title="What a director does")
 
 
@@ -93,7 +95,7 @@ def double_stress(axes):
     block(axes, [(-1.5, -0.6), (0, -0.6), (0, 0.6), (-1.5, 0.6)])
     for y in (-0.4, 0, 0.4):
         arrow(axes, (0.02, y), (0.75, y), BLUE)
-    axes.text(0.4, 0.58, "traction\nworks on $u$", ha="center", va="bottom", color=BLUE, fontsize=9)
+    axes.text(0.4, 0.58, "traction\nworks on $u$", ha="center", va="bottom", color=BLUE, fontsize=7)
     for y in (-0.4, 0.0, 0.4):
         arrow(axes, (1.62, y), (2.15, y), RED)
         arrow(axes, (1.58, y), (1.05, y), RED)
@@ -105,9 +107,9 @@ def double_stress(axes):
         ha="center",
         va="bottom",
         color=RED,
-        fontsize=9,
+        fontsize=7,
     )
-    axes.text(1.6, -0.62, "pairs of forces\na length apart", ha="center", va="top", color=GREY, fontsize=8)
+    axes.text(1.6, -0.62, "pairs of forces\na length apart", ha="center", va="top", color=GREY, fontsize=7)
     axes.set(xlim=(-1.8, 2.5), ylim=(-1.2, 1.3), title="What a double stress is")
 
 
@@ -130,7 +132,7 @@ def symmetry(axes):
             ha="center",
             va="bottom",
             color=GREEN if smooth else RED,
-            fontsize=9,
+            fontsize=7,
         )
         axes.text(
             offset + 0.1,
@@ -138,11 +140,11 @@ def symmetry(axes):
             "as in the whole body" if smooth else "a kink, which a whole\nbody can't have",
             ha="center",
             va="top",
-            fontsize=8,
+            fontsize=7,
             color=GREY,
         )
-    axes.text(0.95, 0.68, "$u_t$", color=BLUE, fontsize=10)
-    axes.text(-0.55, 0.86, "image", color=BLUE, fontsize=8, ha="center")
+    axes.text(0.95, 0.68, "$u_t$", color=BLUE, fontsize=7)
+    axes.text(-0.55, 0.86, "image", color=BLUE, fontsize=7, ha="center")
     axes.set(xlim=(-1.3, 4.2), ylim=(-0.55, 1.5), title="A plane of symmetry needs the slope")
 
 
@@ -160,7 +162,7 @@ def size(axes):
     )
     axes.set_xticks([10, 20, 50, 100, 200], ["10", "20", "50", "100", "200"])
     axes.minorticks_off()
-    axes.legend(frameon=False, fontsize=8, loc="upper right")
+    axes.legend(frameon=False, fontsize=7, loc="lower left")
     axes.spines[["top", "right"]].set_visible(False)
 
 
@@ -172,14 +174,15 @@ def concentrations(axes):
         ((123.57, 103.24, 91.40, 73.79), "$l$ = 1 m", GREEN, "--"),
         ((94.91, 85.96, 80.09, 69.20), "$l$ = 4 m", BLUE, "-."),
     ):
-        axes.plot(r, values, style, marker="o", color=colour, label=label, ms=4)
+        axes.plot(r, values, style, marker="o", color=colour, label=label)
     axes.set(xlabel="radius (m)", ylabel="hoop stress (MPa)", title="Peaks are spread: hole of radius 2 m")
-    axes.legend(frameon=False, fontsize=8)
+    axes.legend(frameon=False, fontsize=7)
     axes.spines[["top", "right"]].set_visible(False)
 
 
+@styled()
 def main():
-    figure, axes = plt.subplots(2, 3, figsize=(13, 7), layout="constrained")
+    figure, axes = plt.subplots(3, 2, figsize=(PAGE, 7.2))
     sketches = (microspace, directors, double_stress, symmetry)
     for draw, place in zip((*sketches, size, concentrations), axes.flat, strict=True):
         draw(place)
@@ -188,7 +191,7 @@ def main():
             place.set_axis_off()
     for letter, place in zip("abcdef", axes.flat, strict=True):
         place.set_title(f"({letter})", loc="left", fontweight="bold")
-    figure.savefig(Path(__file__).parent / "images" / "generalised.png", dpi=130)
+    figure.savefig(Path(__file__).parent / "images" / "generalised.png", dpi=220)
 
 
 if __name__ == "__main__":

@@ -94,6 +94,26 @@ def test_a_stress_at_a_place():
     assert several[1] == pytest.approx(problem.points.mean_displacement(near), rel=0.05)
 
 
+def test_files_with_values_at_nodes(folder):
+    """A stress that is linear over the mesh is so at its nodes, too."""
+    problem = by_elements()
+    linear = pm.Field("linear", lambda p: 2.0 + p.X[:, 0] - 3 * p.X[:, 1])
+    with pm.Recorder(folder / "a.pvd", problem, fields=(linear, "stress", "material"), smooth=True):
+        pass
+    COMM.barrier()
+    if COMM.rank == 0:
+        import meshio
+
+        for file in (folder / "a").glob("*.vtu"):
+            piece = meshio.read(file)
+            expected = 2.0 + piece.points[:, 0] - 3 * piece.points[:, 1]
+            np.testing.assert_allclose(piece.point_data["linear"], expected, rtol=1e-10, atol=1e-10)
+            assert piece.point_data["stress"].shape == (len(expected), 9)
+            assert set(piece.cell_data) == {"material"}
+    with pytest.raises(pm.InputError, match="smooth = True"):
+        pm.Recorder(folder / "b.pvd", by_points(), smooth=True)
+
+
 # probes ---------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("make", [by_points, by_elements])
 def test_a_probe_follows_a_place_into_the_table(folder, make):

@@ -35,7 +35,10 @@ CASES = {
         ["--cell", "0.5", "--steps", "4", "--moment", "4e6"],
         ["shaft.pvd", "shaft.csv", "shaft.png"],
     ),
-    "curved_cantilever": (["--cell", "2"], ["arch.pvd", "arch_grid.pvd", "arch.csv", "arch.png"]),
+    "curved_cantilever": (
+        ["--cell", "2"],
+        ["arch.pvd", "arch_grid.pvd", "arch.csv", "arch.png", "arch.pdf"],
+    ),
     "curved_cantilever_fem": ([], ["arch.pvd", "arch.csv", "arch.png"]),
 }
 ELEMENTS = {"curved_cantilever_fem"}  # demos with finite elements

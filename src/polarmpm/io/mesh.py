@@ -24,13 +24,22 @@ _CORNERS = {"triangle": 3, "quadrilateral": 4, "tetrahedron": 4, "hexahedron": 8
 NODAL = ("displacement", "rotation")
 
 
-def mesh_piece(elements: Elements, names: Sequence[str], at_points: dict[str, np.ndarray]) -> dict[str, Any]:
+OF_CELLS = ("id", "material", "volume")  # which have no values at nodes
+
+
+def mesh_piece(
+    elements: Elements,
+    names: Sequence[str],
+    at_points: dict[str, np.ndarray],
+    at_nodes: dict[str, np.ndarray],
+) -> dict[str, Any]:
     """This rank's own cells, undeformed, with nodal fields and cells' means, for `Collection.add`. Cells of
     degree 3 are those of degree 1: through their corners.
 
     Args:
         names: of all fields.
         at_points: values at the quadrature points (np, ...) of the fields that aren't nodal.
+        at_nodes: values at the local nodes (nodes, ...) of fields that are to be so.
     """
     own, cell = elements.live_nodes, elements.body.cell
     degree = elements.degree if elements.degree < 3 else 1
@@ -42,6 +51,7 @@ def mesh_piece(elements: Elements, names: Sequence[str], at_points: dict[str, np
         nodal["displacement"] = padded(elements.displacement[nodes])
     if "rotation" in names:
         nodal["rotation"] = elements.rotation_vector[nodes]
+    nodal |= {name: a[nodes] for name, a in at_nodes.items()}
     return {
         "x": elements.nodes.position[nodes],
         "cells": cells.reshape(own.shape),

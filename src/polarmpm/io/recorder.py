@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..bodies.recovery import Stencil, stencil
 from ..errors import InputError
 from ..geometry.cells import corner_numbers, occupied_cells
 from ..problems.base import Problem
@@ -18,7 +19,7 @@ from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import values_by_number
 from .fields import AnyField, choose, field_arrays
-from .mesh import NODAL, mesh_piece
+from .mesh import NODAL, OF_CELLS, mesh_piece
 from .paraview import Collection, box_corners, mark_of, padded
 
 _NOWHERE = 1e30  # m: the gap of a site that faces nothing
@@ -63,6 +64,8 @@ class Recorder:
         domains: show a point as the box of its current GIMPM domain, with the fields on cells; False as
             a vertex, with the fields on points. Of finite elements, False shows the quadrature points at
             their current positions.
+        smooth: of finite elements, fields at the nodes instead of cells' means: fitted to the quadrature
+            points around them, see `problem.recover`.
         initial: write the present state on entering the `with` statement, unless a collection is gone on with
             that has it.
 
@@ -84,6 +87,7 @@ class Recorder:
         grid: bool = False,
         contact: bool = False,
         domains: bool = True,
+        smooth: bool = False,
         initial: bool = True,
     ):
         checks.instance("problem", problem, Problem, "a QuasiStatic or QuasiStaticFEM is")
@@ -91,6 +95,10 @@ class Recorder:
         self.initial, grid = checks.flag("initial", initial), checks.flag("grid", grid)
         self.fields = choose(fields, problem.points)
         self._meshed = isinstance(problem, QuasiStaticFEM)
+        self.smooth = checks.flag("smooth", smooth)
+        self._around: Stencil | None = None
+        if smooth and not (self._meshed and self.domains):
+            raise InputError("smooth = True: of finite elements with domains=True; points have no nodes")
         if grid and self._meshed:
             raise InputError("grid = True: finite elements have no background grid")
         file = checks.path("path", path, "the name of a .pvd file")
@@ -148,7 +156,9 @@ class Recorder:
     def _record_points(self, number: int, time: float) -> None:
         if self._meshed and self.domains:
             at_points = field_arrays(self.problem, [f for f in self.fields if f.name not in NODAL])
-            piece = mesh_piece(self.problem.elements, [f.name for f in self.fields], at_points)
+            at_nodes = self._smoothed(at_points) if self.smooth else {}
+            names = [f.name for f in self.fields]
+            piece = mesh_piece(self.problem.elements, names, at_points, at_nodes)
             self._points.add(number, time, **piece, **self._of_step(number))
             return
         points, data = self.problem.points, field_arrays(self.problem, self.fields)
@@ -160,6 +170,13 @@ class Recorder:
         else:
             vertices = np.arange(len(points))[:, None]
             self._points.add(number, time, points.x, vertices, point_data=data, **self._of_step(number))
+
+    def _smoothed(self, at_points: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Take fields out of those at the points, and give their values at the local nodes. Collective."""
+        points, names = self.problem.points, [name for name in at_points if name not in OF_CELLS]
+        if self._around is None:
+            self._around = stencil(points, self.problem.elements.nodes.position)
+        return {name: self._around.apply(points, at_points.pop(name)) for name in names}
 
     def _record_contact(self, collection: Collection, number: int, time: float) -> None:
         """All ranks know all sites; each writes some of them."""

@@ -75,7 +75,7 @@ def colour_bar(ax: Any, mappable: Any, label: str, dim: int) -> None:
         bar = ax.figure.colorbar(mappable, cax=place, label=label)
     bar.outline.set_visible(False)
     along = bar.ax.xaxis if bar.orientation == "horizontal" else bar.ax.yaxis
-    along.set_major_locator(MaxNLocator(6))
+    along.set_major_locator(MaxNLocator(4 if bar.orientation == "horizontal" else 6))
     numbers = ScalarFormatter(useMathText=True)
     numbers.set_powerlimits((-3, 4))  # 12 x 10^4 rather than 120000, which would run into its neighbour
     along.set_major_formatter(numbers)
@@ -141,6 +141,7 @@ def solid_undeformed(ax: Any, polygons: np.ndarray, outward: np.ndarray, view: t
     seen = outward @ _camera(view) > 0
     body = Poly3DCollection(polygons[seen], facecolor=to_rgba(GREY, 0.25), edgecolor="none")
     body.set_antialiased(False)  # no hairlines between neighbours
+    body.set_rasterized(len(polygons) > _MANY)
     ax.add_collection3d(body)
 
 
@@ -151,7 +152,9 @@ def solid_faces(ax: Any, polygons: np.ndarray, colour: np.ndarray, edges: bool =
     colour = colour.copy()
     colour[:, :3] *= _brightness(polygons)[:, None]
     line = colour * [0.5, 0.5, 0.5, 1.0] if edges else colour
-    ax.add_collection3d(Poly3DCollection(polygons, facecolor=colour, edgecolor=line, linewidth=0.2))
+    body = Poly3DCollection(polygons, facecolor=colour, edgecolor=line, linewidth=0.2)
+    body.set_rasterized(len(polygons) > _MANY)
+    ax.add_collection3d(body)
 
 
 def _camera(view: tuple[float, float]) -> np.ndarray:

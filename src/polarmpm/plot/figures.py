@@ -261,7 +261,8 @@ def load_displacement(
         ax = ax or drawing.new_axes(None)
         marks = "osD^v<>"
         for k, (name, (x, y)) in enumerate(curves.items()):
-            ax.plot(x, y, "-", marker=marks[k % len(marks)], label=name)
+            every = max(1, len(x) // 16)  # of many points a mark each would hide the line
+            ax.plot(x, y, "-", marker=marks[k % len(marks)], markevery=every, label=name)
         for k, (name, (x, y)) in enumerate(reference.items()):
             # the marks go around once more, so that they differ from those of the lines
             style = {"marker": "x+*1234"[k % 7], "markersize": 5, "markeredgewidth": 1.0}

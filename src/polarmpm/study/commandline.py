@@ -17,8 +17,10 @@ import numpy as np
 
 from .. import __version__
 from ..io.files import check_output, not_written, replace_file
+from ..plot.movies import Movie, movie
 from ..problems.base import Problem
 from ..problems.elements import QuasiStaticFEM
+from ..solvers.stepping import Step
 from ..tools import checks
 from ..tools.parallel import raise_on_all_ranks
 
@@ -73,6 +75,28 @@ def scene_arguments(
 ) -> argparse.Namespace:
     """As `arguments`, of a demo of several scenes, which has no options but its own."""
     return _parse(_parser(description), output, more, argv)
+
+
+# an option of demos that can show how a run goes, see `film`
+MOVIE: dict[str, dict[str, Any]] = {"--movie": {"action": "store_true", "help": "write a movie, too (.gif)"}}
+
+
+class _NoFilm:
+    """Records nothing."""
+
+    def __enter__(self) -> _NoFilm:
+        return self
+
+    def __exit__(self, *error: object) -> None: ...
+
+    def record(self, step: Step | None = None) -> None: ...
+
+
+def film(
+    args: argparse.Namespace, path: Path, problem: Problem, *shown: Any, **options: Any
+) -> Movie | _NoFilm:
+    """The movie of a demo, as of `plot.movie`, if `--movie` asks for one; else what records nothing."""
+    return movie(path, problem, *shown, **options) if args.movie else _NoFilm()
 
 
 def count(text: str) -> int:

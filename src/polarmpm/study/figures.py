@@ -10,16 +10,18 @@ import numpy as np
 
 from ..plot import figures as plot
 from ..plot.options import check_axes
+from ..plot.style import COLUMN, PAGE
 from ..tools import checks
 from .discretisations import PHASES, Row
 from .tables import check_name, check_rows, digits, error_names, methods
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")
 _MARKERS = "osD^vP<>"
-_PHASE_COLOURS = ("#4c78a8", "#e45756", "#f58518", "#72b7b2", "#54a24b", "#b279a2", "#9d755d", "#bab0ac")
+_PHASE_COLOURS = ("#0072B2", "#D55E00", "#E69F00", "#56B4E9", "#009E73", "#CC79A7", "#999999", "#DDDDDD")
 _AXES = {"h": "cell size (m)", "cpu_s": "CPU time of the load steps (s)"}
 
 
+@plot.styled()
 def errors(
     rows: Sequence[Row],
     name: str,
@@ -53,19 +55,19 @@ def errors(
     slopes = [checks.whole("slopes", order) for order in slopes]
     check_axes(ax, solid=False)
     if ax is None:
-        _, ax = plot.subplots(figsize=(6.5, 4.6))
+        _, ax = plot.subplots()
     every = methods([*rows, *published])
     for method in every:
         k = every.index(method)
         # marks get smaller, so that those of a line that is covered by a later one can still be seen
         style: dict[str, Any] = {"color": _COLOURS[k % len(_COLOURS)], "marker": _MARKERS[k % len(_MARKERS)]}
-        style["markersize"] = max(4.0, 8.0 - k)
+        style["markersize"] = max(2.0, 5.0 - 0.6 * k)
         line = _line(rows, method, name, over)
         if len(line):
-            ax.loglog(*line.T, "-", lw=1.5, label=method, **style)
+            ax.loglog(*line.T, "-", label=method, **style)
         line = _line(published, method, name, over)
         if len(line):
-            open_ = {"markerfacecolor": "none", "markeredgewidth": 1.3, "ls": ":", "lw": 0.8}
+            open_ = {"markerfacecolor": "none", "markeredgewidth": 0.9, "ls": ":", "lw": 0.8}
             ax.loglog(*line.T, **(style | open_), label=f"{method}, published")
     if slopes:
         _draw_slopes(ax, rows, name, slopes)
@@ -73,12 +75,12 @@ def errors(
     _label_ticks(ax.yaxis, ax.get_ylim())
     ax.set_xlabel(_AXES[over])
     ax.set_ylabel(f"error, {name}" + (f" ({unit})" if unit else ""))
-    ax.grid(True, which="major", color="0.88", linewidth=0.8)
+    ax.grid(True, which="major", color="0.88", linewidth=0.6)
     ax.set_axisbelow(True)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
     if legend:
-        ax.legend(frameon=False, fontsize=8)
+        ax.legend(frameon=False)
     return ax
 
 
@@ -105,6 +107,7 @@ def _draw_slopes(ax: Any, rows: Sequence[Row], name: str, slopes: Sequence[int])
         ax.loglog(h, most * (h / h[-1]) ** order, color="0.55", ls=style, lw=1, label=f"order {order}")
 
 
+@plot.styled()
 def save_errors(
     rows: Sequence[Row],
     path: str | os.PathLike[str],
@@ -118,7 +121,9 @@ def save_errors(
     names = error_names(rows)
     columns = min(2, max(1, len(names)))
     lines = max(1, -(-len(names) // columns))
-    figure, axes = plot.subplots(lines, columns, figsize=(5.4 * columns, 4.0 * lines + 0.6), squeeze=False)
+    figure, axes = plot.subplots(
+        lines, columns, figsize=(PAGE if columns > 1 else COLUMN, 2.7 * lines + 0.3), squeeze=False
+    )
     for ax, name in zip(axes.flat, names, strict=False):
         errors(rows, name, ax, over=over, unit=unit, published=published, slopes=slopes, legend=False)
     for ax in axes.flat[len(names) :]:
@@ -127,16 +132,17 @@ def save_errors(
     if handles:
         # below the panels: `plot.figures.save` makes room for it
         where = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0)}
-        figure.legend(handles, labels, ncol=min(3, len(labels)), frameon=False, fontsize=9, **where)
+        figure.legend(handles, labels, ncol=min(3, len(labels)), frameon=False, **where)
     plot.save(figure, path)
 
 
+@plot.styled()
 def phases(rows: Sequence[Row], ax: Any = None) -> Any:
     """Draw the phases' shares in each discretisation's CPU time as stacked bars, the kernel's hatched."""
     rows = [r for r in check_rows("rows", rows) if r.phases and r.cpu_s]
     check_axes(ax, solid=False)
     if ax is None:
-        _, ax = plot.subplots(figsize=(8.0, 0.9 + 0.27 * len(rows)))
+        _, ax = plot.subplots(figsize=(PAGE, 0.7 + 0.17 * len(rows)))
     total = np.array([r.cpu_s for r in rows], dtype=float)
     at, left = np.arange(len(rows)), np.zeros(len(rows))
     for phase, colour in zip(PHASES, _PHASE_COLOURS, strict=True):
@@ -147,11 +153,11 @@ def phases(rows: Sequence[Row], ax: Any = None) -> Any:
             ax.barh(at, kernel, color="none", edgecolor="white", hatch="////", lw=0, height=0.8)
             ax.barh(0, 0, color=colour, edgecolor="white", hatch="////", label="kernel, part of it")
         left += share
-    ax.set_yticks(at, [f"{r.method}, {r.label}   {digits(r.cpu_s, 3)} s" for r in rows], fontsize=8)
+    ax.set_yticks(at, [f"{r.method}, {r.label}   {digits(r.cpu_s, 3)} s" for r in rows])
     ax.set_ylim(len(rows) - 0.5, -0.5)
     ax.set_xlim(0, 100)
     ax.set_xlabel("share of the CPU time (%)")
-    ax.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    ax.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
     return ax
