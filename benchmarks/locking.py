@@ -1,12 +1,14 @@
 """What the cure of locking is held to: bars, what is found, and whether it holds; a table and a JSON file.
 
-    python benchmarks/locking.py [--only cook resets thin coupled space footing micropolar] [--json FILE]
+    python benchmarks/locking.py [--only cook resets thin coupled space footing micropolar costs]
+                                 [--json FILE]
 
 Scenes without a known limit are compared with fine cured elements of degree 2.
 """
 
 import argparse
 import json
+import time
 import warnings
 from pathlib import Path
 
@@ -148,6 +150,59 @@ def micropolar_bars():
     return rows
 
 
+def ratio(*problems):
+    """CPU seconds of an iteration with its tangent and solution, the first problem's over the second's; the
+    least of several, that take turns."""
+    found = []
+    for _ in range(30):
+        for system in (problem.system_at(0.1) for problem in problems):
+            before = time.process_time()
+            system.evaluate(True)
+            system.update(True)
+            found.append(time.process_time() - before)
+            system.x = np.zeros_like(system.x)
+            system.before = system.x
+    return min(found[::2]) / min(found[1::2])
+
+
+def block(dim, basis, material, locking, cells):
+    """A cube or square that is pulled at its upper face."""
+    if basis in BASES:
+        grid = pm.Grid.box((0,) * dim, (1,) * dim, 1 / cells)
+        points = pm.seed(grid, material=material, points_per_cell=3 if dim == 2 else 2)
+        problem = pm.QuasiStatic(grid, points, basis=basis, reset=None, locking=locking, boxes=False)
+    else:
+        made = dmesh.create_rectangle if dim == 2 else dmesh.create_box
+        body = made(MPI.COMM_WORLD, [np.zeros(dim), np.ones(dim)], (cells,) * dim, ELEMENTS[dim])
+        elements = pm.Elements(body, material=material, degree=int(basis[-1]))
+        problem = pm.QuasiStaticFEM(elements, locking=locking)
+    problem.fix(pm.plane(y=0.0), u=0)
+    problem.body_load(force=(0.0, 1.0, 0.0)[:dim])
+    return problem
+
+
+def cost_bars():
+    """CPU time of an iteration, cured over not cured; and of scenes that need no cure, "auto" over None."""
+    rows, near, far = [], *(pm.NeoHookean.from_engineering(E=1e3, nu=nu) for nu in (0.4999, 0.3))
+    limits = {
+        "mpm": (1.4, 2.0),
+        "gimpm": (2.5, 2.5),
+        "bspline": (1.4, 2.5),
+        "fem1": (1.4, 2.0),
+        "fem2": (1.4, 2.0),
+    }
+    for dim, cells in ((2, 48), (3, 8)):
+        for basis, high in limits.items():
+            number = cells // 2 if basis == "fem2" else cells
+            for name, material, one, most in (
+                ("cured over not cured", near, "always", high[dim - 2]),
+                ("auto over None, nothing to cure", far, "auto", 1.02),
+            ):
+                found = ratio(*(block(dim, basis, material, locking, number) for locking in (one, None)))
+                rows.append(bar(f"cost, {dim}-D, {basis}: {name}", found, 0.0, most))
+    return rows
+
+
 GROUPS = {
     "cook": cook_bars,
     "resets": reset_bars,
@@ -156,6 +211,7 @@ GROUPS = {
     "space": space_bars,
     "footing": footing_bars,
     "micropolar": micropolar_bars,
+    "costs": cost_bars,
 }
 
 

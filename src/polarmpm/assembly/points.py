@@ -76,7 +76,10 @@ class PointSystem(OnPattern, LoadedPoints):
             self._dispose = dispose_with(self, self.comm, self.solver.destroy)
         self._few = interpolation.points.total < self.nodes.total
         # flow and projection change the energy in boxes from step to step: no restart could repeat its sums
-        self._keeps_boxes = not plastic and not any(form.scalars for form in interpolation.forms)
+        projects = any(form.scalars for form in interpolation.forms)
+        self._keeps_boxes = not plastic and not projects
+        # nearly incompressible bodies take an iteration more with boxes of the one before
+        self._fresh_boxes = projects and not plastic
 
     def _hold_unreached(self) -> None:
         """Nodes that nothing reaches any more, as those of a term that has been released in empty space, stay
@@ -186,7 +189,7 @@ class PointSystem(OnPattern, LoadedPoints):
 
     def _renews(self, tangents: int) -> bool:
         """Whether such a tangent of a step has the boxes' part summed anew."""
-        return tangents > 2 or (tangents == 1 and not self._keeps_boxes)
+        return tangents > 2 or self._fresh_boxes or (tangents == 1 and not self._keeps_boxes)
 
     def waits(self) -> bool:
         return self._boxes is not None and self._keeps_boxes and self._renews(self.step.tangents + 1)
