@@ -151,8 +151,8 @@ def micropolar_bars():
 
 
 def ratio(*problems):
-    """CPU seconds of an iteration with its tangent and solution, the first problem's over the second's: of each
-    the least of several, that take turns."""
+    """CPU seconds of an iteration with its tangent and solution, the first problem's over the second's; the
+    least of several, that take turns."""
     found = []
     for _ in range(30):
         for system in (problem.system_at(0.1) for problem in problems):

@@ -30,6 +30,7 @@ CASES = [
     ("quadrilateral", 1, MICROPOLAR),
     ("hexahedron", 1, NEO_HOOKEAN),
     ("quadrilateral", 1, plasticity.cylinder(plasticity.HENCKY)),
+    ("hexahedron", 1, plasticity.cylinder()),
 ]
 
 
@@ -108,6 +109,46 @@ def test_a_turned_body_is_the_same_body(degree, material, strict):
         found.append((body.displacement @ q, q.T @ F @ q, problem.energy()))
     for one, other in zip(*found, strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-10 * np.abs(other).max())
+
+
+def test_a_turned_plastic_body_in_space_is_the_same_body(strict):
+    """Micropolar: relative rotations are averaged in one frame, whatever the points' own."""
+    turn, found = rotation(np.array([0.7, -0.4, 1.0])), []
+    for q in (np.eye(3), turn):
+        mesh = box("hexahedron", (3, 1, 1), (3.0, 1.0, 1.0), distort=0.05)
+        mesh.geometry.x[:] = mesh.geometry.x @ q.T
+        body = pm.Elements(mesh, material=plasticity.cylinder(H=50.0))
+        problem = pm.QuasiStaticFEM(body, controls=strict)
+        assert problem.forms.parts[0].form.scalars == 4
+        problem.fix(body.facets(lambda x, q=q: (x @ q)[:, 0] < 0.3), u=0, theta=0)
+        problem.load(
+            body.facets(lambda x, q=q: (x @ q)[:, 0] > 2.7),
+            force=tuple(plasticity.K * q @ np.array([1.0, 0.05, -0.1])),
+        )
+        list(problem.march(3, progress=False))
+        assert COMM.allreduce(float((problem.points.hardening > 0).sum())) > 0
+        found.append((body.displacement @ q, q.T @ problem.points.F @ q, problem.energy()))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * np.abs(other).max())
+
+
+def test_a_micropolar_footing_in_space_is_that_of_the_plane():
+    """A slice of a strip footing on von Mises soil, l = b / 50: uncured it carries four times as much."""
+    loads = []
+    for dim in (2, 3):
+        elastic = pm.MicropolarElastic.bounded_stiffness(lam=5.77e3, mu=3.85e3, kappa=3.85e3, l_b=0.02)
+        soil = pm.VonMises(elastic, k=np.sqrt(3.0), l_p=0.02)
+        mesh = box(("quadrilateral", "hexahedron")[dim - 2], (6, 3, 1)[:dim], (3.0, 1.5, 0.5)[:dim])
+        problem = pm.QuasiStaticFEM(pm.Elements(mesh, material=soil))
+        for x in (0.0, 3.0):
+            problem.fix(pm.plane(x=x), ux=0)
+        problem.fix(pm.plane(y=0.0), u=0)
+        if dim == 3:
+            problem.fix(lambda x: np.ones(len(x), bool), uz=0, theta_x=0, theta_y=0)
+        held = problem.fix(lambda x: (x[:, 0] < 1 + 1e-6) & (x[:, 1] > 1.5 - 1e-6), ux=0, uy=-0.02)
+        list(problem.march(5, progress=False))
+        loads.append(-problem.reaction(held).force[1] / (0.5 if dim == 3 else 1.0))
+    assert loads[1] == pytest.approx(loads[0], rel=0.02)
 
 
 def test_auto_leaves_bodies_alone_that_do_not_lock():

@@ -185,7 +185,8 @@ class Interpolation:
             radii = np.stack([p.X[b.rows, 0], r.x[b.rows, 0]], axis=1)
             state = b.form.pack(r.F[b.rows], r.q[b.rows], r.wryness[b.rows], plastic, second, radii)
             if isinstance(b.form, ProjectedForm):
-                state = b.form.extend(state, r.stiff_scalars[b.rows])
+                base = b.form.in_frame(r.stiff_scalars[b.rows], r.q[b.rows])
+                state = b.form.extend(state, base)
             native.fill(b.batch, state=np.ascontiguousarray(state), param=parameter_values(b.form.material))
         for boxes in self.boxes or ():
             boxes.pack(r)

@@ -45,6 +45,17 @@ class Mean:
         both = None if self.both is None else self.both[:, :, first:end]
         return Mean(self.at_points[:, first:end], even, odd, both)
 
+    def turned(self, turn: np.ndarray | None, nz: int) -> Mean:
+        """The same of turned scalars s' = turn s (turn (n, m, m); None: they stay): columns are those of m
+        scalars, of their m nz derivatives by z and, where there are more, of m m second ones."""
+        if turn is None:
+            return self
+        parts = (
+            None if a is None else _turned(turn, a, nz)
+            for a in (self.at_points, self.even, self.odd, self.both)
+        )
+        return Mean(*parts)  # type: ignore[arg-type]
+
     @property
     def whole(self) -> np.ndarray:
         """Points and boxes (n, k)."""
@@ -106,6 +117,7 @@ class StiffScalars:
         self._zk: np.ndarray | None = None
         self._both: np.ndarray | None = None
         self._value_slots: list[int] = []
+        self._turns: tuple[np.ndarray, np.ndarray] | None = None  # of these microrotations
 
     # at the points --------------------------------------------------------------------------------
     @property
@@ -115,17 +127,29 @@ class StiffScalars:
 
     def _put(self, which: int, values: np.ndarray) -> None:
         """Put t (0) or pi (1) into the state."""
-        m = self.form.scalars
+        m, turn = self.form.scalars, self._turn
         first = self.form.state_size + which * m
-        self._state[:, first : first + m] = values
+        self._state[:, first : first + m] = values if turn is None else np.einsum("pij,pi->pj", turn, values)
+
+    @property
+    def _turn(self) -> np.ndarray | None:
+        """What takes the points' scalars into the frame in which they are averaged; None: they are in it."""
+        if not self.form.turned:
+            return None
+        q = self._interpolation.reference.q  # arrays of the state are replaced, never written to
+        if self._turns is None or self._turns[0] is not q:
+            self._turns = q, self.form.frames(q[self._batch.rows])
+        return self._turns[1]
 
     def _inputs(self, z: np.ndarray) -> tuple[np.ndarray, ...]:
         return z, self._state, self._parameters
 
     def _mean(self, kernel: Kernel, boxes: PointBoxes | None) -> Mean:
+        nz = self.form.layout.unknowns
         if boxes is None or self._zk is None:
-            return Mean(kernel(*self._inputs(self._z)))
-        return Mean(*boxes.means(kernel, self._z, self._zk, self._both, boxes.share / 6.0))
+            return Mean(kernel(*self._inputs(self._z))).turned(self._turn, nz)
+        mean = Mean(*boxes.means(kernel, self._z, self._zk, self._both, boxes.share / 6.0))
+        return mean.turned(self._turn, nz)
 
     def place(self, x: np.ndarray, boxes: PointBoxes | None) -> Mean:
         """Put t at nodal values x (nodes, block) into the state; e and e_z at the points."""
@@ -179,7 +203,7 @@ class StiffScalars:
         )
         zt = Mean(tz.at_points, tz.even, tz.odd, tz.both)
         if yielding is not None and len(yielding.rows):
-            _put_yielding(yielding, (by_t, tz, zt, tt), nz, m, tangent=tangent)
+            _put_yielding(yielding, (by_t, tz, zt, tt), nz, self._turn, tangent=tangent)
         exact = self.patches.moments(by_t.whole)
         b = self._vectors(measure.columns(m, m + m * nz), kernels)
         taken = exact
@@ -203,6 +227,8 @@ class StiffScalars:
         m, nz, k = self.form.scalars, self.form.layout.unknowns, len(y.rows)
         first = self.form.state_size + m
         pi = self._state[y.rows, first : first + m]
+        if self._turn is not None:
+            pi = np.einsum("pij,pj->pi", self._turn[y.rows], pi)
         of_e = measure.at_points[y.rows, m:].reshape(k, m, nz)
         residual = y.returned[:, :nz] + np.einsum("km,kmz->kz", pi, of_e)
         if not tangent:
@@ -247,19 +273,40 @@ class StiffScalars:
         """e (n, scalars) at the points at nodal values x (nodes, block)."""
         z = self._interpolation.kernel_inputs(self._batch, x)[:, : self.form.layout.unknowns].copy()
         found: np.ndarray = self.kernels.measure(*self._inputs(z))[:, : self.form.scalars]
-        return found
+        return found if self._turn is None else np.einsum("pij,pj->pi", self._turn, found)
+
+
+def _turned(turn: np.ndarray, a: np.ndarray, nz: int) -> np.ndarray:
+    """Columns of `Mean.turned`, in the last axis of an array (n, ..., k)."""
+    n, m = turn.shape[:2]
+    columns = a.reshape(n, int(np.prod(a.shape[1:-1], dtype=int)), a.shape[-1])
+    ends, out = np.cumsum([m, m * nz, m * m]), []
+    for part, width in zip(np.split(columns, ends[:2], axis=2), (1, nz, m), strict=True):
+        of_scalars = part.reshape(n, part.shape[1], part.shape[2] // width, width)
+        if of_scalars.shape[2]:
+            of_scalars = np.einsum("pij,pajw->paiw", turn, of_scalars)
+            if width == m:
+                of_scalars = np.einsum("pajw,pvw->pajv", of_scalars, turn)
+        out.append(of_scalars.reshape(part.shape))
+    found: np.ndarray = np.concatenate(out, axis=2).reshape(a.shape)
+    return found
 
 
 def _put_yielding(
-    y: Yielding, means: tuple[Mean, Mean, Mean, Mean], nz: int, m: int, *, tangent: bool
+    y: Yielding, means: tuple[Mean, Mean, Mean, Mean], nz: int, turn: np.ndarray | None, *, tangent: bool
 ) -> None:
     """Put what the return mapping gives at the points that yield in the place of L_t, L_tz, L_zt and L_tt."""
     by_t, tz, zt, tt = means
-    rows, n = y.rows, nz + m
+    rows, n = y.rows, nz + by_t.at_points.shape[1]
     by_t.at_points = by_t.at_points.copy()
-    by_t.at_points[rows] = y.returned[:, nz:n]
+    of_t = y.returned[:, nz:n]
+    by_t.at_points[rows] = of_t if turn is None else np.einsum("pij,pj->pi", turn[rows], of_t)
     if tangent:
         moduli = y.returned[:, n:].reshape(len(rows), n, n)
+        if turn is not None:
+            moduli = moduli.copy()
+            moduli[:, nz:] = turn[rows] @ moduli[:, nz:]
+            moduli[:, :, nz:] = moduli[:, :, nz:] @ np.swapaxes(turn[rows], 1, 2)
         zt.at_points, tz.at_points, tt.at_points = (a.at_points.copy() for a in (tz, tz, tt))
         zt.at_points[rows] = flat(np.swapaxes(moduli[:, :nz, nz:], 1, 2))
         tz.at_points[rows] = flat(moduli[:, nz:, :nz])

@@ -136,6 +136,12 @@ class PlasticForm(PointForm):
         now = motion(self.layout, self.z, self.state, rotated=self.material.isotropic)
         return now.F, now.Q, now.wryness
 
+    @property
+    def _stretch(self) -> Any:
+        """Q^T F."""
+        f, q, _ = self._motion
+        return ufl.dot(ufl.transpose(q), f)
+
     @cached_property
     def _trial(self) -> tuple[Any, Any]:
         """Ue (Fe of a classical material) and Ge if nothing flowed, T (4.42)-(4.44)."""
@@ -217,8 +223,7 @@ class PlasticForm(PointForm):
         total = ufl.dot(b, ufl.transpose(ufl.dot(ufl.inv(f), state.Fe)))
         if q is None:
             return ufl.inner(total, ufl.derivative(f, self.z, test))
-        strain = ufl.dot(ufl.transpose(q), f)
-        work = ufl.inner(total, ufl.derivative(strain, self.z, test))
+        work = ufl.inner(total, ufl.derivative(self._stretch, self.z, test))
         return work + ufl.inner(s, ufl.derivative(wryness, self.z, test))
 
     def local_problem(self, region: Region) -> LocalProblem:

@@ -30,6 +30,7 @@ from ..kernels.codegen import Scalariser
 from ..kernels.csource import write_c
 from ..kernels.kernel import Kernel, compile_expressions, generator_version
 from ..kinematics import projected as proj
+from ..kinematics import rotations
 from ..kinematics import tensors as kin
 from ..kinematics.motion import Moved
 from ..materials.base import Material
@@ -67,8 +68,7 @@ class ProjectedForm(PointForm):
     """Form of an elastic material whose stiff scalars are projected.
 
     Args:
-        rotation: the relative rotation is projected, too; of a micropolar material, where there is a measure
-            of it: in the plane, and in space of those that measure "trace".
+        rotation: the relative rotation is projected, too; of a micropolar material.
         stabilisation: s (Pa), with which the points' own volumes are held to the projected ones.
 
     Attributes:
@@ -84,8 +84,7 @@ class ProjectedForm(PointForm):
         rotation: bool = False,
         stabilisation: float = 0.0,
     ):
-        turning = rotation and material.micropolar and (dim == 2 or material.measure == "trace")
-        self.turns = (1 if dim == 2 else 3) if turning else 0
+        self.turns = (1 if dim == 2 else 3) if rotation and material.micropolar else 0
         self.scalars = 1 + self.turns
         self.stabilisation = stabilisation
         self._kernels: ScalarKernels | None = None
@@ -106,8 +105,14 @@ class ProjectedForm(PointForm):
 
     @property
     def rotated(self) -> bool:
-        """In space relative rotations of several points have to be in one frame, the unrotated body's."""
-        return super().rotated and self.turns < 3
+        # `turned` takes products of the points' scalars, of which elastic materials can do without
+        return super().rotated and (self.turns < 3 or self.material.measure == "log")
+
+    @property
+    def turned(self) -> bool:
+        """The relative rotations of a point, in space, are vectors in its rotated frame; those that are
+        averaged have to be in one frame, the unrotated body's."""
+        return self.rotated and self.turns == 3
 
     @property
     def packed_size(self) -> int:
@@ -132,6 +137,19 @@ class ProjectedForm(PointForm):
         """States (n, packed_size) of packed ones and `base` (n, scalars or more); t and pi are zero."""
         n, m = len(state), self.scalars
         return np.hstack([state, np.zeros((n, 2 * m)), base[:, :m], np.full((n, 1), self.stabilisation)])
+
+    def frames(self, q: np.ndarray) -> np.ndarray:
+        """What takes scalars of points from their frames into the unrotated one, (n, scalars, scalars), of
+        microrotations (n, 4) of the state."""
+        turns = np.tile(np.eye(self.scalars), (len(q), 1, 1))
+        if self.turned:
+            turns[:, 1:, 1:] = np.swapaxes(rotations.to_tensor(q), 1, 2)
+        return turns
+
+    def in_frame(self, values: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Scalars (n, scalars) in the points' frames, of ones (n, scalars or more) in the unrotated frame."""
+        values = values[:, : self.scalars]
+        return np.einsum("pij,pi->pj", self.frames(q), values) if self.turned else values
 
     # kinematics -----------------------------------------------------------------------------------
     @property
@@ -164,8 +182,11 @@ class ProjectedForm(PointForm):
             found += [a[i] - b[i] for i in range(3 - self.turns, 3)]
         else:
             found = [ufl.ln(ufl.det(now.F) / ufl.det(F))]
-            if self.turns:
+            if self.turns == 1:
                 found.append(proj.relative_rotation(now.stretch) - proj.relative_rotation(U))
+            elif self.turns:
+                a, b = proj.axial(now.stretch), proj.axial(U)
+                found += [a[i] - b[i] for i in range(3)]
         return [e + b for e, b in zip(found, base, strict=True)]
 
     @cached_property
@@ -190,11 +211,21 @@ class ProjectedForm(PointForm):
             turn = ufl.as_vector([*[0.0] * (3 - self.turns), *gain[1:]]) if self.turns else None
             stretch = proj.with_spherical_and_skew(now.stretch, gain[0], turn, dim)
             return now._replace(F=ufl.dot(now.Q, stretch))
+        if self.turns == 3:
+            return now._replace(F=ufl.dot(now.Q, self._turned_stretch))
         F = proj.with_log_volume(now.F, gain[0], dim)
         if self.turns:
             U = ufl.dot(ufl.transpose(now.Q), F)
             F = ufl.dot(now.Q, proj.with_relative_rotation(U, gain[1]))
         return now._replace(F=F)
+
+    @cached_property
+    def _turned_stretch(self) -> Any:
+        """U with projected volume and relative rotations, in space; shorter than Q^T of `moved.F`."""
+        (F, U), m = self._before, self.scalars
+        volume, *turns = (t - self.extra[m + k] for k, t in enumerate(self._t))
+        turn = proj.axial(U) + ufl.as_vector(turns)
+        return proj.with_volume_and_skew(self._unprojected.stretch, volume + ufl.ln(ufl.det(F)), turn)
 
     def strains(self) -> tuple[Any, ...]:
         now = self.moved

@@ -5,6 +5,8 @@ from __future__ import annotations
 from functools import cached_property
 from typing import Any
 
+import ufl
+
 from .plastic import PlasticForm
 from .projected import ProjectedForm
 
@@ -16,6 +18,17 @@ class ProjectedPlasticForm(ProjectedForm, PlasticForm):
     def _motion(self) -> tuple[Any, Any, Any]:
         now = self.moved
         return now.F, now.Q, now.wryness
+
+    @property
+    def _stretch(self) -> Any:
+        return self._turned_stretch if self.turns == 3 else super()._stretch
+
+    @cached_property
+    def _trial(self) -> tuple[Any, Any]:
+        if self.turns < 3:
+            return super()._trial
+        P, Gp, _ = self._plastic_state
+        return ufl.dot(self._stretch, P), self._motion[2] - Gp
 
     @cached_property
     def plain(self) -> PlasticForm:

@@ -39,6 +39,13 @@ def with_relative_rotation(U: Any, gain: Any) -> Any:
     return ufl.dot(ufl.as_tensor(((cos, -sin, 0), (sin, cos, 0), (0, 0, 1))), U)
 
 
+def with_volume_and_skew(U: Any, logarithm: Any, turn: Any) -> Any:
+    """U with another skew part, that of the axial vector `turn`, and then a ln det that is `logarithm` by a
+    factor to all of it."""
+    changed = ufl.sym(U) + hat(turn)
+    return changed * ufl.exp((logarithm - ufl.ln(ufl.det(changed))) / 3)
+
+
 def axial(E: Any) -> Any:
     """Vector of the skew part of a tensor, skw E = hat(axial(E))."""
     return ufl.as_vector([E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1]]) / 2

@@ -57,6 +57,11 @@ class Material:
         return "trace" if self.micropolar and not self.plastic else "log"
 
     @property
+    def never_yields(self) -> bool:
+        """It has a plastic state, for the stress that it bears at rest, but can't flow."""
+        return self.plastic and not self.yields
+
+    @property
     def elastic_part(self) -> Material:
         """The material itself; of a plastic one that which is elastic in it."""
         return self

@@ -104,7 +104,7 @@ def _share_inside(comm: MPI.Comm, place: np.ndarray, surface: Surface, size: np.
 def _why_not(materials: tuple[Material, ...], rows: np.ndarray, beyond: float) -> str:
     for row in np.unique(rows):
         material, kind = materials[row], type(materials[row]).__name__
-        if material.plastic and not material.yields:
+        if material.never_yields:
             return "the stress at the surface of a body with an initial stress isn't known there"
         if material.plastic:
             return f"the stress at the surface of a plastic body ({kind}) isn't known without its flow there"

@@ -62,7 +62,7 @@ class Change:
         try:
             if self.to is not None:
                 made = self.to if isinstance(self.to, Material) else evaluated(self.name, self.to, factor)
-                if old.plastic and not old.yields and isinstance(made, Material) and not made.plastic:
+                if old.never_yields and isinstance(made, Material) and not made.plastic:
                     made = type(old)(made)  # type: ignore[call-arg]
                 return check_form(old, made)
             found = {}
@@ -241,7 +241,7 @@ def _rows(material: Any, materials: Sequence[Material]) -> tuple[int, ...]:
     """Rows of materials that are this one, or equal to it."""
 
     def same(one: Material) -> bool:
-        given = one.elastic_part if one.plastic and not one.yields else one  # with an initial stress
+        given = one.elastic_part if one.never_yields else one  # with an initial stress
         try:
             return material in (one, given) if type(material) is type(given) else one is material
         except Exception:  # a user's class may compare arrays

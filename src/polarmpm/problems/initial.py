@@ -213,7 +213,7 @@ def _refuse(
     count = sum(one[3] for one in found)
     if count:
         worst = max((one for one in found if one[3]), key=lambda one: (one[0], -one[1]))
-        kind = type(material.elastic_part if not material.yields else material).__name__
+        kind = type(material.elastic_part if material.never_yields else material).__name__
         raise InputError(f"initial_stress: {worst[2]}: {why} ({kind}); {count} point(s) in all")
 
 

@@ -318,7 +318,7 @@ class Staged(OnGrid):
 
 def _row(material: Material, materials: list[Material]) -> int | None:
     for k, one in enumerate(materials):
-        elastic = one.elastic_part if one.plastic and not one.yields else one
+        elastic = one.elastic_part if one.never_yields else one
         if material is one or material is elastic or (type(material) is type(one) and material == one):
             return k
         if type(material) is type(elastic) and material == elastic:
