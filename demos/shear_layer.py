@@ -4,6 +4,10 @@ Thesis 2.4 and 4.4. A slice of 0.01 x 0.1 m of a layer, its base fixed, its top 
 displacements are constrained, microrotations free. The strength is lower by `--weakness` in the central row
 of cells or, with `--zone`, in a zone that is the same for all grids. `--model micropolar` (grids 9x1, 19x2,
 39x4) gives one force-displacement curve; `--model classical` (9x5, 19x10, 39x20) a brittle one for each grid.
+
+`--regrid 0.5e-3 --basis bspline --grids 25x1 --length 2e-3 --zone 4e-3 --steps 40 --to 0.5` begins with cells
+of twice the length, and goes on with cells of .5 mm where the layer yields; beside it a run on the lines that
+this ends with, from the start.
 """
 
 import math
@@ -50,8 +54,8 @@ def penalty(choice, model, length):
     return pm.GhostPenalty(LAM / 100, rotation, power=1)
 
 
-def build(rows, columns, length, args):
-    """The problem on a grid, and the support of its base."""
+def build(rows, columns, length, args, lines=None):
+    """The problem on a grid, or with other `lines` across its height, and the support of its base."""
     strong = material(args.model, length)
     weak = replace(strong, k=(1 - args.weakness) * STRENGTH)
     half = (args.zone or HEIGHT / rows) / 2
@@ -68,6 +72,8 @@ def build(rows, columns, length, args):
     else:
         cell = (WIDTH / columns, HEIGHT / rows)
         grid = pm.Grid.box((0, 0), (5 * WIDTH, HEIGHT), cell)
+        if lines is not None:
+            grid = pm.Grid.graded(x=grid.lines[0], y=lines)
         points = pm.seed(
             grid,
             bounds=((0, 0), (WIDTH, HEIGHT)),
@@ -76,15 +82,12 @@ def build(rows, columns, length, args):
         )
         points.assign(points.where(in_zone), weak)
         ghost = None if args.basis == "bspline" else penalty(args.ghost, args.model, length)
+        options = {"reset": 1, "balanced_reset": False, "locking": None}  # as in the thesis
+        if args.regrid is not None:
+            regrid = pm.AlongBands(h=args.regrid) if lines is None else None
+            options = {"reset": None, "locking": None, "regrid": regrid}
         problem = pm.QuasiStatic(
-            grid,
-            points,
-            basis=args.basis,
-            ghost=ghost,
-            controls=controls(args.model),
-            reset=1,
-            balanced_reset=False,
-            locking=None,  # as in the thesis
+            grid, points, basis=args.basis, ghost=ghost, controls=controls(args.model), **options
         )
     problem.fix(lambda x: np.ones(len(x), dtype=bool), uy=0)
     base = problem.fix(pm.plane(y=0.0), ux=0)
@@ -136,11 +139,12 @@ def largest(points):
     return points.comm.allreduce(points.hardening.max(initial=0.0), op=MPI.MAX)
 
 
-def solve(name, length, args, folder):
-    """One grid: its problem, and the displacement of the top (m), the force at the base (N per metre) and
-    the largest hardening variable of each step."""
-    problem, base = build(*map(int, name.split("x")), length, args)
+def solve(name, length, args, folder, lines=None):
+    """One grid, maybe with other `lines`: its problem, and the displacement of the top (m), the force at the
+    base (N per metre) and the largest hardening variable of each step."""
+    problem, base = build(*map(int, name.split("x")), length, args, lines)
     stem, path = f"{args.model}_{name}_{length * 1e3:g}mm", [(0.0, 0.0, 0.0)]
+    stem += "_from_the_start" * (lines is not None)
     fields = ("displacement", "rotation", "hardening", "stress")
     columns = {"base": lambda: problem.reaction(base)[0], "hardening": lambda: largest(problem.points)}
     with (
@@ -148,10 +152,11 @@ def solve(name, length, args, folder):
         pm.Table(folder / f"{stem}.csv", energies=problem.energies, **columns) as table,
     ):
         try:
-            for step in problem.march(args.steps, adaptive=args.adaptive or args.model == "classical"):
+            adaptive = args.adaptive or args.model == "classical"
+            for step in problem.march(args.steps, to=args.to, adaptive=adaptive):
                 table.record(step)
                 path.append((SHIFT * step.factor, -problem.reaction(base)[0][0], largest(problem.points)))
-                if step.number % max(1, args.steps // 10) == 0 or step.factor == 1.0:
+                if step.number % max(1, args.steps // 10) == 0 or step.factor == args.to:
                     record(step)
         except pm.NotConverged as error:
             if problem.comm.rank == 0 and not args.json:
@@ -181,19 +186,37 @@ def main(argv=None):
             "--zone": {"type": float, "help": "height of the weak zone (m); default: one row of cells"},
             "--weakness": {"type": float, "default": 0.1, "help": "by how much the zone is weaker"},
             "--ghost": {"choices": ("thesis", "scaled", "none"), "default": "thesis", "help": "penalty"},
+            "--to": {"type": demo.positive, "default": 1.0, "help": "share of the shift"},
+            "--regrid": {
+                "type": demo.positive,
+                "help": "size of cells (m) that the grid takes where the layer yields; resets are balanced",
+            },
             "--adaptive": {
                 "action": "store_true",
                 "help": "cut steps that fail; the classical model always does",
             },
         },
     )
+    if args.regrid is not None and args.mode == "fem":
+        raise pm.InputError("--regrid: elements stay as they are; use --mode mpm")
     folder = demo.output_folder(args, MPI.COMM_WORLD)
     grids = args.grids or GRIDS[args.model]
-    solved = {(g, length): solve(g, length, args, folder) for length in args.length for g in grids}
+    solved = {}
+    for length in args.length:
+        for g in grids:
+            solved[g, length] = solve(g, length, args, folder)
+            if args.regrid is not None:
+                lines = solved[g, length][0].grid.lines[1]
+                solved[f"{g} from the start", length] = solve(g, length, args, folder, lines)
     draw(solved, args, folder / "shear_layer.png")
     result = {"grids": [f"{g}, {length * 1e3:g} mm" for g, length in solved]} | summary(solved)
     last = list(solved.values())[-1][0]
-    options = {name: getattr(args, name) for name in ("model", "mode", "zone", "weakness", "ghost")}
+    if args.regrid is not None:
+        result["regrids"] = [list(map(str, problem.regrids)) for problem, _ in solved.values()]
+        result["unknowns"] = [
+            problem.system.nodes.total * problem.layout.block for problem, _ in solved.values()
+        ]
+    options = {name: getattr(args, name) for name in ("model", "mode", "zone", "weakness", "ghost", "regrid")}
     return demo.report(args, "shear_layer", last, result, **options)
 
 

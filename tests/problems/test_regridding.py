@@ -223,6 +223,8 @@ def test_restart(tmp_path):
     assert [s.regrids for s in again.steps] == [s.regrids for s in part.steps]
     march(again, 7)
     np.testing.assert_allclose(measured(again, held), measured(whole, base), rtol=1e-9)
+    with pytest.raises(pm.InputError, match="grid has been changed since it was made"):
+        pm.load_restart(again, path)
 
 
 def answers(case: str = "layer") -> dict[str, Any]:

@@ -309,6 +309,22 @@ CASES = {
 }
 
 
+@pytest.mark.slow
+def test_shear_layer_begins_with_cells_of_twice_the_length(tmp_path):
+    """It ends as it does on the lines of its last grid from the start, with two thirds of the unknowns of
+    equal cells."""
+    options = "--regrid 0.5e-3 --basis bspline --grids 25x1 --length 2e-3 --zone 4e-3 --points-per-cell 2"
+    found = run_demo("shear_layer", tmp_path, *options.split(), "--steps", "20", "--to", "0.25")["result"]
+    for name in ("force", "width", "half_width"):
+        begun_coarse, fine = found[name]
+        assert begun_coarse == pytest.approx(fine, rel=1e-3), name
+    changed, none = found["regrids"]
+    assert changed
+    assert not none
+    assert max(found["unknowns"]) < 0.75 * 1818
+    assert (tmp_path / "shear_layer.png").stat().st_size > 0
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("name", sorted(CASES))
 def test_script_on_one_and_two_ranks(name, tmp_path):

@@ -224,6 +224,10 @@ def _check(problem: Problem, saved: _Saved, path: Path, allowed: frozenset[str])
     here = _body(problem)
     if saved.body != here:
         raise InputError(f"restart file {path}: its state is of {saved.body}, this problem's of {here}")
+    if getattr(problem, "regrids", ()):
+        raise InputError(
+            f"restart file {path}: this problem's grid has been changed since it was made; make it anew"
+        )
     conditions = saved.about["conditions"]
     try:
         fewer = problem.check_conditions(conditions, "conditions" in allowed)
