@@ -199,7 +199,19 @@ def bending_stiffness(material, E, nu, thickness):
     return stiffness
 
 
-def strip(thickness, angle, number, *, material=None, nu=0.3, basis=None, share=1e-4, offset=(0.13, 0.27)):
+def strip(
+    thickness,
+    angle,
+    number,
+    *,
+    material=None,
+    nu=0.3,
+    basis=None,
+    share=1e-4,
+    offset=(0.13, 0.27),
+    layout="uniform",
+    **options,
+):
     """A strip in plane strain on unit cells, held at one end, a small transverse force at the other.
 
     Twenty times as long as thick, at least ten cells. Nodes within a cell of the root are held; the force
@@ -214,8 +226,8 @@ def strip(thickness, angle, number, *, material=None, nu=0.3, basis=None, share=
     if not angle:
         lower[0] = 0.0
     grid = pm.Grid.box(lower, upper, 1.0, COMM)
-    points = pm.seed(grid, body, material=material, points_per_cell=number)
-    problem = pm.QuasiStatic(grid, points, **({"basis": basis} if basis else {}))
+    points = pm.seed(grid, body, material=material, points_per_cell=number, layout=layout)
+    problem = pm.QuasiStatic(grid, points, **({"basis": basis} if basis else {}), **options)
     theta = {"theta": 0} if material.micropolar else {}
     if angle:
         problem.fix(lambda x: body.local(x)[:, 0] <= 1.0, u=0, **theta)

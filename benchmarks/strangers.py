@@ -306,6 +306,7 @@ def wrong_and_right():
                 partial(scenes.arch, Arch(centre, z), cell, number),
                 REFERENCE,
             )
+    without_boxes(add)
     fine = run(scenes.beam_elements).value
     for cell in (0.5, 1.0, 2.0):
         for number in (1, 2, 3):
@@ -328,6 +329,22 @@ def wrong_and_right():
         exact = scenes.shaft_stiffness(stuff, stuff.mu)
         add(f"shaft, {number} points", partial(scenes.shaft, number, stuff), exact)
     return cases
+
+
+def without_boxes(add):
+    """Points that stand for themselves alone, and at Gauss positions."""
+    for thickness in (2.0, 1.0, 0.5):
+        for word, angle in ANGLES.items():
+            for number in (2, 3, 4):
+                name = f"strip {thickness:g}, {word}, {number} points without boxes"
+                add(name, partial(scenes.strip, thickness, angle, number, boxes=False), 1.0)
+            for number in (2, 4) if angle else (2,):
+                name = f"strip {thickness:g}, {word}, {number} Gauss points"
+                add(name, partial(scenes.strip, thickness, angle, number, layout="gauss"), 1.0)
+    for k, (centre, z) in enumerate(positions(2)):
+        for degree in (2, 5):
+            build = partial(scenes.arch, Arch(centre, z), 1.0, degree=degree)
+            add(f"arch, 1 m, mesh, degree {degree}, position {k + 1}", build, REFERENCE)
 
 
 def biaxial_residual(number, cell):

@@ -6,8 +6,10 @@ import importlib
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from polarmpm.problems import doubts
 from tests.conftest import COMM
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
@@ -50,3 +52,41 @@ def test_a_failure_is_told_and_is_worse(benchmarks):
     assert records.is_worse(good, bad)
     assert not records.is_worse(bad, good)
     assert records.is_worse(good, good | {"error": -0.012})
+
+
+@pytest.mark.parametrize(
+    ("number", "options", "missed"),
+    [
+        (2, {"boxes": False}, 0.25),
+        (6, {"boxes": False}, 0.028),
+        (2, {"layout": "gauss"}, 0.0),
+    ],
+)
+def test_what_a_sum_over_points_misses(benchmarks, number, options, missed):
+    """A strip one cell thick, along the grid: s / (1 - s) is its error. Gauss' points miss nothing there."""
+    scenes, records = benchmarks["scenes"], benchmarks["records"]
+    made = records.run(lambda: scenes.strip(1.0, 0.0, number, **options), 1, keep=True, adaptive=False)
+    assert made.problem.box_record.largest[0] == pytest.approx(missed, abs=0.002)
+    assert made.value == pytest.approx(1.0 / (1.0 - missed), rel=5e-3)
+    assert len(made.warned) == int(missed > 0.08)
+    assert "misses about" in made.problem.trust()
+
+
+@pytest.mark.parametrize("cells", [2, 8])
+def test_roughness_tells_a_coarse_footing(benchmarks, cells):
+    """An eighth off with two cells, 0.4 % with eight: the boxes see neither."""
+    scenes, records = benchmarks["scenes"], benchmarks["records"]
+    made = records.run(lambda: scenes.footing(cells, 2, settlement=0.005), 4, keep=True)
+    assert len(made.warned) == int(cells == 2)
+    assert (made.problem.box_record.rough > 0.125) == (cells == 2)
+    assert made.unresolved < 0.2
+    assert "flowing body" in made.problem.trust()
+
+
+def test_bending_is_not_rough(benchmarks):
+    """Nor is a turned one, of one cell's thickness."""
+    scenes, records = benchmarks["scenes"], benchmarks["records"]
+    made = records.run(lambda: scenes.strip(1.0, 0.5, 2), 1, keep=True, adaptive=False)
+    rough, size = doubts.roughness(made.problem.system, np.zeros_like(made.problem.system.x))
+    assert rough < 0.02
+    assert 1e-9 < size < 1e-3

@@ -16,12 +16,18 @@ from ..forms.points import PointForm
 from ..kernels.kernel import Kernel
 from ..tools.caller import warn
 from ..tools.parallel import errors_on_all_ranks
+from . import doubts
 
 # shares of a step's work inside the boxes above which an answer may be far off: while no point has flowed,
 # and then, as the boxes of points that have flowed count for little
 DOUBTFUL, DOUBTFUL_FLOW = 0.5, 0.2
-SMALL = 0.05  # increments (their gradients) of which boxes miss nothing, however large their share is
+SMALL = (
+    0.05  # increments (their gradients) of elastic points of which boxes miss nothing, whatever their share
+)
+MISSED = 0.08  # share that a sum over points without boxes misses: the answer is a tenth off or more
+ROUGH = 0.125  # of strain increments of bodies that flow (`doubts.roughness`): the grid's own error
 HOPELESS = 1.0  # above which the boxes alone hold the body
+SLIGHT = 0.1  # of the largest strain increments of a step: of what is less the roughness means nothing
 _REMEDY = "take more points a cell (points_per_cell), or smaller cells"
 
 
@@ -33,12 +39,16 @@ class BoxRecord:
             there is a system again; else None.
         largest: largest share of a step's work inside the boxes so far, and that step's number.
         in_doubt: some step's share was larger than it should be.
+        rough: largest roughness of a step's strains so far, looked at in a body that flows: in the first of
+            its steps, the second, fourth, eighth ...
     """
 
     def __init__(self, points: Points, forms: Sequence[PointForm], comm: MPI.Comm):
         self.points, self.forms, self.comm = points, forms, comm
         self.kept: np.ndarray | None = None
-        self.largest, self.in_doubt = (0.0, 0), False
+        self.largest, self.in_doubt, self.rough = (0.0, 0), False, 0.0
+        self._missed: float | None = None
+        self._flowing, self._rough, self._strained = 0, 0.0, 0.0
         self._kernels: list[Kernel] = []
 
     def renew(self, forms: Sequence[PointForm]) -> None:
@@ -73,6 +83,7 @@ class BoxRecord:
         Signs are left out of the sums, so that softening and snapping structures, whose whole work is near
         zero, don't look as if nothing of it were resolved.
         """
+        self._doubt(system, start)
         if system.interpolation.boxes is None:
             return None
         inside, whole = np.zeros(len(self.points)), np.zeros(len(self.points))
@@ -89,6 +100,23 @@ class BoxRecord:
         self.points.unresolved = np.minimum(np.abs(inside) / np.maximum(np.abs(whole), tiny), HOPELESS)
         return float(sums[0]) / most
 
+    def _doubt(self, system: LoadedPoints, start: np.ndarray) -> None:
+        """Estimate what the share inside the boxes doesn't know: of splines only."""
+        if not system.interpolation.basis.fills_boxes:
+            return
+        if system.interpolation.boxes is None and not self.largest[1]:
+            self._missed = doubts.missed(system)
+        if not self.points.plastic:
+            return
+        flows = any(m is not None and m.yielding is not None for m in system.mappings)
+        if self.comm.allreduce(flows or bool(np.any(self.points.hardening > 0.0)), op=MPI.LOR):
+            self._flowing += 1
+            if self._flowing & (self._flowing - 1) == 0:
+                rough, size = doubts.roughness(system, start)
+                self._strained = max(self._strained, size)
+                if size > SLIGHT * self._strained:  # or there is little but rounding
+                    self._rough = rough
+
     def refusal(self, share: float | None) -> str:
         """Why a solution with such a share is none; empty where it may be one."""
         if share is None or share <= HOPELESS:
@@ -102,29 +130,57 @@ class BoxRecord:
             size: largest gradient of the increments at this rank's points.
         """
         if share is None:
+            self._note_missed(step)
             return
         self.largest = max(self.largest, (share, step))
-        flowed = self.points.plastic and bool(np.any(self.points.hardening > 0.0))
-        limit = DOUBTFUL_FLOW if self.comm.allreduce(flowed, op=MPI.LOR) else DOUBTFUL
-        if share > limit and self.comm.allreduce(size, op=MPI.MAX) > SMALL:
-            warned, self.in_doubt = self.in_doubt, True
-            with errors_on_all_ranks(self.comm):  # of warnings a script may make errors
-                if self.comm.rank == 0 and not warned:
-                    warn(
-                        f"step {step}: {100 * share:.0f} % of its work is done inside the points' boxes, "
-                        "where neither the grid nor the points resolve it; the answer may be far off: "
-                        f"{_REMEDY}",
-                        TrustWarning,
-                    )
+        flowed = self._flowing > 0
+        large = flowed or self.comm.allreduce(size, op=MPI.MAX) > SMALL
+        if share > (DOUBTFUL_FLOW if flowed else DOUBTFUL) and large:
+            self._warn(
+                f"step {step}: {100 * share:.0f} % of its work is done inside the points' boxes, "
+                f"where neither the grid nor the points resolve it; the answer may be far off: {_REMEDY}"
+            )
+        self._note_rough(step)
+
+    def _note_missed(self, step: int) -> None:
+        """Take note of what a sum over points without boxes misses in the first step."""
+        if not self.largest[1] and self._missed is not None:
+            self.largest = (self._missed, step)
+            if self._missed > MISSED:
+                self._warn(
+                    f"step {step}: the points have no boxes, and a sum over them misses about "
+                    f"{100 * self._missed:.0f} % of the work: the body is too soft; leave boxes=True, seed "
+                    "without `degree` or layout='gauss', or take more points a cell"
+                )
+        self._note_rough(step)
+
+    def _note_rough(self, step: int) -> None:
+        """Take note of how rough the strains of a body that flows are."""
+        if self._rough > ROUGH >= self.rough:
+            self._warn(
+                f"step {step}: the body flows, and {100 * self._rough:.0f} % of its strains' squares aren't "
+                "smooth over two cells: loads may be more than a tenth off; take smaller cells, and compare"
+            )
+        self.rough = max(self.rough, self._rough)
+
+    def _warn(self, text: str) -> None:
+        """Warn, once in a run."""
+        warned, self.in_doubt = self.in_doubt, True
+        with errors_on_all_ranks(self.comm):  # of warnings a script may make errors
+            if self.comm.rank == 0 and not warned:
+                warn(text, TrustWarning)
 
     def state(self) -> list[float]:
-        """For a restart file: largest share, its step, and whether the run is in doubt."""
-        return [*self.largest, float(self.in_doubt)]
+        """For a restart file: largest share, its step, whether the run is in doubt; roughness, number of
+        steps of a body that flows, and their largest strain."""
+        return [*self.largest, float(self.in_doubt), self.rough, float(self._flowing), self._strained]
 
     def restore(self, state: Sequence[float]) -> None:
         """Put in what `state` gave."""
-        share, step, doubt = state
+        share, step, doubt, rough, flowing, strained = state
         self.largest, self.in_doubt = (float(share), int(step)), bool(doubt)
+        self.rough, self._rough = float(rough), float(rough)
+        self._flowing, self._strained = int(flowing), float(strained)
 
     def summary(self) -> str:
         """How far the run can be trusted, in a line."""
@@ -133,4 +189,10 @@ class BoxRecord:
             return "no measure of trust: points without boxes, or no step yet"
         verdict = "in doubt: " + _REMEDY if self.in_doubt else "resolved to the grid's own error"
         most = f"at most {100 * share:.0f} % of a step's work is done inside the points' boxes (step {step})"
+        if self._missed:
+            most = (
+                f"a sum over points without boxes misses about {100 * share:.2g} % of the work (step {step})"
+            )
+        if self.rough:
+            most += f", strains of the flowing body are rough by {100 * self.rough:.2g} %"
         return f"{most}: {verdict}"

@@ -98,6 +98,18 @@ def values_by_number(
     return ask.backward(np.where((known[at] == asked)[:, None], rows[at], 0.0))
 
 
+def sums_by_number(comm: MPI.Comm, numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Sums (m, c) over the ranks of values (m, c) that ranks have under numbers (m,), all different on a
+    rank. Collective."""
+    if comm.size == 1:
+        return values
+    home = Route(comm, numbers % comm.size)
+    known, at = np.unique(home.forward(numbers), return_inverse=True)
+    sums = np.zeros((len(known), values.shape[1]))
+    np.add.at(sums, at, home.forward(values))
+    return home.backward(sums[at])
+
+
 def known_anywhere(comm: MPI.Comm, numbers: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Which of the wanted numbers (m,) any rank has among its own (n,). Collective."""
     if comm.size == 1:
