@@ -22,7 +22,7 @@ is_current() {
 if is_current; then exit 0; fi
 scripts/install-packages.sh
 
-echo "set-up: installing into $PWD/.venv"
+echo "set-up: installing into $PWD/.venv; a C file is compiled, which takes a minute or two"
 rm -f "$stamp"
 "$python" -m venv --clear --system-site-packages .venv
 # All dependencies are Debian's, so nothing is to be fetched; neither are the build tools.

@@ -66,6 +66,15 @@ def test_thin_bodies_have_fewer_functions(rows):
     assert around.apply(points, value)[0] == pytest.approx(3.0 + 0.52**2, rel=1e-12)
 
 
+def test_few_points_and_no_places():
+    """One point tells its own value; a rank may have no place to ask for."""
+    here = int(COMM.rank == 0)
+    points = pm.Points(np.full((here, 2), 0.5), np.ones(here), np.full((here, 2), 0.5), MICROPOLAR, COMM)
+    values = np.full(here, 7.0)
+    assert stencil(points, np.array([[0.7, 0.4]])).apply(points, values) == pytest.approx([7.0])
+    assert stencil(points, np.zeros((0, 2))).apply(points, values).shape == (0,)
+
+
 def test_one_material_counts(folder):
     """Stresses jump from one material to the next; a place belongs to that of the nearest point."""
     points = by_points().points

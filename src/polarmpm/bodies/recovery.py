@@ -88,7 +88,7 @@ def _fit(places: np.ndarray, ids: np.ndarray, rows: np.ndarray, count: int) -> t
     _check_inside(places, far, rows)
     same = rows[:, :, d] == rows[:, :1, d]
     same &= np.cumsum(same, axis=1) <= count // 2
-    reach = 1.05 * np.max(np.where(same, far, 0.0), axis=1, keepdims=True)
+    reach = 1.05 * np.max(np.where(same, far, 0.0), axis=1, keepdims=True, initial=0.0)
     reach[reach == 0.0] = 1.0
     weight = np.where(same, (1.0 - np.minimum(far / reach, 1.0)) ** 2 + 1e-3, 0.0)
     return ids, weight * _polynomials(way / reach[:, :, None], weight)

@@ -133,7 +133,7 @@ def save_errors(
         # below the panels: `plot.figures.save` makes room for it
         where = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0)}
         figure.legend(handles, labels, ncol=min(3, len(labels)), frameon=False, **where)
-    plot.save(figure, path)
+    plot.save(figure, path, pdf=False)
 
 
 @plot.styled()
@@ -165,4 +165,4 @@ def phases(rows: Sequence[Row], ax: Any = None) -> Any:
 
 def save_phases(rows: Sequence[Row], path: str | os.PathLike[str]) -> None:
     """Write the figure of `phases`."""
-    plot.save(phases(rows).figure, path)
+    plot.save(phases(rows).figure, path, pdf=False)
