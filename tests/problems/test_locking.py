@@ -236,6 +236,24 @@ def test_a_restart_goes_on_to_the_same_digits(tmp_path, basis, material, reset):
     assert again.energies() == whole.energies()
 
 
+@pytest.mark.parametrize("cells", [6, 7, 9])
+def test_mirrored_bodies_have_mirrored_patches(cells):
+    """Of two cells, but for those in the middle of an odd number of cells."""
+    found, corner = [], np.array((float(cells), 0.0))
+    for mirrored in (False, True):
+        grid = pm.Grid((0, 0), (1.0, 1.0), (cells, 5), comm=COMM)
+        low, high = (cells - 4.3, cells) if mirrored else (0.0, 4.3)
+        points = pm.seed(grid, bounds=((low, 0.4), (high, 2.1)), material=neo_hookean(), points_per_cell=3)
+        problem = pm.QuasiStatic(grid, points, basis="bspline", reset=None, boxes=False)
+        problem.fix(pm.plane(x=float(cells) if mirrored else 0.0), u=0)
+        problem.body_load(force=(0.0, -1.0))
+        list(problem.march(2, progress=False))
+        x, u = (np.concatenate(COMM.allgather(a)) for a in (points.X, points.displacement))
+        x = np.where(mirrored, np.abs(corner - x), x)
+        found.append((u * (-1, 1) if mirrored else u)[np.lexsort(np.round(x, 9).T)])
+    np.testing.assert_allclose(found[0], found[1], rtol=0, atol=1e-10 * np.abs(found[0]).max())
+
+
 def test_what_is_cured():
     """ "auto": what locks; "always": all that can; None, and the papers' settings: nothing."""
     grid = pm.Grid.box((0, 0), (2, 2), 1.0)

@@ -35,8 +35,9 @@ def test_bearing_capacity_of_a_strip_footing_on_coarse_cells(run):
     assert sorted(result["bearing"]) == ["bspline", "fem1", "fem2", "gimpm", "mpm"]
     assert result["limit"] == 2 + math.pi
     for name, load in result["bearing"].items():
-        # splines are too weak on cells this coarse, with boxes and without
-        assert load == pytest.approx(result["limit"], rel=0.14 if name == "bspline" else 0.12), name
+        # splines are too weak on cells this coarse, with boxes and without; patches of the five rows begin
+        # at the top, too, since they are mirrored (4.40, else 4.48)
+        assert load == pytest.approx(result["limit"], rel=0.15 if name == "bspline" else 0.12), name
         assert result["curves"][name]["load"][-1] == load
         assert result["rise"][name] < (0.03 if name == "bspline" else 0.01)  # 0.15 and more as it locks
 

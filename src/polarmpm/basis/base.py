@@ -108,6 +108,20 @@ class Layer(NamedTuple):
     factor: float
 
 
+def patch_table(cells: int, size: int) -> np.ndarray:
+    """Along a line of cells: the patch of each, and that patch's first cell and number of cells, (3, cells).
+    Patches of two cells begin at both ends; of an odd number of cells one or three are left in the middle."""
+    cell = np.arange(cells)
+    if size != 2 or cells % 2 == 0:
+        index = cell // size
+        return np.stack([index, size * index, np.full(cells, size)])
+    half = cells // 2
+    sizes = [2] * (half // 2) + [1 + 2 * (half % 2)] + [2] * (half // 2)
+    index = np.repeat(np.arange(len(sizes)), sizes)
+    first = np.cumsum([0, *sizes[:-1]])
+    return np.stack([index, first[index], np.array(sizes)[index]])
+
+
 class Basis(ABC):
     """Functions on the lattice that weight material points; those of several directions are products.
 
@@ -246,17 +260,22 @@ class Basis(ABC):
         self, grid: Grid, x: np.ndarray, cells: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Lattice index (n, d) of the patches that points at x (n, d) (m) belong to, in patches, and the
-        points' places over the patches' size. Collective.
+        points' places over the patches' size. Mirrored bodies on a grid have mirrored patches. Collective.
 
         Args:
             cells: from `supporting_cells`; default: asked for here.
         """
         cells = self.supporting_cells(grid, x) if cells is None else cells
-        index = cells // self.patch
-        if not grid.equal:  # linear functions are linear in space
-            lower = grid.corners(self.patch * index)
-            return index, (x - lower) / (grid.corners(self.patch * (index + 1)) - lower)
-        return index, (cells - self.patch * index + grid.within(x, cells)) / self.patch
+        tables = [patch_table(int(n), self.patch) for n in grid.shape]
+        rows = [table[:, cells[:, axis]] for axis, table in enumerate(tables)]
+        index, first, count = (np.stack([row[k] for row in rows], axis=1) for k in range(3))
+        if grid.equal:
+            places = (cells - first + grid.within(x, cells)) / self.patch
+        else:  # linear functions are linear in space
+            lower = grid.corners(first)
+            places = (x - lower) / (grid.corners(first + count) - lower)
+        # one cell can't bear a linear function along it
+        return index, np.where(count < self.patch, 0.5, places)
 
     def cells_of_groups(self, count: np.ndarray) -> np.ndarray:
         """Cells (m, d) in each direction, from the one of the lowest node on, on which groups of points with
