@@ -197,6 +197,20 @@ def test_shear_layer():
     np.testing.assert_allclose(found, expected, rtol=1e-3)
 
 
+@pytest.mark.slow
+def test_a_quarter_of_the_unknowns():
+    """Lines that are fine in the band give the force and the width of equal cells within a thousandth."""
+    found = []
+    for lines in (np.linspace(0, 0.1, 201), pm.lines(0, 0.1, fine=5e-4, where=(0.045, 0.055), growth=1.25)):
+        problem, base = layer(0, regrid=None, lines=lines, reset=None)
+        list(problem.march(20, to=0.5, progress=False))
+        system = problem.system
+        assert system is not None
+        found.append([problem.reaction(base)[0][0], band(problem), system.nodes.total])
+    assert found[1][2] <= 0.25 * found[0][2]
+    np.testing.assert_allclose(found[1][:2], found[0][:2], rtol=1e-3)
+
+
 class ResetAt:
     """Resets after some steps."""
 
