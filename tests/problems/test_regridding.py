@@ -197,6 +197,20 @@ def test_shear_layer():
     np.testing.assert_allclose(found, expected, rtol=1e-3)
 
 
+@pytest.mark.slow
+def test_a_quarter_of_the_unknowns():
+    """Lines that are fine in the band give the force and the width of equal cells within a thousandth."""
+    found = []
+    for lines in (np.linspace(0, 0.1, 201), pm.lines(0, 0.1, fine=5e-4, where=(0.045, 0.055), growth=1.25)):
+        problem, base = layer(0, regrid=None, lines=lines, reset=None)
+        list(problem.march(20, to=0.5, progress=False))
+        system = problem.system
+        assert system is not None
+        found.append([problem.reaction(base)[0][0], band(problem), system.nodes.total])
+    assert found[1][2] <= 0.25 * found[0][2]
+    np.testing.assert_allclose(found[1][:2], found[0][:2], rtol=1e-3)
+
+
 class ResetAt:
     """Resets after some steps."""
 
@@ -294,7 +308,7 @@ def test_planes_of_supports_have_to_stay():
 
 
 @pytest.mark.parametrize("basis", ["bspline", "mpm"])
-def test_moving_planes_go_on(basis):
+def test_moving_planes_go_on(basis, tmp_path):
     """A block under a platen is compressed evenly, whatever the grid becomes on the way."""
 
     def halved(problem: pm.QuasiStatic) -> pm.Grid | None:
@@ -304,7 +318,7 @@ def test_moving_planes_go_on(basis):
         assert y[-1] == pytest.approx(0.8)
         return pm.Grid.graded(x=np.linspace(0, 1, 5), y=np.linspace(0, y[-1], 9))
 
-    found = []
+    found, path = [], COMM.bcast(str(tmp_path / "state"))
     for regrid in (halved, None):
         grid = pm.Grid.box((0, 0), (1, 1), 0.25)
         points = pm.seed(grid, material=NEO_HOOKEAN)
@@ -318,6 +332,21 @@ def test_moving_planes_go_on(basis):
         found.append(problem.reaction(top)[0][1])
         if regrid:
             assert problem.points.total == 2 * 64
+            ends = []
+            pm.save_restart(problem, path)
+            again = pm.QuasiStatic(
+                grid, pm.seed(grid, material=NEO_HOOKEAN), basis=basis, reset=1, controls=STRICT
+            )
+            for x in (0.0, 1.0):
+                again.fix(pm.plane(x=x), ux=0)
+            again.fix(pm.plane(y=0.0), uy=0)
+            held = again.fix(pm.plane(y=1.0, moving=True), uy=-0.4)
+            pm.load_restart(again, path)
+            for one, support in ((problem, top), (again, held)):
+                list(one.march(1, to=1.25, progress=False))
+                ends.append([one.points.total, *one.grid.lines[1], one.reaction(support)[0][1]])
+            np.testing.assert_allclose(ends[1], ends[0], rtol=1e-9, atol=1e-12)
+            list(problem.march(1, to=1.0, progress=False))
             late = problem.fix(pm.plane(y=1.0), ux=0)  # where it was at first
             assert late.where.index == 8
     np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
@@ -340,6 +369,21 @@ def test_the_grid_goes_on_with_a_body_that_moves():
             assert all(one.split == 0 for one in problem.regrids)
             assert len(problem.regrids) < 6
     np.testing.assert_allclose(ends[0], ends[1], rtol=1e-9, atol=1e-9)
+
+
+def test_the_grid_goes_on_with_a_body_in_motion():
+    ends = []
+    for upper, regrid in ((2.0, pm.FollowBody(margin=0.5)), (8.0, None)):
+        grid = pm.Grid.box((0, 0), (upper, 1), 0.25)
+        points = pm.seed(grid, bounds=((0.25, 0.25), (1.0, 0.75)), material=NEO_HOOKEAN)
+        problem = pm.Dynamic(grid, points, density=2.0, reset=1, regrid=regrid)
+        problem.velocity(v=(3.0, 0.0))
+        list(problem.march(1.0, steps=10, progress=False))
+        ends.append(points.mean_displacement())
+    assert ends[0][0] == pytest.approx(3.0, rel=1e-6)
+    np.testing.assert_allclose(ends[0], ends[1], rtol=1e-9, atol=1e-9)
+    with pytest.raises(pm.InputError, match="bodies in motion don't split"):
+        pm.Dynamic(grid, points, density=2.0, regrid=pm.FollowBody(margin=0.5, h=0.1))
 
 
 def test_fine_cells_follow_a_part():

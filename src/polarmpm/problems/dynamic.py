@@ -20,6 +20,7 @@ from ..tools import checks
 from ..tools.meetings import collective
 from . import takeover
 from .elements import QuasiStaticFEM
+from .gridpolicies import RegridPolicy
 from .motion import Moving
 from .points import QuasiStatic
 
@@ -47,6 +48,7 @@ class Dynamic(Moving, QuasiStatic):
         basis, reset, ghost, rebalance, controls, solver, boxes, locking: as of `QuasiStatic`. Resets aren't
             balanced: the forces that a balanced one carries along would stay while the motion goes on. With
             "bspline" and boxes=False a body that spins needs a `GhostPenalty` of 1e-3 of its moduli.
+        regrid: as of `QuasiStatic`, a policy that doesn't split points: `FollowBody` without `h`.
 
     Raises:
         InputError: an argument is out of range; materials that don't go together.
@@ -74,6 +76,7 @@ class Dynamic(Moving, QuasiStatic):
         solver: str = "auto",
         boxes: bool | None = None,
         locking: str | None = "auto",
+        regrid: RegridPolicy | None = None,
     ):
         super().__init__(
             grid,
@@ -87,6 +90,7 @@ class Dynamic(Moving, QuasiStatic):
             solver=solver,
             boxes=boxes,
             locking=locking,
+            regrid=regrid,
         )
         if self.layout.rotations == 3:
             self._rotation_limit = 0.0  # in space rotations count from the beginning of each step

@@ -86,6 +86,11 @@ class Regridding:
         self.policy.check(problem)
         self._per_cell = points_per_cell(problem.points, problem.grid)
         if self.splits:
+            if hasattr(problem, "velocity"):
+                raise InputError(
+                    "regrid: bodies in motion don't split their points; FollowBody(margin=...) without h is "
+                    "allowed"
+                )
             check_splittable(problem.points)
             if not problem.balanced_reset:
                 raise InputError(
