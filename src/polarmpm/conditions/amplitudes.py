@@ -83,6 +83,10 @@ class Amplitude:
         zeros = ", 0" * (self.size - 1)
         return f"write {self.name.split(', ')[-1]}=({value}{zeros}) or the like"
 
+    def is_zero(self, component: int) -> bool:
+        """Whether a component is the number zero; a function isn't."""
+        return self.function is None and bool(self.constant[component] == 0.0)
+
     def begin(self, factor: float, counts: str | None = None) -> None:
         """Count from a load factor at which it is added: "from now", what it gains from then on, or in
         "total", the value at the load factor. By default numbers count from now, functions in total."""

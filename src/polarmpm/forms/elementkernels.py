@@ -41,19 +41,19 @@ class KernelForms(ElementForms):
         points = elements.points
         self.symmetric = not any(m.yields for m in points.materials)
         self._rows_of = [np.flatnonzero(points.material == m) for m in range(len(points.materials))]
-        self._point_forms = list(forms) or [
+        self.point_forms = list(forms) or [
             make_form(m, elements.dim, points.axisymmetric) for m in points.materials
         ]
-        for form in self._point_forms:
+        for form in self.point_forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
         self._comm = elements.comm
-        self._parameters = [parameter_values(form.material) for form in self._point_forms]
+        self._parameters = [parameter_values(form.material) for form in self.point_forms]
         self._states: list[np.ndarray] = []  # of each material's points
         self._turns: list[np.ndarray | None] = []  # (n, 3, 3), of gradients; None: they stay
 
     @property
     def uncured(self) -> list[Material]:
-        return [form.material for form in self._point_forms if not form.scalars]
+        return [form.material for form in self.point_forms if not form.scalars]
 
     @property
     def residual_form(self) -> None:
@@ -61,7 +61,7 @@ class KernelForms(ElementForms):
         return None
 
     def put_materials(self, materials: Sequence[Material]) -> None:
-        for form, material in zip(self._point_forms, materials, strict=True):
+        for form, material in zip(self.point_forms, materials, strict=True):
             form.take(material)
         self._parameters = [parameter_values(material) for material in materials]
 
@@ -71,7 +71,7 @@ class KernelForms(ElementForms):
         """Kernels of the materials, and their return mappings; made by the first step. Collective."""
         kernels: list[tuple[Kernel, Kernel]] = []
         mappings: list[ReturnMapping | None] = []
-        for form, rows in zip(self._point_forms, self._rows_of, strict=True):
+        for form, rows in zip(self.point_forms, self._rows_of, strict=True):
             kernels.append(form.compile(self._comm))
             mappings.append(self._mapping(form, rows) if form.material.yields else None)
         return kernels, mappings
@@ -91,7 +91,7 @@ class KernelForms(ElementForms):
     def pack(self) -> None:
         p = self.elements.points
         self._states, self._turns = [], []
-        for form, rows in zip(self._point_forms, self._rows_of, strict=True):
+        for form, rows in zip(self.point_forms, self._rows_of, strict=True):
             radii = np.stack([p.X[rows, 0], p.x[rows, 0]], axis=1)
             state = form.pack(p.F[rows], p.q[rows], p.wryness[rows], p.plastic_state(rows), radii=radii)
             if isinstance(form, ProjectedForm):
@@ -158,7 +158,7 @@ class NativeElementForms(KernelForms):
         self._now = self._inverse  # of all points, not turned
         self._whole = self._structure(None, np.arange(len(e.live)))
         self.parts = []
-        for form, rows in zip(self._point_forms, self._rows_of, strict=True):
+        for form, rows in zip(self.point_forms, self._rows_of, strict=True):
             cells = rows[:: len(xi)] // len(xi)
             self.parts.append(Part(form, cells, rows, self._structure(form, cells)))
 

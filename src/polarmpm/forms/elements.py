@@ -43,8 +43,10 @@ class ElementForms:
         total: displacement of the last converged state in the space of the unknowns, for surfaces.
         symmetric: the tangent is symmetric.
         held: what holds slopes, by support.
+        point_forms: forms of the materials at a point, where compiled loops sum them.
     """
 
+    point_forms: Sequence[Any] = ()
     symmetric = True
 
     def __init__(self, elements: Elements):

@@ -68,7 +68,7 @@ class PlasticElementForms(KernelForms):
         """s (n, nz) and moduli (n, nz, nz) of a material's points."""
         nz = self.layout.unknowns
         # no correction before: an elastic material beside plastic ones has the tangent itself
-        predicts = tangent and self._point_forms[k].predicts
+        predicts = tangent and self.point_forms[k].predicts
         out = self.compiled[0][k][tangent](inputs, *([inputs[:, :nz]] if predicts else []))
         s, a = out[:, :nz], np.zeros((len(inputs) if tangent else 0, nz, nz))
         if tangent:

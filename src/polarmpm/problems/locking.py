@@ -10,9 +10,11 @@ import numpy as np
 
 from ..basis.base import Basis
 from ..bodies.elements import Elements
+from ..conditions.supports import Support
 from ..errors import TrustWarning
 from ..forms.choice import make_form, make_projected
 from ..forms.points import PointForm
+from ..kinematics.layout import Layout
 from ..materials.base import Material, warn_of_locking
 from ..tools import checks
 from ..tools.caller import warn
@@ -96,6 +98,25 @@ class ElementPatch:
     def of(cls, elements: Elements) -> ElementPatch:
         simple = elements.degree == 1 and elements.body.cell in ("triangle", "tetrahedron")
         return cls(0 if simple or elements.degree > 2 else 1)
+
+
+def warn_of_turning(forms: Any, support: Support, layout: Layout) -> None:
+    """Warn of a support that turns microrotations alone, where relative rotations are averaged over patches:
+    those that alternate within a patch cost nothing, and where the body's length is below a cell nothing else
+    hands the torque on to the displacements."""
+    dim, columns = layout.dim, support.columns
+    for column, (amplitude, component) in columns.items():
+        beside = range(2) if dim == 2 else set(range(3)) - {column - dim}
+        if column < dim or all(c in columns for c in beside) or amplitude.is_zero(component):
+            continue
+        if any(getattr(form, "turns", 0) for form in getattr(forms, "point_forms", forms)):
+            warn(
+                f"{support.name}: turns microrotations, but not the displacements beside them, and the cure of "
+                "locking averages relative rotations over cells: where the material's length is less than a "
+                "cell, the body may be much too soft; prescribe displacements, too, or take locking=None",
+                TrustWarning,
+            )
+        return
 
 
 def forms_of_elements(locking: str | None, elements: Elements) -> list[PointForm]:
