@@ -70,7 +70,8 @@ def supporting_cells(grid: Grid, x: np.ndarray, thickness: float) -> np.ndarray:
 
 
 def _ends(comm: MPI.Comm, grid: Grid, cells: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Steps (m, d) of cells (numbers, (m,)) along the axes across which no cell on their other side has points.
+    """Steps (m, d) of cells (numbers, (m,)) along the axes on whose other side no cell has points.
+
     Collective."""
     out, one = np.zeros_like(step), np.ones((len(cells), 1))
     for i, stride in enumerate(grid.strides):

@@ -27,7 +27,7 @@ SMALL = (
 )
 MISSED = 0.08  # share that a sum over points without boxes misses: the answer is a tenth off or more
 MISSED_GAUSS = 0.15  # of points of quadrature rules, of which what they stand for is guessed, and too large
-ROUGH = 0.125  # of strain increments of bodies that flow (`doubts.roughness`): the grid's own error
+ROUGH = 0.17  # of strain increments of bodies that flow (`doubts.roughness`): the grid's own error
 HOPELESS = 1.0  # above which the boxes alone hold the body
 SLIGHT = 0.1  # of the largest strain increments of a step: of what is less the roughness means nothing
 _REMEDY = "take more points a cell (points_per_cell), or smaller cells"
