@@ -188,7 +188,16 @@ def known(results):
 
 def doubted(row):
     """Whether the measure of trust warned; nearly incompressible materials have a warning of their own."""
-    return any("boxes" in w for w in row["warned"])
+    return any("boxes" in w or "smooth" in w for w in row["warned"])
+
+
+def counts(rows):
+    """Number of rows that have an answer, of warnings, within 1 %, 1 to 10 % and more; the median error."""
+    mine = [r for r in rows if not r["failure"]]
+    errors = 100 * np.abs([r["error"] for r in mine])
+    classes = ((-1, 1), (1, 10), (10, np.inf))
+    found = [int(((errors > low) & (errors <= high)).sum()) for low, high in classes]
+    return [len(mine), sum(map(doubted, mine)), *found, f"{np.median(errors):.2g}"]
 
 
 def measure(results):
@@ -196,15 +205,9 @@ def measure(results):
     rows = results.group("measure")
     lines = []
     for low, high in ((0, 0.05), (0.05, 0.2), (0.2, 0.5), (0.5, 1.0)):
-        mine = [r for r in rows if not r["failure"] and low <= r["unresolved"] < high]
-        errors = 100 * np.abs([r["error"] for r in mine])
-        counts = [
-            int((errors <= 1).sum()),
-            int(((errors > 1) & (errors <= 10)).sum()),
-            int((errors > 10).sum()),
-        ]
-        warned = sum(map(doubted, mine))
-        lines.append([f"{low:g} to {high:g}", len(mine), warned, *counts, f"{np.median(errors):.2g}"])
+        mine = [r for r in rows if r["unresolved"] is not None and low <= r["unresolved"] < high]
+        lines.append([f"{low:g} to {high:g}", *counts(mine)])
+    lines.append(["without boxes", *counts([r for r in rows if r["unresolved"] is None])])
     none = [r for r in rows if r["failure"]]
     lines.append(["no answer", len(none), sum(map(doubted, none)), "", "", "", ""])
     head = ["U", "runs", "warned", "within 1 %", "1 to 10 %", "more than 10 %", "median error (%)"]
@@ -303,7 +306,7 @@ def draw_measure(axis, results):
     for label, marker, colour, test in kinds:
         mine = [r for r in results.group("measure") if test(r["scene"]) and r["scene"] not in taken]
         taken |= {r["scene"] for r in mine}
-        mine = [r for r in mine if not r["failure"]]
+        mine = [r for r in mine if not r["failure"] and r["unresolved"] is not None]
         values = [max(floor, 100 * abs(r["error"])) for r in mine]
         axis.plot([max(1e-4, r["unresolved"]) for r in mine], values, marker, ms=3.2, mfc="none", mec=colour,
                   mew=0.8, label=label, zorder=3)  # fmt: skip

@@ -92,18 +92,6 @@ def test_of_cells_that_are_all_thin_only_the_last_ones_lean():
     np.testing.assert_array_equal(SPLINES.supporting_cells(grid, x), np.minimum(grid.cells_of(x), 4))
 
 
-def test_a_thin_last_cell_with_nothing_behind_leans_on_the_nearest_beside_that():
-    """A corner of a turned body with one point a cell."""
-    grid = pm.Grid.box((0, 0), (6, 6), 1.0)
-    x = np.array([[2.14, 1.99], [1.75, 2.9], [3.06, 2.37], [2.7, 3.3]])
-    share = np.arange(len(x)) % COMM.size == COMM.rank
-    expected = np.array([[1, 2], [1, 2], [3, 2], [2, 3]])[share]
-    np.testing.assert_array_equal(SPLINES.supporting_cells(grid, x[share]), expected)
-    turned = (x - 3) @ np.array([[0, 1], [-1, 0]]) + 3
-    expected = np.array([[3, 1], [3, 1], [3, 3], [2, 2]])[share]
-    np.testing.assert_array_equal(SPLINES.supporting_cells(grid, turned[share]), expected)
-
-
 @EACH
 def test_slivers_of_seeded_bodies_move_with_the_grid(basis):
     """Any number of points a cell, equal or Gauss positions, or a last box cut at a simple place: shifted by

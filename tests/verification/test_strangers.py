@@ -72,13 +72,13 @@ def test_what_a_sum_over_points_misses(benchmarks, number, options, missed):
     assert "misses about" in made.problem.trust()
 
 
-@pytest.mark.parametrize("cells", [2, 8])
-def test_roughness_tells_a_coarse_footing(benchmarks, cells):
-    """An eighth off with two cells, 0.4 % with eight: the boxes see neither."""
+@pytest.mark.parametrize(("cells", "settlement"), [(2, 0.02), (4, 0.01)])
+def test_roughness_tells_a_coarse_footing(benchmarks, cells, settlement):
+    """An eighth off with two cells, 4 % with four: the boxes see neither."""
     scenes, records = benchmarks["scenes"], benchmarks["records"]
-    made = records.run(lambda: scenes.footing(cells, 2, settlement=0.005), 4, keep=True)
+    made = records.run(lambda: scenes.footing(cells, 2, settlement=settlement), keep=True)
     assert len(made.warned) == int(cells == 2)
-    assert (made.problem.box_record.rough > 0.125) == (cells == 2)
+    assert (made.problem.box_record.rough > 0.15) == (cells == 2)
     assert made.unresolved < 0.2
     assert "flowing body" in made.problem.trust()
 

@@ -21,8 +21,6 @@ import numpy as np
 from ..geometry.grid import Grid, box_indices, snap
 from ..tools.parallel import Route, values_by_number
 
-_NEAR = 0.4955  # reach of points, in cells, from a face that is nearer than the opposite one
-
 
 def supporting_cells(grid: Grid, x: np.ndarray, thickness: float) -> np.ndarray:
     """Lattice index (n, d) of the cell whose polynomials weight each point at x (n, d) (m). Collective.
@@ -57,7 +55,7 @@ def supporting_cells(grid: Grid, x: np.ndarray, thickness: float) -> np.ndarray:
     leans = (target[:, -1] > 0) & np.all((step == 0) | (target[:, :-1] == 0), axis=1) & np.any(step, axis=1)
     alone = np.any(step, axis=1) & ~leans
     if comm.allreduce(int(np.any(alone))):  # but the body's last ones, whose tails no other point reaches
-        ends = _ends(comm, grid, cells, step * alone[:, None], deepest)
+        ends = _ends(comm, grid, cells, step * alone[:, None])
         step = np.where(leans[:, None], step, ends)
         target = at_target()
         leans = (
@@ -71,36 +69,14 @@ def supporting_cells(grid: Grid, x: np.ndarray, thickness: float) -> np.ndarray:
     return supporting
 
 
-def _ends(comm: MPI.Comm, grid: Grid, cells: np.ndarray, step: np.ndarray, deepest: np.ndarray) -> np.ndarray:
-    """Steps (m, d) of cells (numbers, (m,)) that have nothing on their other side, to the cell behind the
-    face, or if there are no points in it, to the one beside that to which the points are near. Collective.
+def _ends(comm: MPI.Comm, grid: Grid, cells: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Steps (m, d) of cells (numbers, (m,)) along the axes on whose other side no cell has points.
 
-    Args:
-        step: across the faces of which they are slivers, (m, d).
-        deepest: how far their points reach from lower and upper faces (m, 2 d).
-    """
-    m, d = step.shape
-
-    def any_in(at: np.ndarray) -> np.ndarray:
-        found: np.ndarray = (
-            values_by_number(comm, cells, np.ones((m, 1)), cells + at @ grid.strides)[:, 0] > 0
-        )
-        return found
-
-    out = np.zeros_like(step)
-    for i in range(d):
-        along = np.zeros_like(step)
-        along[:, i] = step[:, i]
-        out[:, i] = np.where(any_in(-along), 0, step[:, i])
-    row, missing = np.arange(m), np.any(out, axis=1) & ~any_in(out)
-    order = np.argsort(deepest, axis=1, kind="stable")
-    for k in range(2 * d):
-        axis, near = order[:, k] % d, deepest[row, order[:, k]] < _NEAR
-        beside = out.copy()
-        beside[row, axis] = np.where(order[:, k] < d, -1, 1)
-        use = missing & near & (out[row, axis] == 0)
-        use &= any_in(beside * use[:, None])
-        out[use], missing = beside[use], missing & ~use
+    Collective."""
+    out, one = np.zeros_like(step), np.ones((len(cells), 1))
+    for i, stride in enumerate(grid.strides):
+        across = values_by_number(comm, cells, one, cells - step[:, i] * stride)[:, 0]
+        out[:, i] = np.where(across > 0, 0, step[:, i])
     return out
 
 

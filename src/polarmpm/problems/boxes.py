@@ -10,6 +10,7 @@ from mpi4py import MPI
 import numpy as np
 
 from ..assembly.loadedpoints import LoadedPoints
+from ..assembly.pointboxes import has_boxes
 from ..bodies.points import Points
 from ..errors import TrustWarning
 from ..forms.points import PointForm
@@ -25,7 +26,8 @@ SMALL = (
     0.05  # increments (their gradients) of elastic points of which boxes miss nothing, whatever their share
 )
 MISSED = 0.08  # share that a sum over points without boxes misses: the answer is a tenth off or more
-ROUGH = 0.125  # of strain increments of bodies that flow (`doubts.roughness`): the grid's own error
+MISSED_GAUSS = 0.15  # of points of quadrature rules, of which what they stand for is guessed, and too large
+ROUGH = 0.17  # of strain increments of bodies that flow (`doubts.roughness`): the grid's own error
 HOPELESS = 1.0  # above which the boxes alone hold the body
 SLIGHT = 0.1  # of the largest strain increments of a step: of what is less the roughness means nothing
 _REMEDY = "take more points a cell (points_per_cell), or smaller cells"
@@ -146,7 +148,7 @@ class BoxRecord:
         """Take note of what a sum over points without boxes misses in the first step."""
         if not self.largest[1] and self._missed is not None:
             self.largest = (self._missed, step)
-            if self._missed > MISSED:
+            if self._missed > (MISSED if has_boxes(self.points) else MISSED_GAUSS):
                 self._warn(
                     f"step {step}: the points have no boxes, and a sum over them misses about "
                     f"{100 * self._missed:.0f} % of the work: the body is too soft; leave boxes=True, seed "

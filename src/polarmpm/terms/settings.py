@@ -23,7 +23,7 @@ from .base import Boxes, Carried, Places, Setting
 
 _INWARD = 1e-6  # cells: a point on a plane of the grid belongs to the cell behind it, against its normal
 # cells by which a face may lie ahead of those that material points reach: at first, later
-_AHEAD = (0.5, 1.5)
+_AHEAD = (0.5, 1.0)
 
 
 class GridSetting(Setting):
@@ -165,13 +165,22 @@ class GridSetting(Setting):
         normal = places.surface.normal[:, :, None]
         turned = np.linalg.solve(np.swapaxes(places.deformation, 1, 2), normal)[:, :, 0]
         turned /= np.linalg.norm(turned, axis=1, keepdims=True)
-        xi, body = grid.local(x) - _INWARD * turned, self._bodies_at(x, turned)
-        owner, cells, distance = self._nearest(xi, body, 1)
-        far = np.flatnonzero(owner == size)
-        if len(far):  # the last points of a body may be weighted with the functions of cells behind them
-            owner[far], cells[far], distance[far] = self._nearest(xi[far], body[far], 2)
+        xi = grid.local(x) - _INWARD * turned
+        around = box_indices((3,) * grid.dim) - 1
+        index = np.floor(xi).astype(np.int64)[:, None] + around
+        inside = np.all((index >= 0) & (index < np.array(grid.shape)), axis=2)
+        body = self._bodies_at(x, turned)
+        of_body = grid.of_bodies(index.reshape(-1, grid.dim), np.repeat(body, index.shape[1]))
+        here = inside & np.isin(grid.cell_number(of_body).reshape(inside.shape), self.reached)
+        lowest = np.where(here, self.comm.rank, size)
+        self.comm.Allreduce(MPI.IN_PLACE, lowest, op=MPI.MIN)
+        beyond = np.maximum(np.maximum(index - xi[:, None], xi[:, None] - index - 1), 0.0)
+        distance = np.where(lowest < size, np.linalg.norm(beyond, axis=2), np.inf)
+        nearest = np.argmin(distance, axis=1)
+        every = np.arange(len(x))
+        owner, cells = lowest[every, nearest], grid.of_bodies(index[every, nearest], body)
         limit = _AHEAD[places.committed]
-        owner[distance > limit] = size
+        owner[distance[every, nearest] > limit] = size
         if np.any(owner == size):
             at = int(np.argmax(owner == size))
             raise InputError(
@@ -180,24 +189,6 @@ class GridSetting(Setting):
                 f"that is less than {limit:g} cells away"
             )
         return owner, cells
-
-    def _nearest(
-        self, xi: np.ndarray, body: np.ndarray, rings: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rank (n,), the number of ranks for none, and lattice index (n, d) of the nearest cell that material
-        points of a body (n,) reach of those up to `rings` around places xi (n, d) (cells), and its distance
-        (n,)."""
-        grid, size, every = self.grid, self.comm.size, np.arange(len(xi))
-        index = np.floor(xi).astype(np.int64)[:, None] + box_indices((2 * rings + 1,) * grid.dim) - rings
-        inside = np.all((index >= 0) & (index < np.array(grid.shape)), axis=2)
-        of_body = grid.of_bodies(index.reshape(-1, grid.dim), np.repeat(body, index.shape[1]))
-        here = inside & np.isin(grid.cell_number(of_body).reshape(inside.shape), self.reached)
-        lowest = np.where(here, self.comm.rank, size)
-        self.comm.Allreduce(MPI.IN_PLACE, lowest, op=MPI.MIN)
-        beyond = np.maximum(np.maximum(index - xi[:, None], xi[:, None] - index - 1), 0.0)
-        distance = np.where(lowest < size, np.linalg.norm(beyond, axis=2), np.inf)
-        nearest = np.argmin(distance, axis=1)
-        return lowest[every, nearest], grid.of_bodies(index[every, nearest], body), distance[every, nearest]
 
 
 def check_facets(places: Places, elements: Elements) -> FacetSurface:
