@@ -147,7 +147,7 @@ class BodyContact(Sites):
         return np.zeros((len(self.surface), sum(self.form.told.values())))
 
     def normals(self, F: np.ndarray | None = None) -> np.ndarray:
-        """Outward unit normals of the sites (n, d), with deformation gradients; by default as they are now."""
+        """Outward unit normals of the sites (n, d), by deformation gradients; by default as they are now."""
         F = self.F if F is None else F
         n = np.linalg.solve(np.swapaxes(F, 1, 2), self.surface.normal[:, :, None])[:, :, 0]
         unit: np.ndarray = n / np.linalg.norm(n, axis=1, keepdims=True)
