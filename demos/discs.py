@@ -21,7 +21,7 @@ from polarmpm.plot import styled
 from polarmpm.study import commandline as demo
 
 RADIUS, SPEED = 0.2, 0.1  # m, m/s
-SITES = 4  # of contact, a cell
+SITES = 8  # of contact, a cell
 MIDDLES = np.array([[0.2, 0.2], [0.8, 0.8]])
 E, NU, DENSITY = 1000.0, 0.3, 1000.0  # Pa, -, kg/m^3
 MATERIAL = pm.NeoHookean(lam=E * NU / (1 + NU) / (1 - 2 * NU), mu=0.5 * E / (1 + NU))

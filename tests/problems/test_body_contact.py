@@ -174,7 +174,7 @@ def test_restart_goes_on_to_the_same_digits(folder):
 
 def test_stack_in_space_with_three_bodies():
     """Blocks under their own weight: what they carry grows downwards; their points' faces find each other."""
-    grid = pm.Grid.box((0, 0, 0), (1, 1, 1.6), 0.2, COMM)
+    grid = pm.Grid.box((0, 0, 0), (1.2, 1.2, 1.6), 0.4, COMM)
     size, low = (0.13, 0.13), 0.0
     points = None
     for height in (0.4, 0.5, 0.3):

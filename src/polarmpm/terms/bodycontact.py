@@ -26,6 +26,8 @@ _REACH = 1.0  # cells: sites that are nearer to another body when a step begins 
 _FAR = 1.6  # cells: so far other sites are looked for
 _BEHIND = 0.5  # cells behind a surface: functions of the cell there tell how the surface moves
 _CORRECTIONS = 3  # by Newton's method, of the places that sites face
+_DEEP = 0.25  # cells by which a site may be in a body at the end of a step without having been watched
+_PART = 0.9  # of the way to a body that is far away that a site may move in a step
 _SPAN = 1.05  # of a site's piece of the surface, beyond which it isn't there
 
 
@@ -90,7 +92,7 @@ class BodyContact(Sites):
         self.sums = np.full((int(self.body.max()) + 1, d + (1 if d == 2 else 3)), np.nan)
         self._span = _SPAN * np.sqrt(d - 1) * self.surface.area ** (1.0 / (d - 1))
         self.partner, self.gap = np.full(n, -1, dtype=np.int64), np.full(n, np.inf)
-        self._moved, self._told, self._balanced = self._nothing(), self._nothing_told(), None
+        self._told, self._balanced = self._nothing_told(), None
         self._factor = 0.0
 
     def still(self, factor: float) -> BodyContact:
@@ -144,19 +146,23 @@ class BodyContact(Sites):
         assert isinstance(self.form, BodyContactForm)
         return np.zeros((len(self.surface), sum(self.form.told.values())))
 
-    def normals(self) -> np.ndarray:
-        """Outward unit normals of the sites (n, d), as they are now."""
-        n = np.linalg.solve(np.swapaxes(self.F, 1, 2), self.surface.normal[:, :, None])[:, :, 0]
+    def normals(self, F: np.ndarray | None = None) -> np.ndarray:
+        """Outward unit normals of the sites (n, d), by deformation gradients; by default as they are now."""
+        F = self.F if F is None else F
+        n = np.linalg.solve(np.swapaxes(F, 1, 2), self.surface.normal[:, :, None])[:, :, 0]
         unit: np.ndarray = n / np.linalg.norm(n, axis=1, keepdims=True)
         return unit
 
-    def _look(self) -> None:
-        """Find the sites' partners, and the places of the other bodies that they face."""
-        x, normal = self.x, self.normals()
+    def _found(self, x: np.ndarray, F: np.ndarray) -> partners.Partners:
+        """Partners of the sites at places (n, d), with deformation gradients."""
         deepest = max(0.0, -float(self.gap.min()))  # soft springs let sites in by more than cells
         reach, far = _REACH * self._size, _FAR * self._size + 1.5 * deepest
-        found = partners.find(x, normal, self._span, self.sides, reach, far)
-        self.partner, self._free = found.site, found.free
+        return partners.find(x, self.normals(F), self._span, self.sides, self.body, reach, far)
+
+    def _look(self) -> None:
+        """Find the sites' partners, and the places of the other bodies that they face."""
+        x, normal, found = self.x, self.normals(), self._found(self.x, self.F)
+        self.partner, self._free, self._nearest = found.site, found.free, found.nearest
         self.gap = found.gap
         at = np.flatnonzero(found.site >= 0)
         j = found.site[at]
@@ -276,15 +282,41 @@ class BodyContact(Sites):
         return True
 
     def check_way(self, moved: np.ndarray, rows: np.ndarray) -> None:
-        """Raise LocalFailure where a site that faced nothing may have gone through a surface, with
-        displacements (m, d) since increments count."""
-        way = np.linalg.norm(moved - (self.u - self._u_at)[rows], axis=1)
-        bad = (self.partner[rows] < 0) & (way > 0.5 * self._free[rows])
+        """Raise LocalFailure where a site that faced nothing has gone through a surface, with displacements
+        and their gradients (m, d + d^2) of sites `rows` since increments count. Collective."""
+        every = self._every(moved, rows)
+        u, F = self._carried(every)
+        found = self._found(self.surface.x + u, F)
+        deep = np.where(self.partner < 0, -found.gap, -np.inf)
+        at = int(np.argmax(deep))
+        if deep[at] > _DEEP * self._size:
+            raise LocalFailure(
+                f"{self.name}: a place of body {self.body[at]} that was farther than {_REACH:g} cells from "
+                f"body {self.body[found.site[at]]} is now {deep[at]:.3g} m inside; smaller steps are needed"
+            )
+        u = u - self.u
+        means = np.stack([u[self.sides != side].mean(axis=0) for side in range(self.sides.max() + 1)])
+        way = np.linalg.norm(u - means[self.sides], axis=1)
+        bad = (self._nearest < 0) & (way > _PART * self._free)
         if np.any(bad):
             raise LocalFailure(
-                f"{self.name}: a place of a body that was {self._free[rows][bad].min():.3g} m from another "
-                f"one has moved by {way[bad].max():.3g} m; smaller steps are needed"
+                f"{self.name}: a place of a body that was {self._free[bad].min():.3g} m from another one has "
+                f"moved by {way[bad].max():.3g} m relative to it; smaller steps are needed"
             )
+
+    def _every(self, moved: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """What ranks know of their sites `rows`, of all sites. Collective."""
+        every = self._nothing()
+        every[rows] = moved
+        self.comm.Allreduce(MPI.IN_PLACE, every)
+        return every
+
+    def _carried(self, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements (n, d) and deformation gradients of all sites, of `moved` (n, d + d^2) since
+        increments count."""
+        d = self.layout.dim
+        gradient = moved[:, d:].reshape(-1, d, d)
+        return self._u_at + moved[:, :d], (np.eye(d) + gradient) @ self._F_at
 
     def commit_told(self, told: np.ndarray, rows: np.ndarray) -> None:
         """Take note of what has been told of sites `rows` at the end of a step."""
@@ -299,24 +331,19 @@ class BodyContact(Sites):
     def finish(self, moved: np.ndarray, rows: np.ndarray) -> None:
         """The step has converged, with displacements and their gradients (m, d + d^2) of sites `rows` since
         increments count. Collective."""
-        self._moved = self._nothing()
-        self._moved[rows] = moved
+        self.u, self.F = self._carried(self._every(moved, rows))
         told = np.hstack([self._told, self._told if self._balanced is None else self._balanced])
-        every = np.hstack([self._moved, told])
-        self.comm.Allreduce(MPI.IN_PLACE, every)
+        self.comm.Allreduce(MPI.IN_PLACE, told)
         trial: np.ndarray = np.where(self._trial != self.multiplier, self._trial, -np.inf)
         self.comm.Allreduce(MPI.IN_PLACE, trial, op=MPI.MAX)
-        n, d, size = len(every), self.layout.dim, self._told.shape[1]
-        gradient = every[:, d : d + d * d].reshape(n, d, d)
-        self.u, self.F = self._u_at + every[:, :d], (np.eye(d) + gradient) @ self._F_at
-        end, balanced = every[:, d + d * d :][:, :size], every[:, d + d * d + size :]
+        d, (end, balanced) = self.layout.dim, np.hsplit(told, 2)
         touching = end[:, 1:2] > 0.0
         multiplier = np.where(np.isfinite(trial), trial, self.multiplier)
         self.multiplier = self._trial = np.where(touching[:, 0], multiplier, 0.0)
         self.slip = np.where(touching, end[:, 2 + d :], 0.0)
         self.pressure, self.traction = balanced[:, 1], balanced[:, 2 : 2 + d]
         self._sum()
-        self._moved, self._told, self._balanced = self._nothing(), self._nothing_told(), None
+        self._told, self._balanced = self._nothing_told(), None
         self._look()
         self.regroup = not np.array_equal(self._grouped, self._cells_faced())
 

@@ -105,15 +105,17 @@ class MovedPiece(Piece):
     def matrices(self, x: np.ndarray) -> np.ndarray:
         return np.zeros((len(x), x.shape[1], x.shape[1], 0))
 
-    def _displacement(self, x: np.ndarray) -> np.ndarray:
-        moved: np.ndarray = np.einsum("mn,mnj->mj", self._table[:, 0], x[:, :, : self.term.layout.dim])
-        return moved
+    def _moved(self, x: np.ndarray) -> np.ndarray:
+        """Displacements and their gradients (m, d + d^2)."""
+        d = self.term.layout.dim
+        moved = np.einsum("mn,mnj->mj", self._table[:, 0], x[:, :, :d])
+        gradient = np.einsum("min,mnj->mji", self._table[:, 1:], x[:, :, :d])
+        return np.hstack([moved, gradient.reshape(len(x), d * d)])
 
     def refine(self, x: np.ndarray) -> bool:
-        self.term.check_way(self._displacement(x), self.rows)
+        """Collective, unlike others'."""
+        self.term.check_way(self._moved(x), self.rows)
         return False
 
     def commit(self, x: np.ndarray) -> None:
-        d = self.term.layout.dim
-        gradient = np.einsum("min,mnj->mji", self._table[:, 1:], x[:, :, :d]).reshape(len(x), d * d)
-        self.term.finish(np.hstack([self._displacement(x), gradient]), self.rows)
+        self.term.finish(self._moved(x), self.rows)

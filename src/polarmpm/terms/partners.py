@@ -19,22 +19,31 @@ class Partners:
     Attributes:
         site: its number (n,); -1: there is none within reach.
         gap: distance (m) from its tangent plane (n,); infinite without a partner.
-        free: distance (m) from the nearest surface that faces it (n,), or less; of sites without a partner.
+        free: distance (m) from the nearest surface that faces it (n,), or less.
+        nearest: the nearest site that faces it, partner or not (n,); -1: there is none around.
     """
 
     site: np.ndarray
     gap: np.ndarray
     free: np.ndarray
+    nearest: np.ndarray
 
 
 def find(
-    x: np.ndarray, normal: np.ndarray, span: np.ndarray, side: np.ndarray, reach: float, far: float
+    x: np.ndarray,
+    normal: np.ndarray,
+    span: np.ndarray,
+    side: np.ndarray,
+    body: np.ndarray,
+    reach: float,
+    far: float,
 ) -> Partners:
     """Partners of sites at x (n, d) (m) with outward normals (n, d).
 
     Args:
         span: how far (m) from its middle a site's piece of the surface reaches (n,).
-        side: number of the body, or group of bodies, of each (n,).
+        side: sites of one number don't face each other (n,).
+        body: number of the body of each (n,).
         reach: largest distance (m) before a partner's plane.
         far: how far (m) sites are looked for.
     """
@@ -42,21 +51,30 @@ def find(
     slave, master = _near(x, far)
     keep = side[slave] != side[master]
     slave, master = slave[keep], master[keep]
-    keep = np.sum(normal[slave] * normal[master], axis=1) < _OPPOSED
-    slave, master = slave[keep], master[keep]
+    turned = np.sum(normal[slave] * normal[master], axis=1)
+    distance = np.linalg.norm(x[slave] - x[master], axis=1)
+    # how far the faces are, of each body, that look where the site's own one does
+    bodies, same = int(body.max()) + 1, turned > -_OPPOSED
+    back = np.full(n * bodies, np.inf)
+    np.minimum.at(back, slave[same] * bodies + body[master[same]], distance[same])
+    keep = turned < _OPPOSED
+    slave, master, distance = slave[keep], master[keep], distance[keep]
     away = x[slave] - x[master]
-    distance = np.linalg.norm(away, axis=1)
     gap = np.sum(away * normal[master], axis=1)
     aside = np.linalg.norm(away - gap[:, None] * normal[master], axis=1)
     free = np.maximum(_from_others(x, side), far)
     np.minimum.at(free, slave, distance)
-    keep = (gap <= reach) & (aside <= span[master])
-    slave, master, gap = slave[keep], master[keep], gap[keep]
-    order = np.lexsort((master, np.rint(distance[keep] / (_TIE * far)), slave))
-    slave, first = np.unique(slave[order], return_index=True)
-    site, found = np.full(n, -1, dtype=np.int64), np.full(n, np.inf)
-    site[slave], found[slave] = master[order][first], gap[order][first]
-    return Partners(site, found, free)
+    order = np.lexsort((master, np.rint(distance / (_TIE * far)), slave))
+    slave, master, gap, aside, distance = (a[order] for a in (slave, master, gap, aside, distance))
+    nearest, site, found = (np.full(n, value) for value in (-1, -1, np.inf))
+    of, first = np.unique(slave, return_index=True)
+    nearest[of] = master[first]
+    # inside of a body its near face is nearer than its far one
+    inside = (gap >= 0.0) | (distance < back[slave * bodies + body[master]])
+    keep = np.flatnonzero((gap <= reach) & (aside <= span[master]) & inside)
+    of, first = np.unique(slave[keep], return_index=True)
+    site[of], found[of] = master[keep[first]], gap[keep[first]]
+    return Partners(site, found, free, nearest)
 
 
 def _near(x: np.ndarray, far: float) -> tuple[np.ndarray, np.ndarray]:
