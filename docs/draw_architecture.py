@@ -36,8 +36,8 @@ class Room(NamedTuple):
 ROOMS = (
     Room("errors", "what can go wrong, in words", "tools"),
     Room("tools", "versions, ranks, checks, timing", "tools"),
-    Room("solvers", "Newton, load steps, linear solvers", "tools"),
     Room("kernels", "UFL to machine code, loops in C", "tools"),
+    Room("solvers", "Newton, load steps, linear solvers", "tools"),
     Room("geometry", "grid, nodes, planes, meshes", "space"),
     Room("kinematics", "strains, rotations, motion", "space"),
     Room("basis", "weighting functions", "space"),
