@@ -9,6 +9,7 @@ precision: there are motions among them that hardly anything resists, and relaxa
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 
 from mpi4py import MPI
 
@@ -20,6 +21,7 @@ from .levels import BACKWARD, FORWARD, FROM_ZERO, LIFT, REST, Halo, Level, Part
 from .linear import LatticeRows, SingularTangent
 
 _COARSEST, _FEW = 8000, 500  # unknowns that are factored: at most, and such as aren't worth a coarser level
+_SHARED = 30_000  # unknowns of weak nodes that every rank factors; else each of its own ones
 _SHIFT = 1e-11  # of the coarsest diagonal
 
 
@@ -114,17 +116,29 @@ class Hierarchy:
         near[back] = True
         self._near = np.flatnonzero(near).astype(np.int64)
         self._rows = np.flatnonzero(weak).astype(np.int64)
-        if count:
+        if self.halo is not None and total * level.block <= _SHARED:
+            self._weak = Part(level, self._rows, self._symmetric, self.halo)
+        elif count:
             self._weak = Part(level, self._rows, self._symmetric)
 
     def renew_weak(self) -> None:
         """Take the weak nodes' part of the rows as it is.
 
         Raises:
-            SingularTangent: it can't be factored; on this rank.
+            SingularTangent: it can't be factored; on every rank.
         """
-        if self._weak is not None:
-            self._weak.renew(LIFT)
+        self._on_all_ranks(lambda: None if self._weak is None else self._weak.renew(LIFT))
+
+    def _on_all_ranks(self, work: Callable[[], None]) -> None:
+        problem = ""
+        try:
+            work()
+        except SingularTangent as e:
+            problem = str(e)
+        if self._comm is not None:
+            problem = next((p for p in self._comm.allgather(problem) if p), "")
+        if problem:
+            raise SingularTangent(problem)
 
     def _correct_weak(self, b: np.ndarray) -> None:
         if not self.any_weak:
@@ -142,16 +156,8 @@ class Hierarchy:
         Raises:
             SingularTangent: no hierarchy can be made of them; on every rank.
         """
-        problem = ""
-        try:
-            self._renew_finest()
-            self.renew_weak()
-        except SingularTangent as e:
-            problem = str(e)
-        if self._comm is not None:
-            problem = next((p for p in self._comm.allgather(problem) if p), "")
-        if problem:
-            raise SingularTangent(problem)
+        self._on_all_ranks(self._renew_finest)
+        self.renew_weak()
         comm = self._comm
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             fine.find_free(comm, self.halo if comm is not None else None)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -76,7 +75,7 @@ class LatticeSolver:
             self._build()
         elif self._hierarchy is not None:
             try:
-                self._on_all_ranks(self._hierarchy.renew_weak)
+                self._hierarchy.renew_weak()
             except SingularTangent:
                 self._factor_direct()
 
@@ -84,16 +83,6 @@ class LatticeSolver:
         with np.errstate(over="ignore", invalid="ignore"):
             largest = max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
         return math.isfinite(self.comm.allreduce(largest if largest == largest else math.inf, op=MPI.MAX))
-
-    def _on_all_ranks(self, work: Any) -> None:
-        problem = ""
-        try:
-            work()
-        except SingularTangent as e:
-            problem = str(e)
-        problem = next((p for p in self.comm.allgather(problem) if p), "")
-        if problem:
-            raise SingularTangent(problem)
 
     def _build(self) -> None:
         """A hierarchy of this tangent; where there can be none the direct solver stands in."""
@@ -184,3 +173,4 @@ class LatticeSolver:
         """Release PETSc's objects."""
         self._release()
         (self._direct or self.matrix).destroy()
+        vars(self).pop("_lattice", None)  # which holds the entries

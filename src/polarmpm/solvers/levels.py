@@ -191,33 +191,50 @@ class Level:
 
 
 class Part:
-    """Some nodes' own part of a level's matrix, factored.
+    """Some nodes' own part of a level's matrix, factored; with a halo those of all ranks, on each of them.
 
     Args:
-        chosen: the nodes (m,), ascending.
+        chosen: the nodes of this rank (m,), ascending.
+        halo: of the columns, where the part is that of all ranks together. Collective then.
     """
 
-    def __init__(self, level: Level, chosen: np.ndarray, symmetric: bool):
+    def __init__(self, level: Level, chosen: np.ndarray, symmetric: bool, halo: Halo | None = None):
         kept, b = level.rows.kept, level.block
-        self._values, self.chosen = kept["values"], chosen
+        self._values, self._comm = kept["values"], None if halo is None else halo.comm
+        self._first, self._own = 0, len(chosen) * b
         number = np.full(level.columns, -1, dtype=np.int64)
-        number[chosen] = np.arange(len(chosen))
+        if halo is not None:
+            self._first = halo.comm.exscan(len(chosen)) or 0
+        number[chosen] = self._first + np.arange(len(chosen))
+        if halo is not None:
+            halo.fill(number)
         row, at = level.pairs
         cols = kept["cols"]
-        inside = (number[row] >= 0) & (number[cols] >= 0)
-        if symmetric:
-            inside &= cols >= row
+        inside = (number[row] >= 0) & (number[cols] >= (number[row] if symmetric else 0))
         row, at, cols = (a[inside][:, None] for a in (row, at, cols))
         i, j = (a.ravel() for a in np.divmod(np.arange(b * b), b))
         where = kept["row_start"][row * b + i] + at.astype(np.int64) * b + j
         r, c = number[row] * b + i, number[cols] * b + j
         keep = (c >= r) if symmetric else np.ones(c.shape, dtype=bool)
-        where, r, c = where[keep], r[keep], c[keep]
-        order = np.lexsort((c, r))
-        self._where, r, c = where[order], r[order], c[order]
+        self._where, r, c = where[keep], r[keep], c[keep]
+        size = self._own
+        if self._comm is not None:
+            r, c = (np.concatenate(self._comm.allgather(a)) for a in (r, c))
+            size = self._comm.allreduce(size)
+        self._order = np.lexsort((c, r))
+        r, c = r[self._order], c[self._order]
         self._diagonal, self._entries = np.flatnonzero(r == c), np.zeros(len(c))
-        counts = np.bincount(r, minlength=len(chosen) * b)
+        counts = np.bincount(r, minlength=size)
         self._factor = Factor(np.concatenate([[0], np.cumsum(counts)]), c, self._entries, symmetric)
+
+    def _all(self, values: np.ndarray) -> np.ndarray:
+        """Values (n,) of all ranks."""
+        if self._comm is None:
+            return values
+        counts = self._comm.allgather(len(values))
+        out = np.empty(sum(counts))
+        self._comm.Allgatherv(np.ascontiguousarray(values), [out, counts])
+        return out
 
     def renew(self, lift: float) -> None:
         """Factor the entries as they are, the diagonal raised by `lift` of it.
@@ -225,14 +242,16 @@ class Part:
         Raises:
             SingularTangent: that is not possible.
         """
-        np.take(self._values, self._where, out=self._entries)
+        np.take(self._all(self._values[self._where]), self._order, out=self._entries)
         own = self._entries[self._diagonal]
         self._entries[self._diagonal] = np.where(own == 0.0, 1.0, own * (1.0 + lift))
         self._factor.renew()
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solution (m, block) for (m, block)."""
-        return self._factor.solve(right.ravel()).reshape(right.shape)
+        found = self._factor.solve(self._all(right.ravel()))
+        first = self._first * right.shape[1]
+        return found[first : first + self._own].reshape(right.shape)
 
     def destroy(self) -> None:
         """Release PETSc's objects."""
