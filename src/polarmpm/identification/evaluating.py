@@ -6,7 +6,6 @@ import contextlib
 import inspect
 import os
 import pickle
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -222,7 +221,7 @@ class Evaluator:
     def __init__(self, tasks: Sequence[Task], workers: int, comm: MPI.Intracomm):
         self.tasks, self.comm = list(tasks), comm
         self.workers = workers
-        self._lock, self._pool = threading.Lock(), None
+        self._pool: ProcessPoolExecutor | None = None
         if workers > 1:
             for task in self.tasks:
                 _check_sendable(task)
@@ -250,7 +249,7 @@ class Evaluator:
 
     def _submit(self, *args: Any) -> Future[Evaluated]:
         assert self._pool is not None
-        with self._lock, _alone():
+        with _alone():
             return self._pool.submit(evaluate, *args)
 
     def close(self) -> None:
