@@ -123,7 +123,7 @@ def shaft(p, **options):
 def arch(p, **options):
     """Half of a shallow arch that snaps through."""
     material = pm.MicropolarElastic.from_engineering(
-        E=p["E"], nu=0.25, n=p["n"], l_b=p["l_b"], l_t=0.2, psi=1.0
+        E=p["E"], nu=0.25, n=p["n"], l_b=p["l_b"], l_t=0.1, psi=1.0
     )
     grid = pm.Grid.box((0, -4), (10, 3), 0.5)
     points = pm.seed(

@@ -11,6 +11,7 @@ from ..errors import InputError, TrustWarning
 from ..forms.elementkernels import NativeElementForms
 from ..materials.base import parameter_values
 from ..problems.elements import QuasiStaticFEM
+from ..problems.motion import Moving
 from ..problems.points import QuasiStatic
 from ..solvers.resetting import Never
 from ..terms.obstacles import Obstacle
@@ -87,15 +88,15 @@ def built(build: Build, values: Mapping[str, float], arguments: Mapping[str, Any
 
 def check_problem(problem: Any) -> None:
     """Raise InputError unless twins of a problem can be made."""
-    name = type(problem).__name__
-    if hasattr(problem, "dt") or name in ("Dynamic", "DynamicFEM"):
+    if isinstance(problem, Moving):
+        name = type(problem).__name__
         raise InputError(f"build: {name} can't be differentiated; allowed are QuasiStatic and QuasiStaticFEM")
     if problem.progress.step:
         raise InputError(
             f"build: the problem has taken {problem.progress.step} step(s) already; one without any is needed"
         )
     for term in problem.terms:
-        if isinstance(term, Obstacle):
+        if isinstance(term, Obstacle) or getattr(term, "kinked", False):
             raise InputError(
                 f"{term.name}: contact begins and ends with kinks, which have no derivative; runs with "
                 "contact aren't differentiated"
@@ -121,9 +122,16 @@ def warn_of_resets(problem: Any) -> None:
             warn(
                 "balanced_reset = False: what resets lose makes answers a sawtooth in the parameters. "
                 "Derivatives are those of its teeth, which may be off the trend by 10 % and more; with the "
-                "default resets they are the trend (docs/sensitivity.md)",
+                "default resets by less than 1 % (docs/sensitivity.md)",
                 TrustWarning,
             )
+
+
+def check_kinks(problem: Any) -> None:
+    """Raise InputError where terms act whose forces have kinks."""
+    kinked = [piece.name for piece in problem.system.terms.pieces if piece.kinked]
+    if kinked:
+        raise InputError(f"{kinked[0]}: its forces have kinks, which have no derivative")
 
 
 def conditions(problem: Any) -> list[tuple[str, bool]]:

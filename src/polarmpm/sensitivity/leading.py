@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import weakref
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -109,11 +109,13 @@ class Watch(Observer):
     """Tells those that follow of resets, at once, while the leading run has the factor of what it carries."""
 
     def __init__(self, leader: Leader):
-        self.leader = leader
+        self._leader = weakref.ref(leader)  # no circles: a run that is dropped is gone
         self.rebased = False
 
     def after_reset(self, problem: Any) -> None:
-        self.leader.was_reset()
+        leader = self._leader()
+        if leader is not None:
+            leader.was_reset()
 
     def after_commit(self, problem: Any, rebased: bool) -> None:
         self.rebased = rebased
@@ -196,6 +198,24 @@ class Leader:
             found[piece.name] = owner, cells
         return found
 
-    def leads(self) -> Callable[[], Any]:
-        """Gives the system that it solves with."""
-        return lambda: self.problem.system
+
+class Lead:
+    """By which a twin knows its leading run, without keeping it alive."""
+
+    def __init__(self, leader: Leader):
+        self.follow(leader)
+
+    def follow(self, leader: Leader) -> None:
+        """Go along with another run from here on."""
+        self._ref = weakref.ref(leader)
+
+    @property
+    def run(self) -> Leader:
+        """The leading run."""
+        leader = self._ref()
+        assert leader is not None
+        return leader
+
+    def system(self) -> Any:
+        """That it solves with."""
+        return self.run.problem.system

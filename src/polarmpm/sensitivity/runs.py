@@ -145,8 +145,14 @@ class Sensitivity:
         twins, used = [], []
         for sign in (1.0, -1.0)[: self.sides]:
             value = self.given[name] * (1.0 + sign * self.steps[name])
-            with building.quiet():
-                problem, observables = self._built({**self.given, name: value})
+            try:
+                with building.quiet():
+                    problem, observables = self._built({**self.given, name: value})
+            except InputError as e:
+                raise InputError(
+                    f"{name}: twins have {value!r} beside {self.given[name]!r}, and build fails: {e}. At an "
+                    "edge of its range sides=1 has a larger value only; or leave it out of `parameters`"
+                ) from e
             apart = building.difference(leader.problem, problem)
             if leader.problem.comm.allreduce(int(bool(apart))):
                 raise InputError(
@@ -199,6 +205,7 @@ class Sensitivity:
 
     def _follow(self, step: Step) -> None:
         """Let the twins take the step that the run has just taken."""
+        building.check_kinks(self.problem)
         path = self._leader.record.path
         self._taken.append(self.problem.progress.factor if path is None else path)
         for name in self.names:

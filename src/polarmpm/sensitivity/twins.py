@@ -20,13 +20,14 @@ from ..assembly.borrowed import BorrowedElements, BorrowedPoints
 from ..assembly.system import NodalSystem
 from ..basis.followed import Followed
 from ..bodies.partition import LoadShares
+from ..bodies.points import Points
 from ..errors import LocalFailure, NotConserved, PointsOutsideGrid, PolarMPMError, SupportLost
 from ..problems.attempts import Search
 from ..solvers.arclength import Path
 from ..solvers.linear import SingularTangent
 from ..solvers.newton import Controls, Outcome
 from ..tools.parallel import Route, values_by_number
-from .leading import Along, Leader, Record
+from .leading import Along, Lead, Leader, Record
 
 CHORDS, MOST_CHORDS = 2, 25
 ENOUGH = 1e-7  # imbalance after the chord steps over that before, at which there are enough of them
@@ -51,19 +52,19 @@ class TwinSearch(Search):
         check: imbalance after the chord steps over that before them, of the last step.
     """
 
-    def __init__(self, leader: Leader):
-        self.leader = leader
+    def __init__(self, lead: Lead):
+        self.lead = lead
         self.check = 0.0
 
     def at_factor(
         self, system: NodalSystem, start: np.ndarray, increments: np.ndarray, controls: Controls
     ) -> Outcome:
-        record = self.leader.record
+        record = self.lead.run.record
         self._put_shares(system, record)
         return self._tried(partial(self._chords, system, start, increments, record))
 
     def along(self, path: Path, controls: Controls, to: float | None) -> Outcome:
-        record = self.leader.record
+        record = self.lead.run.record
         self._put_shares(path.system, record)
         assert record.path is not None
         return self._tried(partial(self._along, path, record, record.path))
@@ -113,7 +114,7 @@ class TwinSearch(Search):
             if path is None:
                 system.add(secants.step(r))
             else:
-                _correct(path, r, self.leader.record)
+                _correct(path, r, self.lead.run.record)
         if path is None and found[-1] > min(found):  # iterations have led on to something worse
             system.jump(best)
             system.evaluate(False)
@@ -240,6 +241,17 @@ class _Shares(LoadShares):
         return bool(self.comm.size > 1)
 
 
+def _distribute(lead: Lead, points: Points) -> Route | None:
+    """Points go where the leading run's are. Collective."""
+    there, comm = lead.run.problem.points.id, points.comm
+    rank = np.full((len(there), 1), float(comm.rank))
+    to = values_by_number(comm, there, rank, points.id)[:, 0].astype(np.int64)
+    route = points.migrate(to) if comm.allreduce(int(np.any(to != comm.rank))) else None
+    if comm.allreduce(int(not np.array_equal(points.id, there))):
+        raise Apart("points are in another order than those of the leading run")
+    return route
+
+
 class Twin:
     """A problem that goes along with a leading run.
 
@@ -250,44 +262,40 @@ class Twin:
 
     def __init__(self, leader: Leader, problem: Any, observables: Mapping[str, Any]):
         self.problem, self.observables = problem, observables
-        problem.search = self.search = TwinSearch(leader)
+        self._lead = Lead(leader)
+        problem.search = self.search = TwinSearch(self._lead)
         self._basis: Followed | None = None
+        self._lost = ""  # why it could not follow a reset
         if leader.on_grid:
             problem.basis = self._basis = Followed(problem.basis)
             problem.policy = _Policy()
-            problem.systems = partial(BorrowedPoints, leader=self._system)
-            problem.distribution = self._distribute
+            problem.systems = partial(BorrowedPoints, leader=self._lead.system)
+            problem.distribution = partial(_distribute, self._lead, problem.points)
             problem.load_shares = _Shares(problem.comm, None)
         else:
-            problem.systems = partial(BorrowedElements, leader=self._system)
+            problem.systems = partial(BorrowedElements, leader=self._lead.system)
         self.follow_on(leader)
 
     def follow_on(self, leader: Leader) -> None:
         """Go along with another run from here on, that is in the same state."""
-        self.leader = self.search.leader = leader
+        self._lead.follow(leader)
         leader.followers.append(self)
-
-    def _system(self) -> Any:
-        return self.leader.problem.system
 
     @property
     def check(self) -> float:
         return self.search.check
 
-    def _distribute(self) -> Route | None:
-        """Points go where the leading run's are. Collective."""
-        points, there = self.problem.points, self.leader.problem.points.id
-        comm = points.comm
-        rank = np.full((len(there), 1), float(comm.rank))
-        to = values_by_number(comm, there, rank, points.id)[:, 0].astype(np.int64)
-        route = points.migrate(to) if comm.allreduce(int(np.any(to != comm.rank))) else None
-        if comm.allreduce(int(not np.array_equal(points.id, there))):
-            raise Apart("points are in another order than those of the leading run")
-        return route
-
     def reset(self) -> None:
-        """Reset the grid as the leading run has. Collective."""
-        p, leader = self.problem, self.leader
+        """Reset the grid as the leading run has. What goes wrong, which is no fault of that run, is told by
+        `follow`. Collective."""
+        try:
+            with apart():
+                self._reset()
+        except Apart as e:
+            self._lost = str(e)
+
+    def _reset(self) -> None:
+        p, leader = self.problem, self._lead.run
         assert self._basis is not None
         self._basis.like, self._basis.places = leader.chosen, leader.places
         p.progress.reset_due = True
@@ -311,7 +319,10 @@ class Twin:
         Raises:
             Apart: it can't.
         """
-        p, leader, path = self.problem, self.leader, self.leader.record.path
+        if self._lost:
+            raise Apart(self._lost)
+        p, leader = self.problem, self._lead.run
+        path = leader.record.path
         if leader.on_grid:
             p._rotation_limit = np.finfo(float).tiny if leader.rebased else np.inf
             initial = p.system.initial
