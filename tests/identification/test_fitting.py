@@ -225,6 +225,7 @@ def test_settings_pass_between_processes():
         ({"start": {"a": 1.0, "b": 0.0}, "free": ["b"]}, "b = 0: a logarithm"),
         ({"start": {"a": np.nan, "b": 0.0}}, "start: a = nan"),
         ({"start": [1.0]}, "start = "),
+        ({"start": {"a": 1.0}}, "start = .*asks for 'b'"),
         ({"priors": {"c": (1.0, 1.0)}}, "priors = 'c'"),
         ({"priors": {"a": 1.0}}, "priors: a = 1.0"),
         ({"priors": {"a": (-1.0, 1.0)}}, "priors: a: -1.0"),

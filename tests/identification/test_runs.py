@@ -61,6 +61,28 @@ def test_heights_show_what_one_beam_does_not():
         assert abs(both.values[name] / SHEET[name] - 1) < 1e-4
 
 
+def strip(p):
+    """A cantilever of elements; its deflection, displacements and rotations."""
+    cells = mesh.create_rectangle(COMM, [(0, 0), (4, 1)], [8, 2], mesh.CellType.quadrilateral)
+    body = pm.Elements(cells, material=pm.MicropolarElastic(lam=3e3, alpha=0.0, beta=0.0, kappa=700.0, **p))
+    problem = pm.QuasiStaticFEM(body)
+    problem.fix(pm.plane(x=0.0), u=0, theta=0)
+    problem.load(body.farthest((1, 0)), force=(0, -40.0))
+    seen = pm.Places(body, [(1.0, 0.5), (3.0, 0.2)])
+    return problem, {"field": seen.displacement, "turn": seen.rotation}
+
+
+def test_elements():
+    true = {"mu": 2e3, "gamma": 170.0}
+    problem, see = strip(true)
+    list(problem.march(1, progress=False))
+    data = {name: (of(), 1e-3) for name, of in see.items()}
+    fit = pm.identify(pm.Experiment(strip, data=data), start={"mu": 2.5e3, "gamma": 130.0}, free=list(true))
+    for name, value in fit.values.items():
+        assert abs(value / true[name] - 1) < 1e-5, name
+    assert fit.dof == 2 * (2 + 3) - 2
+
+
 @pytest.mark.parametrize("method", ["twins", "differences"])
 def test_a_load_path_that_turns_back(method):
     at = [0.5, 1.0, 0.5]

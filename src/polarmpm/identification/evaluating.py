@@ -6,7 +6,6 @@ import contextlib
 import inspect
 import os
 import pickle
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -45,6 +44,13 @@ class Evaluated:
     failure: str = ""
 
 
+class _Named(dict[str, float]):
+    """Parameters by name, which say so if one isn't there."""
+
+    def __missing__(self, name: str) -> float:
+        raise checks.refuse("start", dict(self), f"the experiment's function asks for {name!r}")
+
+
 def probe(test: Experiment, p: Mapping[str, float], comm: MPI.Intracomm) -> Task:
     """The task of an experiment, for which its function is called once. Collective.
 
@@ -53,7 +59,7 @@ def probe(test: Experiment, p: Mapping[str, float], comm: MPI.Intracomm) -> Task
     """
     task = test.task()
     with errors_on_all_ranks(comm):
-        returned = task.build(dict(p), **_given(task))
+        returned = task.build(_Named(p), **_given(task))
     name = getattr(test.build, "__name__", "build")
     if isinstance(returned, Mapping):
         task = replace(task, closed=True)
@@ -153,7 +159,7 @@ def _closed(task: Task, p: Mapping[str, float]) -> dict[str, np.ndarray]:
 
 
 def _run_once(task: Task, p: Mapping[str, float]) -> dict[str, np.ndarray]:
-    problem, observables = task.build(dict(p), **task.arguments)
+    problem, observables = task.build(dict(p), **_given(task))
     rows: dict[str, list[np.ndarray]] = {name: [] for name in task.names}
 
     def note() -> None:
@@ -168,7 +174,7 @@ def _run_once(task: Task, p: Mapping[str, float]) -> dict[str, np.ndarray]:
 def _by_run(
     task: Task, p: Mapping[str, float], slopes: Mapping[str, float]
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    build = partial(task.build, **task.arguments)  # whose names may be those of the run's own arguments
+    build = partial(task.build, **_given(task))  # whose names may be those of the run's own arguments
     sides = {"sides": 1} if task.method == "twins" else {}  # digits enough for steps towards a minimum
     run = Sensitivity(build, dict(p), list(slopes), task.method, **sides)
     values: dict[str, list[np.ndarray]] = {name: [] for name in task.names}
@@ -222,7 +228,7 @@ class Evaluator:
     def __init__(self, tasks: Sequence[Task], workers: int, comm: MPI.Intracomm):
         self.tasks, self.comm = list(tasks), comm
         self.workers = workers
-        self._lock, self._pool = threading.Lock(), None
+        self._pool: ProcessPoolExecutor | None = None
         if workers > 1:
             for task in self.tasks:
                 _check_sendable(task)
@@ -250,7 +256,7 @@ class Evaluator:
 
     def _submit(self, *args: Any) -> Future[Evaluated]:
         assert self._pool is not None
-        with self._lock, _alone():
+        with _alone():
             return self._pool.submit(evaluate, *args)
 
     def close(self) -> None:

@@ -21,11 +21,13 @@ _MOST = 3.0  # how far the unknown goes
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Attributes:
-    name: of the parameter.
-    values: at which it was held (m,), rising.
-    rise: of the misfit (chi2 and priors) over the least one (m,); NaN where runs failed.
-    others: the other free parameters there, an array (m,) by name.
+    """How the misfit rises as one parameter is held away from its value, the others being fitted anew.
+
+    Attributes:
+        name: of the parameter.
+        values: at which it was held (m,), rising.
+        rise: of the misfit (chi2 and priors) over the least one (m,); NaN where runs failed.
+        others: the other free parameters there, an array (m,) by name.
     """
 
     name: str
