@@ -26,7 +26,7 @@ from ..geometry.grid import GradedGrid, Grid
 from ..geometry.planes import Plane, PlaneSpec
 from ..solvers.newton import Outcome
 from ..terms.base import Term
-from ..terms.obstacles import Obstacle
+from ..terms.sites import Sites
 from ..tools.parallel import errors_on_all_ranks
 from .gridpolicies import RegridPolicy, Trial, make_policy
 from .stages import Staged
@@ -100,9 +100,9 @@ class Regridding:
 
     def check_term(self, term: Term) -> None:
         """Raise InputError for a term that doesn't go along with points that are split."""
-        if self.splits and (isinstance(term, Obstacle) or term.rows):
+        if self.splits and (isinstance(term, Sites) or term.rows):
             raise InputError(
-                f"{term.name}: goes along with points one by one (obstacles do), and regrid splits points; "
+                f"{term.name}: goes along with points one by one (contact does), and regrid splits points; "
                 "use a grid that is fine from the start"
             )
 
