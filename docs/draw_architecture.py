@@ -129,7 +129,7 @@ def draw_path(ax: Axes, stops: tuple[Stop, ...], first: float, colour: str, styl
 def draw_iteration(ax: Axes, x: list[float]) -> None:
     """A frame around the steps that Newton's method repeats."""
     left, right = x[ITERATION[0]] - 0.13, x[ITERATION[1]] + COLUMN - 0.13
-    low, high = height("solvers") - 0.62 * ROW, height("assembly") + 0.62 * ROW
+    low, high = height("kernels") - 0.62 * ROW, height("assembly") + 0.62 * ROW
     frame = Rectangle((left, low), right - left, high - low, fill=False, ec=STEP, lw=0.9, ls=(0, (4, 3)))
     ax.add_patch(frame)
     ax.text((left + right) / 2, low - 0.05, "each iteration", ha="center", va="top", size=9, color=STEP)
