@@ -3,7 +3,8 @@
 Sulsky et al. 1994: radius 0.2 m, 0.1 m/s in both directions, plane strain. The discs are bodies of their own,
 which share no nodes, and touch by their outlines. Stiff ones ring after the impact: 9 % of their speed stays
 behind in that, as elements against a smooth wall have it, too. By default their surfaces are soft, springs of
-7 kPa per metre, chosen so that the discs hardly ring; they overlap by 0.02 m. `--stiffness 0` takes stiff ones.
+7 kPa per metre, chosen so that the discs hardly ring; they overlap by 0.02 m. `--stiffness 0` takes stiff
+ones.
 
 `--contact nodes`: one body of points, as usual in this benchmark. The discs meet through the nodes that they
 share, so they feel each other before they touch, by less on finer cells, and stick while they share nodes;

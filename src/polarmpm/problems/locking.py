@@ -112,8 +112,8 @@ def warn_of_turning(forms: Any, support: Support, layout: Layout) -> None:
         if any(getattr(form, "turns", 0) for form in getattr(forms, "point_forms", forms)):
             warn(
                 f"{support.name}: turns microrotations, but not the displacements beside them, and the cure "
-                "of locking averages relative rotations over cells: where the material's length is less than a "
-                "cell, the body may be much too soft; prescribe displacements, too, or take locking=None",
+                "of locking averages relative rotations over cells: where the material's length is less than "
+                "a cell, the body may be much too soft; prescribe displacements, too, or take locking=None",
                 TrustWarning,
             )
         return
