@@ -231,7 +231,7 @@ def shuffle(patch: Callable[[Any, str, Any], None]) -> list[int]:
         def forward(self, rows: np.ndarray) -> np.ndarray:
             return self.route.forward(rows[self.order])
 
-    def distribute(grid: pm.Grid, points: pm.Points, x: Any = None) -> Way:
+    def distribute(grid: pm.Grid, points: pm.Points, x: Any = None, cells: Any = None) -> Way:
         order = random.permutation(len(points))
         points.replace({name: a[order] for name, a in points.arrays().items()})
         to = random.integers(0, COMM.size, len(points))
@@ -414,7 +414,7 @@ def test_points_that_a_run_loses_stop_it(monkeypatch):
     problem = cantilever()
     march(problem, 1)
 
-    def distribute(grid: pm.Grid, points: pm.Points, x: Any = None) -> Any:
+    def distribute(grid: pm.Grid, points: pm.Points, x: Any = None, cells: Any = None) -> Any:
         lose_a_point(points)
         return points.migrate(np.full(len(points), COMM.rank))
 

@@ -153,11 +153,11 @@ def test_a_micropolar_footing_in_space_is_that_of_the_plane():
 
 def test_auto_leaves_bodies_alone_that_do_not_lock():
     problem = cantilever("quadrilateral", NEO_HOOKEAN)
-    assert not any(form.scalars for form in problem.forms._point_forms)
+    assert not any(form.scalars for form in problem.forms.point_forms)
     stiff = pm.NeoHookean(lam=9e4, mu=2e3)
-    assert cantilever("quadrilateral", stiff).forms._point_forms[0].scalars == 1
+    assert cantilever("quadrilateral", stiff).forms.point_forms[0].scalars == 1
     simple = cantilever("triangle", stiff)
-    assert simple.forms._point_forms[0].scalars == 0
+    assert simple.forms.point_forms[0].scalars == 0
 
 
 @pytest.mark.parametrize(("cell", "degree"), [("quadrilateral", 1), ("quadrilateral", 2), ("triangle", 2)])

@@ -254,6 +254,23 @@ def test_mirrored_bodies_have_mirrored_patches(cells):
     np.testing.assert_allclose(found[0], found[1], rtol=0, atol=1e-10 * np.abs(found[0]).max())
 
 
+@pytest.mark.parametrize("row", [1, 2])
+def test_a_layer_in_the_middle_of_an_odd_number_of_rows_bends_like_others(row):
+    """Its cells are patches by themselves; nothing but the volume resists some of its bending."""
+    tips = []
+    for rows in (5, 6):
+        grid = pm.Grid((0, 0), (1.0, 1.0), (7, rows), comm=COMM)
+        points = pm.seed(
+            grid, bounds=((0, row), (6, row + 1)), material=pm.VonMises(HENCKY, k=1e9), points_per_cell=3
+        )
+        problem = pm.QuasiStatic(grid, points, basis="bspline", reset=None)
+        problem.fix(pm.plane(x=0.0), u=0)
+        problem.load(points.farthest((1.0, 0.0)), force=(0.0, -1e-3))
+        list(problem.march(1, progress=False))
+        tips.append(points.mean_displacement(points.farthest((1.0, 0.0)))[1])
+    assert tips[0] == pytest.approx(tips[1], rel=0.02)
+
+
 def test_what_is_cured():
     """ "auto": what locks; "always": all that can; None, and the papers' settings: nothing."""
     grid = pm.Grid.box((0, 0), (2, 2), 1.0)

@@ -45,7 +45,14 @@ def spread(values):
 
 
 def shear_args(**options):
-    defaults = {"model": "micropolar", "mode": "mpm", "zone": None, "weakness": 0.1, "points_per_cell": 4}
+    defaults = {
+        "model": "micropolar",
+        "mode": "mpm",
+        "zone": None,
+        "regrid": None,
+        "weakness": 0.1,
+        "points_per_cell": 4,
+    }
     return argparse.Namespace(**{**defaults, "basis": "gimpm", "ghost": "thesis", **options})
 
 

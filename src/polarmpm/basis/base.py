@@ -274,8 +274,7 @@ class Basis(ABC):
         else:  # linear functions are linear in space
             lower = grid.corners(first)
             places = (x - lower) / (grid.corners(first + count) - lower)
-        # one cell can't bear a linear function along it
-        return index, np.where(count < self.patch, 0.5, places)
+        return index, places
 
     def cells_of_groups(self, count: np.ndarray) -> np.ndarray:
         """Cells (m, d) in each direction, from the one of the lowest node on, on which groups of points with

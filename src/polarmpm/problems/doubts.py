@@ -10,6 +10,8 @@ from ..assembly.loadedpoints import LoadedPoints
 from ..geometry.grid import box_indices
 from ..tools.parallel import sums_by_number
 
+_ROUNDING = 1e-10  # root mean square strain that may be no more than rounding
+
 
 def strains(system: LoadedPoints, start: np.ndarray) -> np.ndarray:
     """Green's strain increments of the points (np, d, d) since nodal increments `start` (nodes, block)."""
@@ -36,8 +38,9 @@ def missed(system: LoadedPoints) -> float:
     varying = 0.5 * (varying + np.swapaxes(varying, 2, 3))
     seen = strains(system, np.zeros_like(system.x))
     sums = [np.einsum("p,plij->", volume, varying**2) / 3.0, np.einsum("p,pij->", volume, seen**2)]
-    inside, outside = i.grid.comm.allreduce(np.array(sums))
-    return float(inside / max(inside + outside, np.finfo(float).tiny))
+    inside, outside, whole = i.grid.comm.allreduce(np.array([*sums, volume.sum()]))
+    strained = inside + outside > _ROUNDING**2 * whole  # a body that falls or turns freely isn't
+    return float(inside / (inside + outside)) if strained else 0.0
 
 
 def _axes(system: LoadedPoints) -> np.ndarray:
