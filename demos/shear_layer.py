@@ -260,6 +260,8 @@ def draw(solved, args, file):
     for ax in axes[:2] if MPI.COMM_WORLD.rank == 0 else []:
         for line in ax.get_lines():
             line.set_marker("")
+            if line.get_label().endswith("from the start"):
+                line.set_linestyle("--")
         ax.legend(frameon=False)
     for k, (label, value) in enumerate(views.items()):
         draw_slices(shown, value, label, axes[2 + k * len(shown) :])
