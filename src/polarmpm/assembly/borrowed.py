@@ -103,7 +103,7 @@ class BorrowedPoints(PointSystem):
     def _preconditioned(self, forces: np.ndarray) -> np.ndarray:
         own, out = self.owned, np.zeros_like(self.x)
         solver = self._leader().solver
-        out[:own] = solver.precondition(forces[:own].ravel()).reshape(own, -1)
+        out[:own] = solver.precondition(forces[:own].ravel()).reshape(out[:own].shape)
         self.complete(out)
         out[self.prescribed.fixed] = 0.0
         return out

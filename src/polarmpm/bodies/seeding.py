@@ -263,7 +263,7 @@ def _is_thin(candidates: _Candidates, made: _Boxes) -> np.ndarray:
     number = searched.cell_number(candidates.cells(made.of))
     whole, cut = np.unique(number[~thin]), np.unique(number[thin])
     around = (box_indices((3,) * searched.dim) - 1) @ searched.strides
-    near = known_anywhere(comm, whole, (cut[:, None] + around).ravel()).reshape(len(cut), -1)
+    near = known_anywhere(comm, whole, (cut[:, None] + around).ravel()).reshape(len(cut), len(around))
     thin[thin] = ~np.any(near, axis=1)[np.searchsorted(cut, number[thin])]
     return thin
 

@@ -9,6 +9,7 @@ import numpy as np
 from ..assembly.loadedpoints import LoadedPoints
 from ..geometry.grid import box_indices
 from ..tools.parallel import sums_by_number
+from ..tools.rows import flat
 
 _ROUNDING = 1e-10  # root mean square strain that may be no more than rounding
 
@@ -105,7 +106,7 @@ def roughness(system: LoadedPoints, start: np.ndarray) -> tuple[float, float]:
         for b in range(both.shape[1]):
             moments[:, a, b] = np.bincount(at, volume[rows] * linear[:, a] * both[:, b], minlength=len(known))
     shape = moments.shape
-    moments = sums_by_number(grid.comm, known, moments.reshape(len(known), -1)).reshape(shape)
+    moments = sums_by_number(grid.comm, known, flat(moments)).reshape(shape)
     matrix, right = moments[:, :, : d + 1], moments[:, :, d + 1 :]
     matrix = matrix + 1e-9 * np.trace(matrix, axis1=1, axis2=2)[:, None, None] * np.eye(d + 1)
     fitted = np.linalg.solve(matrix, right)
