@@ -8,6 +8,7 @@ from statistics import NormalDist
 
 import numpy as np
 
+from ..tools import checks
 from .transforms import Free
 
 LIMIT = 0.125  # standard deviation of an unknown beyond which its parameter counts as not identifiable
@@ -98,6 +99,20 @@ def dominated(of: Judgement) -> list[int]:
 def quantile(level: float) -> float:
     """How many standard deviations an interval of a level reaches to either side."""
     return NormalDist().inv_cdf(0.5 + level / 2)
+
+
+def intervals(free: Free, v: np.ndarray, sd: np.ndarray, level: float) -> dict[str, tuple[float, float]]:
+    """Lower and upper end by name, in the parameters' units, of unknowns v with standard deviations sd.
+
+    Raises:
+        InputError: a level that isn't between 0 and 1.
+    """
+    z, out = quantile(checks.number("level", level, above=0.0, below=1.0)), {}
+    for name, middle, one in zip(free.names, v, sd, strict=True):
+        low, high = np.clip([middle - z * one, middle + z * one], -250.0, 250.0)
+        ends = sorted(free.value(name, w) for w in (low, high))
+        out[name] = (ends[0], ends[1])
+    return out
 
 
 def direction_in_words(of: Judgement, free: Free, v: np.ndarray, k: int = -1) -> str:

@@ -13,6 +13,7 @@ from ..bodies.points import Points
 from ..errors import InputError
 from ..tools import checks
 from ..tools.meetings import collective
+from ..tools.rows import flat
 
 _NEIGHBOURS = {
     2: 16,
@@ -95,11 +96,11 @@ def _interpolated(places: Places, own: np.ndarray) -> np.ndarray:
     order = np.argsort(here, kind="stable")
     row = np.searchsorted(here[order], places._ids)
     row = np.minimum(row, max(len(here) - 1, 0))
-    flat = own.reshape(len(own), int(np.prod(own.shape[1:], dtype=int)))
-    out = np.zeros((len(places), flat.shape[1]))
+    values = flat(own)
+    out = np.zeros((len(places), values.shape[1]))
     if len(here):
         mine = here[order][row] == places._ids
-        out = np.einsum("nk,nkc->nc", np.where(mine, places._weights, 0.0), flat[order[row]])
+        out = np.einsum("nk,nkc->nc", np.where(mine, places._weights, 0.0), values[order[row]])
     if places.comm.size > 1:
         places.comm.Allreduce(MPI.IN_PLACE, out)
     return out.reshape(len(places), *own.shape[1:])

@@ -14,7 +14,7 @@ from ..tools import checks
 from ..tools.meetings import collective
 from .evaluating import Evaluated, Evaluator, probe
 from .experiment import Dataset, Experiment, Task, experiments
-from .judging import LIMIT, Judgement, direction_in_words, judge, percent, quantile, unidentifiable
+from .judging import LIMIT, Judgement, direction_in_words, intervals, judge, percent, unidentifiable
 from .transforms import Free, free_parameters
 from .wording import identified, table
 
@@ -56,12 +56,7 @@ class Plan:
 
     def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """Lower and upper end by name, in the parameters' units."""
-        z = quantile(checks.number("level", level, above=0.0, below=1.0))
-        out = {}
-        for name, sd in self.relative_sd.items():
-            ends = sorted(self.free.value(name, w) for w in np.clip([-z * sd, z * sd], -250.0, 250.0))
-            out[name] = (ends[0], ends[1])
-        return out
+        return intervals(self.free, np.zeros(len(self.names)), self.judgement.spread, level)
 
     @property
     def unidentifiable(self) -> list[str]:

@@ -20,7 +20,7 @@ from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import raise_on_all_ranks
 from .drawing import correlations, fit_against_data
-from .judging import Judgement, direction_in_words, dominated, quantile, unidentifiable
+from .judging import Judgement, direction_in_words, dominated, intervals, unidentifiable
 from .profile import Profile, profile
 from .transforms import Free, told, untold
 from .wording import fit_in_words
@@ -180,12 +180,7 @@ class Fit:
         Raises:
             InputError: a level that isn't between 0 and 1.
         """
-        z = quantile(checks.number("level", level, above=0.0, below=1.0))
-        out = {}
-        for name, v, sd in zip(self.names, self.v, self.judgement.sd, strict=True):
-            ends = sorted(self.free.value(name, w) for w in np.clip([v - z * sd, v + z * sd], -250.0, 250.0))
-            out[name] = (ends[0], ends[1])
-        return out
+        return intervals(self.free, self.v, self.judgement.sd, level)
 
     @property
     def unidentifiable(self) -> list[str]:

@@ -271,15 +271,7 @@ class BodyContact(Sites):
     # a step -------------------------------------------------------------------------------------------
     def improve(self, told: np.ndarray, rows: np.ndarray) -> bool:
         """After iterations have converged: improve the multipliers; whether they have changed."""
-        if self.tolerance is None:
-            return False
-        gap, pressure = told[:, 0], told[:, 1]
-        off = np.where(pressure > 0.0, np.abs(gap), np.maximum(-gap, 0.0))
-        if not np.any(off > self.tolerance):
-            return False
-        self._trial = self._trial.copy()
-        self._trial[rows] = pressure
-        return True
+        return self._improved(told[:, 0], told[:, 1], rows)
 
     def check_way(self, moved: np.ndarray, rows: np.ndarray) -> None:
         """Raise LocalFailure where a site that faced nothing has gone through a surface, with displacements

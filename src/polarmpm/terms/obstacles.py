@@ -283,14 +283,7 @@ class Obstacle(Sites):
                     f"{-gap.min():.3g} m inside; smaller steps are needed"
                 )
             return False
-        if self.tolerance is None:
-            return False
-        off = np.where(pressure > 0.0, np.abs(gap), np.maximum(-gap, 0.0))
-        if not np.any(off > self.tolerance):
-            return False
-        self._trial = self._trial.copy()
-        self._trial[rows] = pressure
-        return True
+        return self._improved(gap, pressure, rows)
 
     def put_multipliers(self) -> None:
         """Those that `refine` has found count from now on."""

@@ -47,6 +47,7 @@ class Sites(SurfaceCondition):
     _u_at: np.ndarray
     _F_at: np.ndarray
     _trial: np.ndarray
+    tolerance: float | None
     _factor: float
     _checked = False
 
@@ -60,6 +61,18 @@ class Sites(SurfaceCondition):
         self.sums = np.full(d + r + (1 if d == 2 else 3), np.nan)
         self.seen_area = self.next_area = self.area_now = undeformed_area(self.surface, self.layout).copy()
         self._u_at, self._F_at, self._trial = self.u, self.F, self.multiplier
+
+    def _improved(self, gap: np.ndarray, pressure: np.ndarray, rows: np.ndarray) -> bool:
+        """Let the pressures of sites `rows` be their multipliers where a gap is beyond the tolerance; whether
+        one is."""
+        if self.tolerance is None:
+            return False
+        off = np.where(pressure > 0.0, np.abs(gap), np.maximum(-gap, 0.0))
+        if not np.any(off > self.tolerance):
+            return False
+        self._trial = self._trial.copy()
+        self._trial[rows] = pressure
+        return True
 
     # results ------------------------------------------------------------------------------------------
     @property
