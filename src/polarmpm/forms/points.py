@@ -38,6 +38,7 @@ class PointForm:
     of a body of revolution."""
 
     scalars: int = 0  # that are projected, see `projected`
+    turns: int = 0  # of these, components of the relative rotation
 
     def __init__(self, material: Material, dim: int, axial: bool = False):
         self.material, self.layout = material, Layout.of_points(material, dim, axial)

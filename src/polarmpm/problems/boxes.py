@@ -22,9 +22,8 @@ from . import doubts
 # shares of a step's work inside the boxes above which an answer may be far off: while no point has flowed,
 # and then, as the boxes of points that have flowed count for little
 DOUBTFUL, DOUBTFUL_FLOW = 0.5, 0.2
-SMALL = (
-    0.05  # increments (their gradients) of elastic points of which boxes miss nothing, whatever their share
-)
+# increments (their gradients) of elastic points of which boxes miss nothing, however large their share is
+SMALL = 0.05
 MISSED = 0.08  # share that a sum over points without boxes misses: the answer is a tenth off or more
 MISSED_GAUSS = 0.15  # of points of quadrature rules, of which what they stand for is guessed, and too large
 ROUGH = 0.17  # of strain increments of bodies that flow (`doubts.roughness`): the grid's own error

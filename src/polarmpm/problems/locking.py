@@ -109,7 +109,7 @@ def warn_of_turning(forms: Any, support: Support, layout: Layout) -> None:
         beside = range(2) if dim == 2 else set(range(3)) - {column - dim}
         if column < dim or all(c in columns for c in beside) or amplitude.is_zero(component):
             continue
-        if any(getattr(form, "turns", 0) for form in getattr(forms, "point_forms", forms)):
+        if any(form.turns for form in getattr(forms, "point_forms", forms)):
             warn(
                 f"{support.name}: turns microrotations, but not the displacements beside them, and the cure "
                 "of locking averages relative rotations over cells: where the material's length is less than "
