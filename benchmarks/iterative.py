@@ -28,6 +28,7 @@ ALIGNED, OFF, TURNED = "aligned", "off the planes", "turned"
 FLAT, GRADED = "flat cells 1:8", "lines 1:20"
 SOLVERS = ("direct", "algebraic", "multigrid")
 register_solver("algebraic", algebraic, whole_rows=True)
+NAMES = {"mpm": "MPM", "gimpm": "GIMPM", "bspline": "B-splines"}
 LENGTHS = (1e-3, 1.0, 1e2)  # of a cell
 COLUMNS = [
     "kind", "basis", "cut", "length", "cells", "points", "unknowns", "solver", "newton", "krylov",
@@ -198,7 +199,7 @@ def draw(rows, file):
     }
     for (basis, solver), style in styles.items():
         mine = [r for r in rows if (r["kind"], r["basis"], r["solver"]) == ("step", basis, solver)]
-        unknowns, label = [r["unknowns"] for r in mine], f"{basis.upper()}, {solver}"
+        unknowns, label = [r["unknowns"] for r in mine], f"{NAMES[basis]}, {solver}"
         seconds = [r["set_up_s"] + r["solve_s"] for r in mine]
         axes[0].plot(unknowns, seconds, style, label=label)
         axes[1].plot(unknowns, [r["memory_mb"] for r in mine], style, label=label)
@@ -209,22 +210,31 @@ def draw(rows, file):
     for length, colour in colours.items():
         for (basis, cut), mark in marks.items():
             mine = [r for r in solutions if (r["basis"], r["cut"], r["length"]) == (basis, cut, length)]
-            label = f"{basis.upper()}, {cut}" if length == 1.0 else None
             axes[2].plot(
                 [r["unknowns"] for r in mine],
                 [r["krylov"] for r in mine],
                 mark,
                 color=colour,
-                label=label,
             )
+    for (basis, cut), mark in marks.items():
+        axes[2].plot([], [], f"k{mark}", label=f"{NAMES[basis]}, {cut}")
     for length, colour in colours.items():
         axes[2].plot([], [], color=colour, label=f"length {length:g} cells")
     for axis, name in zip(axes, ("set-up and solve (CPU s)", "memory (MB)", "iterations"), strict=True):
         axis.set(xscale="log", xlabel="unknowns", ylabel=name)
-        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncol=2, columnspacing=0.8)
-    axes[0].set(yscale="log", title="one load step")
-    axes[1].set(yscale="log", title="one load step")
-    axes[2].set(title="one linear solution to 1e-8", ylim=(0, None))
+        axis.grid(color="0.88", linewidth=0.6)
+    axes[0].set(yscale="log", title="(a) one load step")
+    axes[1].set(yscale="log", title="(b) one load step")
+    axes[1].set_yticks([200, 500, 1000, 2000], ["200", "500", "1000", "2000"])
+    axes[1].minorticks_off()
+    axes[2].set(title="(c) one linear solution to $10^{-8}$", ylim=(0, None))
+    below = {"loc": "upper center", "frameon": False, "columnspacing": 0.8}
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), bbox_to_anchor=(0.28, 0.0), ncol=2, title="(a), (b)", **below
+    )
+    figure.legend(
+        *axes[2].get_legend_handles_labels(), bbox_to_anchor=(0.76, 0.0), ncol=2, title="(c)", **below
+    )
     plot.save(figure, file)
 
 

@@ -137,23 +137,28 @@ def draw(solved, file):
     """The band of each column, coloured by chi, and the curves of stress over strain."""
     from polarmpm.plot import figures as plot
 
-    n = len(solved)
-    figure, axes = plot.subplots(1, n + 1, figsize=plot.fitted(3.4 * n + 4.5, 4.6))
-    curves = {}
-    for ax, ((cell, psi), (problem, curve)) in zip(axes, solved.items(), strict=False):
+    figure, (axes, below) = plot.subplots(2, len(solved), figsize=(plot.PAGE, 4.6), squeeze=False)
+    below[0].set_subplotspec(below[0].get_gridspec()[1, :])
+    for ax in below[1:]:
+        ax.remove()
+    curves, last = {}, list(solved)[-1]
+    chi = [float(problem.points.hardening.max(initial=0.0)) for problem, _ in solved.values()]
+    limits = 0.0, MPI.COMM_WORLD.allreduce(max(chi), op=MPI.MAX)  # one scale for all
+    for ax, (case, (problem, curve)) in zip(axes, solved.items(), strict=True):
+        cell, psi = case
         name = f"h = {cell * 1e3:g} mm, $\\psi$ = {psi:g}°"
         plot.plot_points(
             problem.points,
             problem.points.hardening,
             ax,
-            label="hardening variable $\\chi$ (-)",
+            label="hardening variable $\\chi$ (-)" if case == last else None,
+            limits=limits,
             length=(1e3, "mm"),
             undeformed=False,
         )
-        if ax is not None:
-            ax.set_title(name)
+        ax.set_title(name)
         curves[name] = (100 * curve[0], curve[1] / 1e3)
-    plot.load_displacement(curves, axes[-1], xlabel="axial strain (%)", ylabel="axial stress (kPa)")
+    plot.load_displacement(curves, below[0], xlabel="axial strain (%)", ylabel="axial stress (kPa)")
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 
 

@@ -89,7 +89,7 @@ def draw(solved, file):
     most = comm.allreduce(max(np.abs(s).max(initial=0.0) for s in stresses.values()), MPI.MAX)
     look = {"limits": (-most, most), "cmap": "coolwarm"}  # one scale for both
     for (case, (problem, path)), ax in zip(solved.items(), axes[:2], strict=True):
-        label = "normal stress $\\sigma_{xx}$ (MPa)"
+        label = "normal stress $\\sigma_{xx}$ (MPa)" if case == "a" else None
         plot.plot_points(problem.points, stresses[case], ax, label=label, **look)
         ax.set_title(f"({case}) bending length {material(case).engineering()['l_b']:g} m")
         ax.set(xlim=(-0.5, 10.5), ylim=(-7.2, 1.5))

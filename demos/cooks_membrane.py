@@ -146,7 +146,7 @@ def draw(result, shown, file):
     points = [name for name in shown if not name.startswith("fem")]
     name = points[-1] if points else last
     figure, axes = plot.subplots(
-        1, len(ratios) + 1, figsize=plot.fitted(4.9 * (len(ratios) + 1), 4.4), squeeze=False
+        1, len(ratios) + 1, figsize=plot.fitted(4.9 * (len(ratios) + 1), 4.9), squeeze=False
     )
     axes, body = axes.flat, shown[name]
     plot_body(plot, body, axes[-1])
@@ -155,13 +155,16 @@ def draw(result, shown, file):
             continue
         for k, (kind, of_nu) in enumerate(result["tip"].items()):
             cells = [int(n) for n in of_nu[nu]]
-            ax.plot(cells, list(of_nu[nu].values()), marker="osD^v"[k], markersize=9 - k, label=BASES[kind])
+            ax.plot(
+                cells, list(of_nu[nu].values()), marker="osD^v"[k], markersize=6 - 0.8 * k, label=BASES[kind]
+            )
         ax.axhline(REFERENCE[nu], color="0.35", lw=1.2, ls="--", label="reference")
         ax.set_xticks(cells)
         ax.set_title(f"ν = {nu}")
         finish(ax)
     if MPI.COMM_WORLD.rank == 0:
         axes[-1].set_title(f"{BASES[name]}, ν = {ratios[-1]}, {cells[-1]} cells")
+        plot.legend_below(figure, columns=6)
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 
 

@@ -296,7 +296,8 @@ def draw(result, solved, args, file):
 
     names = {0.0: "classical", args.length: f"l = {args.length:g} m"}
     panels = ["round"] * ("round" in solved) + [*names, "peaks"] * ("square" in solved)
-    figure, axes = plot.subplots(1, len(panels), figsize=plot.fitted(4.9 * len(panels), 4.4), squeeze=False)
+    rows, columns = (2, 2) if len(panels) > 3 else (1, len(panels))
+    figure, axes = plot.subplots(rows, columns, figsize=(plot.PAGE, 2.7 * rows), squeeze=False)
     axes = dict(zip(panels, axes.flat, strict=True))
     if "round" in solved:
         draw_profiles(axes["round"], solved["round"], names, args)
@@ -304,7 +305,7 @@ def draw(result, solved, args, file):
         cap = 2 * largest(solved["square"][args.length], principal(solved["square"][args.length], args.share))
         for length, problem in solved["square"].items():
             look = {"limits": (0.0, cap), "undeformed": False}
-            label = "largest principal stress, compression (MPa)" if length else None
+            label = "largest compression (MPa)" if length else None
             values = principal(problem, args.share)
             plot.plot_points(problem.points, np.minimum(values, cap), axes[length], label=label, **look)
             if MPI.COMM_WORLD.rank == 0:
@@ -317,7 +318,8 @@ def draw(result, solved, args, file):
             axes["peaks"].set_xticks(args.cells, [f"{cell:g}" for cell in args.cells])
             axes["peaks"].minorticks_off()
             axes["peaks"].set_ylim(bottom=0)
-            finish(axes["peaks"], "size of the cells (m)", "largest principal stress of the square (MPa)")
+            axes["peaks"].set_title("square")
+            finish(axes["peaks"], "size of the cells (m)", "largest compression at the corner (MPa)")
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 
 
@@ -341,7 +343,8 @@ def draw_profiles(ax, problems, names, args):
             )
             ax.plot(r, line, color="0.2", lw=0.9, label="closed form" if k and what == "radial" else None)
     if MPI.COMM_WORLD.rank == 0:
-        finish(ax, "radius (m)", "stress of the round one, compression (MPa)")
+        finish(ax, "radius (m)", "compression (MPa)")
+        ax.set_title("round")
 
 
 def finish(ax, xlabel, ylabel):

@@ -150,7 +150,7 @@ def draw(solved, loads, exact, height, file):
         problem.points,
         stress,
         axes[0],
-        label="stress out of the plane / $\\nu E$ (-)",
+        label="$\\sigma_{zz}/\\nu E$ (-)",
         cmap="coolwarm",
         length=(1.0, "L"),
         undeformed=False,
@@ -159,7 +159,7 @@ def draw(solved, loads, exact, height, file):
         for k in np.linspace(0, len(loads) - 1, 6).round().astype(int):
             x, y = pressed_cantilever(loads[k]).T
             axes[0].plot(x, y + height / 2, color="0.4", lw=0.8, ls="--")
-        axes[0].set_title(f"material points; dashed: elastica up to $pL^3/EI$ = {loads[-1]:g}")
+        axes[0].set_title(f"dashed: elastica up to $pL^3/EI$ = {loads[-1]:g}")
     paths = {f"$u_{c}$, {n}": (p[:, k], loads) for n, (_, p) in solved.items() for k, c in enumerate("xy")}
     every = max(1, len(loads) // 10)  # of the marks
     reference = {"elastica": (exact[::every].T.ravel(), np.tile(loads[::every], 2))}
@@ -167,14 +167,12 @@ def draw(solved, loads, exact, height, file):
         paths, axes[1], reference=reference, xlabel="displacement of the end (L)", ylabel="$pL^3/EI$ (-)"
     )
     apart = {n: (loads, np.linalg.norm(p - exact, axis=1) / height) for n, (_, p) in solved.items()}
-    plot.load_displacement(
-        apart, axes[2], xlabel="$pL^3/EI$ (-)", ylabel="distance from the elastica's end (h)"
-    )
+    plot.load_displacement(apart, axes[2], xlabel="$pL^3/EI$ (-)", ylabel="distance of the ends (h)")
     if MPI.COMM_WORLD.rank == 0:
         styles = dict(zip(solved, ("-", ":", "-.", "--"), strict=True))
         for k, line in enumerate(axes[1].get_lines()[:-1]):
             line.set(marker="", color=f"C{k % 2}", linestyle=list(styles.values())[k // 2])
-        axes[1].legend(frameon=False)
+        plot.legend_below(figure, axes[1:2], columns=5)
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 
 

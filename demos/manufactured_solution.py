@@ -106,12 +106,13 @@ def draw(sizes, errors, histories, path, comm):
         )
     left.set_xlabel("cell size (m)")
     left.set_ylabel("L1 error (m, rad; stresses relative)")
-    left.legend(fontsize=8)
+    left.set_xticks(h, [f"1/{cells}" for cells in sizes])
+    left.minorticks_off()
     for cells, history in zip(sizes, histories, strict=True):
         right.semilogy([max(f, 1e-17) for f, _ in history], "o-", label=f"{cells}³ cells")
     right.set_xlabel("iteration")
     right.set_ylabel("normalised out-of-balance force")
-    right.legend()
+    plot.legend_below(figure, columns=5)
     plot.save(figure, path, comm=comm)
 
 

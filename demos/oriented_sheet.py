@@ -169,7 +169,11 @@ def draw(solved, side, file):
     shown = [name for name in ("e_1", "both", "e_2", "classical") if name in solved][:2]
     count = len(shown) + 1
     figure, axes = plot.subplots(
-        1, count, figsize=plot.fitted(5.2 * count, 4.4), solid=list(range(count - 1))
+        1,
+        count,
+        figsize=(plot.PAGE, 2.6),
+        solid=list(range(count - 1)),
+        width_ratios=[1.2] * (count - 1) + [1],
     )
     comm = MPI.COMM_WORLD
     bodies = {name: solved[name][0].elements for name in shown}
@@ -188,8 +192,8 @@ def draw(solved, side, file):
     plot.load_displacement(curves, axes[-1], xlabel="pull-in of the edge (L)", ylabel="load factor (-)")
     if comm.rank == 0:
         for k, line in enumerate(axes[-1].get_lines()):
-            line.set(color=f"C{k // 2}", linestyle=("-", "--")[k % 2])
-        axes[-1].legend(frameon=False, loc="lower right")
+            line.set(marker="", color=f"C{k // 2}", linestyle=("-", "--")[k % 2])
+        plot.legend_below(figure)
     plot.save(figure, file, comm=comm)
 
 

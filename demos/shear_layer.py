@@ -245,30 +245,40 @@ def draw(solved, args, file):
     views = {"hardening variable $\\chi$ (-)": lambda points: points.hardening}
     if args.model == "micropolar":
         views["microrotation (rad)"] = lambda points: points.rotation_vector[:, 2]
-    ratios = [2.6, 2.0] + [0.75] * (len(views) * len(shown))
-    figure, axes = plot.subplots(
-        1, len(ratios), figsize=plot.fitted(2.1 * sum(ratios), 4.6), gridspec_kw={"width_ratios": ratios}
-    )
+    figure, axes = panels(plot, len(views) * len(shown))
     curves, profiles = {}, {}
     for (g, length), (problem, path) in solved.items():
         label = f"{g}, {length * 1e3:g} mm" if len(args.length) > 1 else g
         y, chi, _ = profile(problem.points, problem.points.hardening)
         curves[label] = (path[:, 0] * 1e3, path[:, 1] / 1e3)
         profiles[label] = (chi, y * 1e3)
-    plot.load_displacement(curves, axes[0], xlabel="displacement of the top (mm)", ylabel="force (kN/m)")
+    plot.load_displacement(curves, axes[0], xlabel="displacement (mm)", ylabel="force (kN/m)")
     plot.load_displacement(profiles, axes[1], xlabel=next(iter(views)), ylabel="initial height (mm)")
     for ax in axes[:2] if MPI.COMM_WORLD.rank == 0 else []:
         for line in ax.get_lines():
             line.set_marker("")
             if line.get_label().endswith("from the start"):
                 line.set_linestyle("--")
-        ax.legend(frameon=False)
+    if MPI.COMM_WORLD.rank == 0:
+        plot.legend_below(figure, axes[:2])
     for k, (label, value) in enumerate(views.items()):
-        draw_slices(shown, value, label, axes[2 + k * len(shown) :])
+        draw_slices(shown, value, label, axes[2 + k * len(shown) :], named=k == 0)
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 
 
-def draw_slices(problems, value, label, axes):
+def panels(plot, slices):
+    """A figure with two panels for curves, one above the other, and beside them tall ones for slices."""
+    figure, axes = plot.subplots(
+        2, 1 + slices, figsize=(plot.PAGE, 3.9), gridspec_kw={"width_ratios": [3.2] + [0.9] * slices}
+    )
+    for ax, below in zip(axes[0, 1:], axes[1, 1:], strict=True):
+        below.remove()
+        cells = ax.get_subplotspec()
+        ax.set_subplotspec(cells.get_gridspec()[:, cells.colspan.start])
+    return figure, [*axes[:, 0], *axes[0, 1:]]
+
+
+def draw_slices(problems, value, label, axes, named):
     """The deformed slices of all grids, with the same colours of a value of the points."""
     from polarmpm.plot import figures as plot
 
@@ -287,7 +297,9 @@ def draw_slices(problems, value, label, axes):
             plot.plot_mesh(problem.elements, values[g], ax, at="points", edges=False, **options)
         else:
             plot.plot_points(problem.points, values[g], ax, **options)
-        ax.set(title=g, xlabel="x (mm)" if g == last else "", ylabel="", yticks=[])
+        first = named and g == next(iter(problems))
+        ax.set(title=g, xlabel="x (mm)", ylabel="y (mm)" if first else "")
+        ax.tick_params(labelleft=first)
 
 
 if __name__ == "__main__":

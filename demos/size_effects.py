@@ -260,13 +260,16 @@ def draw(result, file):
     """Stiffness over the classical one, less one, over the size: lines are closed forms, marks computed."""
     from polarmpm.plot import figures as plot
 
-    figure, axes = plot.subplots(1, len(result), figsize=plot.fitted(5.2 * len(result), 4.4), squeeze=False)
-    for ax, (name, rows) in zip(axes.flat, result.items(), strict=True):
+    figure, axes = plot.subplots(1, len(result), figsize=(plot.PAGE, 2.8), squeeze=False)
+    for k, (ax, (name, rows)) in enumerate(zip(axes.flat, result.items(), strict=True)):
         if MPI.COMM_WORLD.rank:
             continue
         draw_rows(ax, rows)
         ax.set_xlabel(SCENES[name][2])
         ax.set_ylabel(SCENES[name][3].replace("(-)", "− 1 (-)"))
+        ax.get_legend().remove()  # below the panel, where it hides no mark
+        where = {"loc": "upper center", "bbox_to_anchor": ((k + 0.55) / len(result), 0.0), "frameon": False}
+        figure.legend(*ax.get_legend_handles_labels(), **where)
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 
 
@@ -282,7 +285,7 @@ def draw_rows(ax, rows):
             ax.loglog(sizes, ratio, style, color="0.35", lw=1.2, label=name.replace("nu", "ν"))
         elif name != "size":
             k = [n for n in rows if n not in lines].index(name) - 1
-            style = {"color": f"C{k}", "marker": "osD^v<>P"[k % 8], "markersize": 9 - k}
+            style = {"color": f"C{k}", "marker": "osD^v<>P"[k % 8], "markersize": 7 - k}
             ax.loglog(sizes, ratio, ls="none", markerfacecolor="none", label=name.replace("nu", "ν"), **style)
     ax.xaxis.set_minor_locator(NullLocator())
     ax.set_xticks(sizes, [f"{size:g}" for size in sizes])

@@ -87,17 +87,22 @@ def draw(problem, angle, turns, moment, file):
     from polarmpm.plot import figures as plot
 
     comm = problem.comm
-    figure, axes = plot.subplots(1, 3, figsize=plot.fitted(15, 4.2), solid=[0])
+    figure, grid = plot.subplots(2, 2, figsize=(plot.PAGE, 3.8), solid=[0], width_ratios=(1.3, 1))
+    axes = grid[0, 0], grid[0, 1], grid[1, 1]
+    axes[0].set_subplotspec(axes[0].get_gridspec()[:, 0])  # the shaft takes both rows
+    grid[1, 0].remove()
     along, turned = (plot.gather(comm, a) for a in (problem.points.x[:, 0], angle / (2 * np.pi)))
     if comm.rank == 0:
         axes[1].plot(along, turned, ".", ms=2)
         axes[1].axhline(1.0, color="0.6", lw=1)
-        axes[1].set_xlabel("position along the deformed shaft (m)")
-        axes[1].set_ylabel("microrotation about the axis (turns)")
-    plot.plot_points(problem.points, angle / (2 * np.pi), axes[0], label="turns", cmap="twilight")
+        axes[1].set_xlabel("x of the deformed shaft (m)")
+        axes[1].set_ylabel("microrotation (turns)")
+    plot.plot_points(
+        problem.points, angle / (2 * np.pi), axes[0], label="microrotation about the axis (turns)"
+    )
     load = np.linspace(0, moment / 1e6, len(turns))
     plot.load_displacement(
-        {"shaft": (turns, load)}, axes[2], xlabel="turns of the end", ylabel="moment (MN m)"
+        {"_shaft": (turns, load)}, axes[2], xlabel="rotation of the end (turns)", ylabel="moment (MN m)"
     )
     plot.save(figure, file, comm=comm)
 

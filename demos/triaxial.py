@@ -274,10 +274,12 @@ def draw(curves, file):
                 (line,) = ax.plot(a, b, ".", ms=3, label=NAMES[kind])
                 a, b = (np.array(curve["exact"][name]) * scale[name] for name in (x, y))
                 ax.plot(a, b, "-", lw=1, color=line.get_color())
+            ax.plot([], [], "k-", lw=1, label="closed forms")
             ax.set_xlabel(names[x])
             ax.set_ylabel(names[y])
             finish_curves(ax)
-        axes[0].set_title("points: computed; lines: closed forms")
+            if ax is not axes[0]:
+                ax.get_legend().remove()
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 
 

@@ -151,7 +151,7 @@ def draw(rows, file):
                 mfc="none",
             )
         cut_off = math.sqrt(4 * KAPPA / (DENSITY * MICROINERTIA))
-        ax.axhline(cut_off / 1e3, color="0.6", lw=1, ls=":")
+        ax.axhline(cut_off / 1e3, color="0.4", lw=1, ls=":", label="cut-off")
         ax.set_xlabel("wave number (1/m)")
         ax.set_ylabel("frequency (krad/s)")
         ax.legend()

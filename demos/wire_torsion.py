@@ -130,19 +130,20 @@ def draw(solved, file):
     its hardening variable."""
     from polarmpm.plot import figures as plot
 
-    figure, axes = plot.subplots(1, 3, figsize=plot.fitted(15, 4.6), solid=[1, 2])
+    figure, axes = plot.subplots(1, 3, figsize=(plot.PAGE, 2.8), solid=[1, 2])
     curves = {f"2a = {d:g} µm": (path["curvature"], path["torque"] / 1e6) for d, (_, path) in solved.items()}
     plot.load_displacement(
         curves, axes[0], xlabel="twist per length times a (-)", ylabel="torque / $a^3$ (MPa)"
     )
+    if MPI.COMM_WORLD.rank == 0:
+        plot.legend_below(figure, axes[:1], columns=len(curves))
     thin = min(solved)
     points = solved[thin][0].points
     angle = 2 * np.arctan2(points.q[:, 3], points.q[:, 0])
     views = {"axial microrotation (rad)": angle, "hardening variable $\\chi$ (-)": points.hardening}
     for (label, values), ax in zip(views.items(), axes[1:], strict=True):
-        plot.plot_points(
-            points, values, ax, label=f"{label}, 2a = {thin:g} µm", length=(1e6, "µm"), undeformed=False
-        )
+        plot.plot_points(points, values, ax, label=label, length=(1e6, "µm"), undeformed=False)
+        ax.set_title(f"2a = {thin:g} µm")
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 
 

@@ -41,6 +41,11 @@ FIGURES: dict[str, tuple[str, str]] = {
         "--length 2.5e-3 5e-3 10e-3 --output {folder}",
         "shear_layer",
     ),
+    "shear_layer_regrid": (
+        "demos/shear_layer.py --regrid 0.5e-3 --basis bspline --grids 25x1 --length 2e-3 --zone 4e-3 "
+        "--points-per-cell 2 --steps 40 --to 0.5 --output {folder}",
+        "shear_layer",
+    ),
     "wire_torsion": ("demos/wire_torsion.py --output {folder}", "wires"),
     "oriented_sheet": (
         "demos/oriented_sheet.py --sides 6000 3000 1200 600 --output {folder}",

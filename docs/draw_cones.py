@@ -90,7 +90,7 @@ def main():
         columnspacing=1.4,
         handlelength=1.6,
     )
-    figure.subplots_adjust(left=0.01, right=0.98, top=0.92, bottom=0.24, wspace=0.12)
+    figure.subplots_adjust(left=0.01, right=0.98, top=0.92, bottom=0.2, wspace=0.12)
     figure.savefig(Path(__file__).parent / "images" / "cones.png", dpi=220)
 
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from .figures import gather, load_displacement, plot_mesh, plot_points, save, subplots
+from .figures import gather, legend_below, load_displacement, plot_mesh, plot_points, save, subplots
 from .gridlines import plot_grid
 from .movies import Movie, movie
 from .style import COLOURS, COLUMN, PAGE, fitted, styled
@@ -17,6 +17,7 @@ __all__ = [
     "View",
     "fitted",
     "gather",
+    "legend_below",
     "load_displacement",
     "movie",
     "plot_grid",

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
+from ..tools import checks
 from .style import COLUMN
 
 GREY = "#9a9a9a"
@@ -32,7 +33,8 @@ def new_axes(span: np.ndarray | None, **options: Any) -> Any:
 
 def name_axes(ax: Any, dim: int, unit: str) -> None:
     if dim == 3:
-        ax.set_zlabel(f"z ({unit})", labelpad=6)
+        ax.zaxis.set_rotate_label(False)  # or it stands on its head, seen from some sides
+        ax.set_zlabel(f"z ({unit})", labelpad=6, rotation=90)
     ax.set_xlabel(f"x ({unit})", labelpad=None if dim == 2 else 8)
     ax.set_ylabel(f"y ({unit})")
 
@@ -66,12 +68,13 @@ def colour_bar(ax: Any, mappable: Any, label: str, dim: int) -> None:
 
     below = {"ax": ax, "label": label, "location": "bottom", "pad": 0.02}
     if dim == 3:
-        bar = ax.figure.colorbar(mappable, shrink=0.6, aspect=35, **below)
+        bar = ax.figure.colorbar(mappable, shrink=0.6, aspect=35, **below | {"pad": 0.06})
     elif np.ptp(ax.get_xlim()) > 2.5 * np.ptp(ax.get_ylim()):
         bar = ax.figure.colorbar(mappable, aspect=45, **below)
     else:
         # inside of the axes' own frame, so that it is as high as they become with equal scales
-        place = ax.inset_axes([1.03, 0.0, 0.03, 1.0])
+        wide = 0.03 * max(1.0, np.ptp(ax.get_ylim()) / np.ptp(ax.get_xlim()))
+        place = ax.inset_axes([1.0 + wide, 0.0, wide, 1.0])
         bar = ax.figure.colorbar(mappable, cax=place, label=label)
     bar.outline.set_visible(False)
     along = bar.ax.xaxis if bar.orientation == "horizontal" else bar.ax.yaxis
@@ -95,7 +98,7 @@ def flat_patches(ax: Any, polygons: np.ndarray, colour: Any) -> None:
     from matplotlib.collections import PolyCollection
 
     # edges of the fill's colour close the hairlines between neighbours
-    patches = PolyCollection(polygons, facecolor=colour, edgecolor="face", linewidth=0.3, zorder=2)
+    patches = PolyCollection(polygons, facecolor=colour, edgecolor="face", linewidth=0.5, zorder=2)
     patches.set_rasterized(len(polygons) > _MANY)  # an image in a .pdf, which would be large
     ax.add_collection(patches)
 
@@ -115,6 +118,37 @@ def finish_curves(ax: Any, fontsize: float | None = None) -> None:
         ax.legend(frameon=False, fontsize=fontsize)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
+
+
+def legend_below(figure: Any, axes: Iterable[Any] | None = None, columns: int = 0) -> Any:
+    """One legend for several panels, below all of them, where it hides no line; those of the panels go.
+
+    Nothing is drawn on ranks without axes.
+
+    Args:
+        axes: the panels; None: all of the figure's.
+        columns: of the legend; 0: all labels side by side, at most four.
+
+    Returns:
+        The legend, or None where nothing has a label.
+
+    Raises:
+        InputError: not a figure of matplotlib, a number of columns below 0.
+    """
+    columns = checks.whole("columns", columns, least=0)
+    if not hasattr(figure, "legend") or not hasattr(figure, "axes"):
+        raise checks.refuse("figure", figure, "a figure of matplotlib is needed")
+    found: dict[str, Any] = {}
+    for ax in figure.axes if axes is None else axes:
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+        if ax.get_legend():
+            ax.get_legend().remove()
+    if not found:
+        return None
+    # outside of the figure: `save` makes room for it
+    where = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "frameon": False}
+    return figure.legend(list(found.values()), list(found), ncol=columns or min(4, len(found)), **where)
 
 
 def finish_flat(ax: Any) -> None:
@@ -184,14 +218,24 @@ def finish_solid(ax: Any, drawn: Sequence[np.ndarray], view: tuple[float, float]
     low, high = (f(np.concatenate(seen), axis=0) for f in (np.min, np.max))
     span = np.maximum(high - low, 0.15 * np.max(high - low))  # a thin body still gets room for its ticks
     middle = 0.5 * (low + high)
+    width = ax.figure.get_figwidth() * ax.get_position(original=True).width
+    most = min(6.0, max(3.0, 1.4 * width))  # of the ticks, which have to be told apart
     for axis, name in enumerate("xyz"):
         ends = middle[axis] - 0.52 * span[axis], middle[axis] + 0.52 * span[axis]
         getattr(ax, f"set_{name}lim")(*ends)
-        ticks = max(1, round(6 * span[axis] / span.max()))
-        getattr(ax, f"{name}axis").set_major_locator(MaxNLocator(ticks))
+        ticks = round(most * span[axis] / span.max())
+        getattr(ax, f"{name}axis").set_major_locator(MaxNLocator(ticks) if ticks > 2 else _one_tick(*ends))
         pane = getattr(ax, f"{name}axis").pane
         pane.set_facecolor("white")
         pane.set_edgecolor("0.85")
-    ax.set_box_aspect(span)
+    ax.set_box_aspect(span, zoom=0.85)  # labels stay clear of what is beside the axes
     ax.grid(False)
     ax.view_init(*view)
+
+
+def _one_tick(low: float, high: float) -> Any:
+    """A tick near the middle: more of them would run into each other along a thin side."""
+    from matplotlib.ticker import FixedLocator, MaxNLocator
+
+    places = MaxNLocator(4).tick_values(low, high)
+    return FixedLocator([places[np.argmin(abs(places - 0.5 * (low + high)))]])

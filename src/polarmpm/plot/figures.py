@@ -25,6 +25,7 @@ from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks
 from . import drawing
+from .drawing import legend_below
 from .meshfaces import Faces, gather_faces
 from .options import Options, check_axes, check_curves, check_panels
 from .style import COLUMN, PAGE, fitted, styled
@@ -60,7 +61,7 @@ def subplots(
     Args:
         figsize: width and height (inches); default: as wide as a journal's column, or its page.
         solid: axes, counted row by row from 0, that are three-dimensional.
-        **options: of `Figure.subplots`, without `solid`.
+        **options: of `Figure.subplots`; with `solid` the ratios of widths and heights only.
     """
     from matplotlib.figure import Figure  # not pyplot: no display, no global state
 
@@ -75,9 +76,9 @@ def _axes(figure: Any, rows: int, columns: int, solid: Sequence[int], options: d
     if not solid:
         return figure.subplots(rows, columns, **options)
     kind = {True: "3d", False: None}
-    axes = [
-        figure.add_subplot(rows, columns, k + 1, projection=kind[k in solid]) for k in range(rows * columns)
-    ]
+    ratios = {name: options[name] for name in ("width_ratios", "height_ratios") if name in options}
+    cells = figure.add_gridspec(rows, columns, **ratios, **options.get("gridspec_kw", {}))
+    axes = [figure.add_subplot(cell, projection=kind[k in solid]) for k, cell in enumerate(cells)]
     return np.array(axes, dtype=object).reshape((rows, columns) if min(rows, columns) > 1 else -1)
 
 
@@ -422,4 +423,7 @@ def _draw_solid_mesh(
     drawing.finish_solid(ax, [a.reshape(-1, 3) for a in drawn], view)
 
 
-__all__ = ["fitted", "gather", "load_displacement", "plot_mesh", "plot_points", "save", "styled", "subplots"]
+__all__ = [
+    *("fitted", "gather", "legend_below", "load_displacement", "plot_mesh", "plot_points"),
+    *("save", "styled", "subplots"),
+]

@@ -59,15 +59,15 @@ def errors(
     every = methods([*rows, *published])
     for method in every:
         k = every.index(method)
-        # marks get smaller, so that those of a line that is covered by a later one can still be seen
+        # marks get smaller and lines thinner, so that one that is covered by a later one can still be seen
         style: dict[str, Any] = {"color": _COLOURS[k % len(_COLOURS)], "marker": _MARKERS[k % len(_MARKERS)]}
-        style["markersize"] = max(2.0, 5.0 - 0.6 * k)
+        style |= {"markersize": max(2.0, 6.0 - 0.8 * k), "linewidth": max(0.9, 1.7 - 0.2 * k)}
         line = _line(rows, method, name, over)
         if len(line):
             ax.loglog(*line.T, "-", label=method, **style)
         line = _line(published, method, name, over)
         if len(line):
-            open_ = {"markerfacecolor": "none", "markeredgewidth": 0.9, "ls": ":", "lw": 0.8}
+            open_ = {"markerfacecolor": "none", "markeredgewidth": 0.9, "ls": ":", "linewidth": 0.8}
             ax.loglog(*line.T, **(style | open_), label=f"{method}, published")
     if slopes:
         _draw_slopes(ax, rows, name, slopes)
@@ -90,8 +90,16 @@ def _label_ticks(axis: Any, limits: tuple[float, float]) -> None:
 
     decades = np.log10(limits[1] / limits[0])
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2.5 else (1.0,), numticks=30))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: _number(value)))
     axis.set_minor_formatter(NullFormatter())
+
+
+def _number(value: float) -> str:
+    """As books write it: 0.001, but $2\\cdot 10^{-5}$."""
+    if 1e-3 <= value < 1e5:
+        return f"{value:g}"
+    digit, power = f"{value:.0e}".split("e")
+    return rf"${'' if digit == '1' else digit + chr(92) + 'cdot '}10^{{{int(power)}}}$"
 
 
 def _line(rows: Sequence[Row], method: str, name: str, over: str) -> np.ndarray:
@@ -128,11 +136,7 @@ def save_errors(
         errors(rows, name, ax, over=over, unit=unit, published=published, slopes=slopes, legend=False)
     for ax in axes.flat[len(names) :]:
         ax.set_visible(False)
-    handles, labels = axes.flat[0].get_legend_handles_labels()
-    if handles:
-        # below the panels: `plot.figures.save` makes room for it
-        where = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0)}
-        figure.legend(handles, labels, ncol=min(3, len(labels)), frameon=False, **where)
+    plot.legend_below(figure, columns=3)
     plot.save(figure, path, pdf=False)
 
 
