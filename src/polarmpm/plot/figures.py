@@ -424,6 +424,13 @@ def _draw_solid_mesh(
 
 
 __all__ = [
-    *("fitted", "gather", "legend_below", "load_displacement", "plot_mesh", "plot_points"),
-    *("save", "styled", "subplots"),
+    "fitted",
+    "gather",
+    "legend_below",
+    "load_displacement",
+    "plot_mesh",
+    "plot_points",
+    "save",
+    "styled",
+    "subplots",
 ]
