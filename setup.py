@@ -11,6 +11,8 @@ LICENCE = {"license_expression": "MIT"} if NEW else {"license": "MIT"}
 
 setup(
     **LICENCE,
+    # `python -m polarmpm demo NAME` finds them where there is no clone
+    data_files=[("share/polarmpm/demos", sorted(glob("demos/*.py")))],
     # a plain shared library, loaded with ctypes: it needs neither Python's nor NumPy's headers
     ext_modules=[
         Extension(

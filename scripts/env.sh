@@ -13,7 +13,7 @@ case $PATH in
   "$PWD/.venv/bin:/usr/bin:"*) ;;
   *) export PATH="$PWD/.venv/bin:/usr/bin:$PATH" ;;
 esac
-export PYTHONNOUSERSITE=1
+export PYTHONNOUSERSITE="${PYTHONNOUSERSITE:-1}"
 
 # OpenBLAS' threads make MUMPS several times slower. The hash seed only makes runs repeatable: keys in the cache
 # of compiled forms don't depend on it.
@@ -22,11 +22,14 @@ export PYTHONHASHSEED="${PYTHONHASHSEED:-0}"
 
 # OpenMPI 4 (OMPI_MCA_*) and 5 (PRTE_MCA_*): run as root, run more ranks than there are cores, and don't pin ranks
 # to cores, because two runs at the same time would be pinned to the same ones.
-export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
-export OMPI_MCA_rmaps_base_oversubscribe=1 PRTE_MCA_rmaps_default_mapping_policy=:oversubscribe
+export OMPI_ALLOW_RUN_AS_ROOT="${OMPI_ALLOW_RUN_AS_ROOT:-1}"
+export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM="${OMPI_ALLOW_RUN_AS_ROOT_CONFIRM:-1}"
+export OMPI_MCA_rmaps_base_oversubscribe="${OMPI_MCA_rmaps_base_oversubscribe:-1}"
+export PRTE_MCA_rmaps_default_mapping_policy="${PRTE_MCA_rmaps_default_mapping_policy:-:oversubscribe}"
 # ranks that wait let others work: tests run beside each other
-export OMPI_MCA_mpi_yield_when_idle=1
-export OMPI_MCA_hwloc_base_binding_policy=none PRTE_MCA_hwloc_default_binding_policy=none
+export OMPI_MCA_mpi_yield_when_idle="${OMPI_MCA_mpi_yield_when_idle:-1}"
+export OMPI_MCA_hwloc_base_binding_policy="${OMPI_MCA_hwloc_base_binding_policy:-none}"
+export PRTE_MCA_hwloc_default_binding_policy="${PRTE_MCA_hwloc_default_binding_policy:-none}"
 
 # Compiled code is kept in its default place, ~/.cache/polarmpm, unless there's no home to write to.
 if [ ! -w "${HOME:-/nonexistent}" ]; then

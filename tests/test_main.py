@@ -40,6 +40,9 @@ def test_the_cache_is_shown_and_cleared(monkeypatch, tmp_path, capsys):
     assert command.main(["cache", "--clear"]) == 0
     assert folder.is_dir()
     assert not any(folder.iterdir())
+    (folder / "kernel.so").touch()
+    assert command.main(["clear"]) == 0
+    assert not any(folder.iterdir())
 
 
 def test_demos_are_listed_and_run(capsys):
@@ -51,6 +54,20 @@ def test_demos_are_listed_and_run(capsys):
         command.main(["demo", "torsion", "--help"])
     assert end.value.code == 0
     assert "--moment" in capsys.readouterr().out
+
+
+def test_demos_of_a_wheel_are_found(monkeypatch, tmp_path, capsys):
+    """Where there is no clone they are data of the installation."""
+    (tmp_path / "bar.py").write_text('"""A bar."""\nprint("pulled")\n')
+    monkeypatch.setattr(command, "DEMOS", (tmp_path / "no clone", tmp_path))
+    monkeypatch.setattr(sys, "argv", sys.argv)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    assert command.main(["demos"]) == 0
+    assert command.main(["demo", "bar"]) == 0
+    assert capsys.readouterr().out.split() == ["bar", "A", "bar.", "pulled"]
+    monkeypatch.setattr(command, "DEMOS", (tmp_path / "no clone",))
+    assert command.main(["demo"]) == 1
+    assert "no demos in" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("missing", ["dolfinx", "mpi4py"])

@@ -5,13 +5,22 @@ from __future__ import annotations
 import argparse
 import runpy
 import shutil
+import site
 import sys
+import sysconfig
 import time
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-DEMOS = Path(__file__).resolve().parents[2] / "demos"
+# of a clone or an unpacked source distribution; else what a wheel has installed, or `pip install --user`
+DEMOS = (
+    Path(__file__).resolve().parents[2] / "demos",
+    *(
+        Path(base or "") / "share" / "polarmpm" / "demos"
+        for base in (sysconfig.get_path("data"), site.USER_BASE)
+    ),
+)
 USED = (
     "dolfinx",
     "ufl",
@@ -84,12 +93,11 @@ def check() -> int:
 
 def demos(name: str | None, arguments: Sequence[str]) -> int:
     """List the demos, or run one with its own arguments."""
-    found = {path.stem: path for path in sorted(DEMOS.glob("*.py"))}
-    if not found:
-        print(
-            f"no demos in {DEMOS}: they come with the repository and the source distribution", file=sys.stderr
-        )
+    folders = [folder for folder in DEMOS if any(folder.glob("*.py"))]
+    if not folders:
+        print(f"no demos in {', '.join(map(str, DEMOS))}: is polarmpm installed whole?", file=sys.stderr)
         return 1
+    found = {path.stem: path for path in sorted(folders[0].glob("*.py"))}
     if name is None:
         for stem, path in found.items():
             print(f"{stem:24} {path.read_text().split(chr(10), 1)[0].strip(chr(34))}")
@@ -98,7 +106,7 @@ def demos(name: str | None, arguments: Sequence[str]) -> int:
         print(f"demo {name!r}: there are {', '.join(found)}", file=sys.stderr)
         return 2
     sys.argv = [str(found[name]), *arguments]
-    sys.path.insert(0, str(DEMOS))
+    sys.path.insert(0, str(folders[0]))
     runpy.run_path(str(found[name]), run_name="__main__")
     return 0
 
@@ -110,15 +118,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     cached = commands.add_parser("cache", help="where compiled code is kept")
     cached.add_argument("--clear", action="store_true", help="remove it; it's compiled anew when it's needed")
     commands.add_parser("check", help="a computation of two seconds against a closed form")
-    demo = commands.add_parser("demo", help="list the demos, or run one", add_help=False)
+    commands.add_parser("clear", help="the same as cache --clear")
+    demo = commands.add_parser("demo", aliases=["demos"], help="list the demos, or run one", add_help=False)
     demo.add_argument("name", nargs="?")
     demo.add_argument("arguments", nargs=argparse.REMAINDER, help="of the demo")
     args = parser.parse_args(argv)
     if args.command == "cache":
         return show_cache(args.clear)
+    if args.command == "clear":
+        return show_cache(clear=True)
     if args.command == "check":
         return check()
-    if args.command == "demo":
+    if args.command in ("demo", "demos"):
         return demos(args.name, args.arguments)
     return versions()
 

@@ -94,6 +94,9 @@ def test_the_surface_is_drawn_in_three_dimensions(folder):
     scale = np.ptp(span, axis=1) / ax.get_box_aspect()
     np.testing.assert_allclose(scale, scale[0])
     assert ax.get_zlabel() == "z (m)"
+    # ticks of thin sides would run into each other
+    assert len(ax.get_xticks()) > 3
+    assert len(ax.get_yticks()) == len(ax.get_zticks()) == 1
     assert (folder / "block.png").stat().st_size > 5000
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from polarmpm import plot
+from polarmpm import InputError, plot
 
 pytest.importorskip("matplotlib")
 
@@ -20,3 +20,29 @@ def test_the_style_is_one_that_matplotlib_takes():
     assert len(set(plot.COLOURS)) == len(plot.COLOURS) >= 7
     with pytest.raises(AttributeError, match="'STILE'"):
         plot.STILE  # noqa: B018
+
+
+def test_one_legend_stands_below_several_panels(tmp_path):
+    """Each label once, those of the panels gone, and nothing of it over the panels in the file."""
+    figure, axes = plot.subplots(1, 2)
+    for ax in axes:
+        ax.plot([0, 1], [0, 1], label="both")
+        ax.legend()
+    axes[1].plot([0, 1], [1, 0], label="one")
+    legend = plot.legend_below(figure)
+    assert [text.get_text() for text in legend.get_texts()] == ["both", "one"]
+    assert not any(ax.get_legend() for ax in axes)
+    figure.draw_without_rendering()
+    assert legend.get_window_extent().y1 <= min(ax.get_tightbbox().y0 for ax in axes)
+    assert plot.legend_below(plot.subplots()[0]) is None
+    with pytest.raises(InputError, match="columns = -1"):
+        plot.legend_below(figure, columns=-1)
+    with pytest.raises(InputError, match="figure = 3"):
+        plot.legend_below(3)
+
+
+def test_panels_of_several_kinds_have_the_widths_asked_for():
+    _, (left, right) = plot.subplots(1, 2, solid=[0], width_ratios=(2, 1))
+    assert hasattr(left, "zaxis")
+    assert not hasattr(right, "zaxis")
+    assert tuple(left.get_subplotspec().get_gridspec().get_width_ratios()) == (2, 1)
