@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import sys
@@ -15,6 +16,8 @@ os.environ.setdefault("MPLBACKEND", "agg")
 from sphinx_gallery.sorting import FileNameSortKey  # noqa: E402
 
 import polarmpm as pm  # noqa: E402
+
+logging.getLogger("polarmpm").setLevel(logging.WARNING)  # pages don't tell what was compiled for them
 
 project, author = "polarmpm", "the polarmpm developers"
 copyright = f"2026, {author}"
@@ -70,6 +73,7 @@ sphinx_gallery_conf = {
     "remove_config_comments": True,
     "show_memory": False,
     "capture_repr": (),
+    "thumbnail_size": (480, 336),
     "show_signature": False,
     "abort_on_example_error": True,
     "matplotlib_animations": False,

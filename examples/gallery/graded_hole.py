@@ -37,11 +37,11 @@ print(f"unknowns {graded.unknowns} and {equal.unknowns}")
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(plot.PAGE, 3))
 plot.plot_grid(graded.grid, ax=left)
-for problem, values, label in ((equal, expected, "equal cells"), (graded, stress, "graded")):
+for problem, values, label, line in ((equal, expected, "equal cells", "-"), (graded, stress, "graded", "--")):
     X = problem.points.X
     row = (X[:, 1] < 0.06) & (X[:, 0] < 5)
     order = np.argsort(X[row, 0])
-    right.plot(X[row, 0][order], values[row][order], label=label)
+    right.plot(X[row, 0][order], values[row][order], line, label=label)
 right.set(xlabel="distance from the centre / radius", ylabel="stress / far stress")
 right.legend()
 plt.show()

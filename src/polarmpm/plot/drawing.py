@@ -35,7 +35,7 @@ def name_axes(ax: Any, dim: int, unit: str) -> None:
     if dim == 3:
         ax.zaxis.set_rotate_label(False)  # or it stands on its head, seen from some sides
         ax.set_zlabel(f"z ({unit})", labelpad=6, rotation=90)
-    ax.set_xlabel(f"x ({unit})", labelpad=None if dim == 2 else 8)
+    ax.set_xlabel(f"x ({unit})", labelpad=None if dim == 2 else 12)
     ax.set_ylabel(f"y ({unit})")
 
 
