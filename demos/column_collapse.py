@@ -135,17 +135,20 @@ def draw(solved, file):
     """The columns at the end, coloured by chi, and the curves of weight over settlement."""
     from polarmpm.plot import figures as plot
 
-    figure, axes = plot.subplots(1, len(solved) + 1, figsize=(plot.PAGE, 2.6))
+    figure, (axes, below) = plot.subplots(2, len(solved), figsize=(plot.PAGE, 4.4), squeeze=False)
+    below[0].set_subplotspec(below[0].get_gridspec()[1, :])
+    for ax in below[1:]:
+        ax.remove()
     curves, last = {}, list(solved)[-1]
     chi = [float(problem.points.hardening.max(initial=0.0)) for problem, _ in solved.values()]
     limits = 0.0, MPI.COMM_WORLD.allreduce(max(chi), op=MPI.MAX)  # one scale for all
-    for ax, (cells, (problem, path)) in zip(axes, solved.items(), strict=False):
+    for ax, (cells, (problem, path)) in zip(axes, solved.items(), strict=True):
         label = "hardening variable $\\chi$ (-)" if cells == last else None
         plot.plot_points(problem.points, problem.points.hardening, ax, label=label, limits=limits)
         ax.set_title(f"{cells} x {cells} cells")
         curves[f"{cells} x {cells} cells"] = (path[0], path[1] / 1e3)
     plot.load_displacement(
-        curves, axes[-1], xlabel="displacement of the corner (m)", ylabel="specific weight (kN/m$^3$)"
+        curves, below[0], xlabel="displacement of the corner (m)", ylabel="specific weight (kN/m$^3$)"
     )
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 

@@ -237,5 +237,5 @@ def _one_tick(low: float, high: float) -> Any:
     """A tick near the middle: more of them would run into each other along a thin side."""
     from matplotlib.ticker import FixedLocator, MaxNLocator
 
-    places = MaxNLocator(4).tick_values(low, high)
+    places = MaxNLocator(2, steps=[1, 2, 5, 10]).tick_values(low, high)
     return FixedLocator([places[np.argmin(abs(places - 0.5 * (low + high)))]])
