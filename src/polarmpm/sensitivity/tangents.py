@@ -1,0 +1,276 @@
+"""The tangent-linear run: derivatives that are solved for, beside a run (docs/sensitivity.md).
+
+Where a step of the run has converged, the derivative of its nodal increments solves the linear equation
+K dx = -(dR at the same x), with all that depends on what has been before. Its right-hand side and products with
+K are sums over points of the kernels' derivatives (`assembly.batchrates`); the run's factor preconditions.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from ..assembly.batchrates import At, BatchRates, Change
+from ..assembly.system import NodalSystem
+from ..forms.directional import FormAlong, InitialAlong, MotionAlong
+from ..terms.ghost import GhostFaces
+from . import building
+from .leading import Lead, Leader
+from .pointrates import PointRates
+from .readers import Reader
+
+ENOUGH = 1e-12  # imbalance of the linear equation, over that of its right-hand side
+_STALLED, _MOST = 0.5, 25  # ratio of imbalances above which an iteration brings nothing; iterations
+
+
+class Linearised:
+    """A run's converged steps, as the tangents of all parameters need them."""
+
+    def __init__(self, leader: Leader):
+        problem, comm = leader.problem, leader.problem.comm
+        self._lead = Lead(leader)
+        self.along = [FormAlong(form, comm) for form in problem.forms]
+        self._initial: dict[Any, InitialAlong] = {}
+        self.motion: MotionAlong | None = None
+        self.tangents: list[Tangent] = []
+        self._names: list[str] = []
+        self.batches: list[BatchRates] = []
+        self.at: list[At] = []
+        self.x: np.ndarray = np.zeros((0, 0))
+        leader.followers.append(self)
+
+    def add(self, name: str, reader: Reader) -> None:
+        """Differentiate by a parameter."""
+        self._names.append(name)
+        self.tangents.append(Tangent(self, reader))
+
+    def by_name(self) -> Iterator[tuple[str, Tangent]]:
+        """Tangents by parameter."""
+        return iter(zip(self._names, self.tangents, strict=True))
+
+    def follow(self, problem: Any) -> None:
+        """Differentiate the step that the run has taken. Collective."""
+        building.check_step(problem, self.leader)
+        for tangent in self.tangents:
+            tangent.follow()
+
+    def close(self) -> None:
+        """Free memory. Collective."""
+        for tangent in self.tangents:
+            tangent.reader.close()
+
+    @property
+    def leader(self) -> Leader:
+        return self._lead.run
+
+    @property
+    def problem(self) -> Any:
+        return self.leader.problem
+
+    @property
+    def system(self) -> Any:
+        """Of the run."""
+        return self.problem.system
+
+    def reset(self) -> None:
+        """The run has reset its grid. Collective."""
+        system = self.system
+        interpolation, n = system.interpolation, len(system.nodes)
+        self.batches = [BatchRates(interpolation, k, along, n) for k, along in enumerate(self.along)]
+        for tangent in self.tangents:
+            tangent.reset()
+
+    def converged(self) -> None:
+        """A step of the run has converged, and isn't put into the points yet. Collective."""
+        problem, system = self.problem, self.system
+        if self.motion is None:
+            self.motion = MotionAlong(problem._compiled.motion, problem.comm)
+        self.x, self.loads = system.x.copy(), problem._attempted
+        self.at = self.points_at(self.x, True)
+        for tangent in self.tangents:
+            tangent.prepare()
+
+    def points_at(self, x: np.ndarray, yielding: bool) -> list[At]:
+        """The points of all batches at increments (nodes, block)."""
+        system, out = self.system, []
+        for k, batch in enumerate(self.batches):
+            mapping = system.mappings[k] if yielding else None
+            at = batch.at(x, batch.batch.batch.kept["state"], system.kernels[k], mapping)
+            if system.initial is not None and system.initial._any:
+                self._take_initial(k)
+                batch.take_initial(at, system.initial._packed[k])
+            out.append(at)
+        return out
+
+    def _take_initial(self, k: int) -> None:
+        kernels = self.system.initial.kernels[k]
+        if kernels.form not in self._initial:
+            self._initial[kernels.form] = InitialAlong(kernels.form, self.problem.comm)
+        self.batches[k].initial = kernels, self._initial[kernels.form]
+
+    def products(self, dx: np.ndarray) -> np.ndarray:
+        """K dx (nodes, block) on all unknowns, complete on owned rows. Collective."""
+        return self.forces(self.at, self.x, dx, None)
+
+    def forces(
+        self, at: list[At], x: np.ndarray, dx: np.ndarray | None, changes: list[Change] | None
+    ) -> np.ndarray:
+        """Changes of internal forces (nodes, block), complete on owned rows. Collective."""
+        system, out = self.system, np.zeros_like(x)
+        for k, batch in enumerate(self.batches):
+            out += batch.forces(at[k], x, dx, None if changes is None else changes[k])
+        if dx is not None and len(system.terms):
+            out += system.terms.products(x, dx)
+        system.nodes.add_to_owners(out)
+        return out
+
+
+class Tangent:
+    """Derivatives of a run by the logarithm of a parameter.
+
+    Attributes:
+        check: imbalance of the linear equation of the last step, over that of its right-hand side.
+    """
+
+    def __init__(self, run: Linearised, reader: Reader):
+        self._run, self.reader, self.check = weakref.ref(run), reader, 0.0  # no circles
+        self.points = PointRates(run.problem)
+
+    @property
+    def run(self) -> Linearised:
+        run = self._run()
+        assert run is not None
+        return run
+
+    # between two steps ----------------------------------------------------------------------------------
+    def reset(self) -> None:
+        """The run has reset its grid. Collective."""
+        run, problem = self.run, self.run.problem
+        interpolation = run.system.interpolation
+        self.points.reset()
+        self.reader.reset()
+        chosen = run.leader.chosen
+        table = self.points.tables(chosen, interpolation)
+        self._dx = np.zeros_like(run.system.x)
+        self._carried = np.zeros_like(self._dx)
+        self._fixed = np.zeros_like(self._dx)
+        self._changes = []
+        for k, (batch, rates) in enumerate(zip(run.batches, self.reader.numbers, strict=True)):
+            patches = None
+            if batch.patches is not None and table is not None:
+                patches = self.points.patches(batch, chosen.cells, interpolation)
+            state = self.points.state(batch, interpolation, self.reader.stabilisation[k])
+            own = self.points.functions(batch, table), self.points.axes(batch)
+            self._changes.append(Change(rates, state, *own, patches))
+        if problem.balanced_reset and problem.progress.step:
+            self._balance()
+
+    def _balance(self) -> None:
+        raise NotImplementedError
+
+    def prepare(self) -> None:
+        """A step of the run has converged: the state that it has begun with. Collective."""
+        held = self.reader.stabilisation
+        for batch, change, s in zip(self.run.batches, self._changes, held, strict=True):
+            change.state = self.points.state(batch, self.run.system.interpolation, s)
+
+    # a step -----------------------------------------------------------------------------------------------
+    def follow(self) -> None:
+        """Find the derivatives of the step that the run has taken. Collective."""
+        run, system = self.run, self.run.system
+        dx, external = self._prescribed(), self._external()
+        more = self._of_terms() - external - self._carried
+        aim = run.forces(run.at, run.x, dx if np.any(dx) else None, self._changes) + more
+        dx, self.check = solve(system, aim, run.products, dx)
+        self.residual = run.forces(run.at, run.x, dx, self._changes) + more
+        self._dx, self._loads = dx, external
+        self._move()
+        self.reader.read(self)
+
+    def _prescribed(self) -> np.ndarray:
+        """Of prescribed increments (nodes, block); zero elsewhere."""
+        self._fixed = self._fixed + self.reader.prescribed()
+        return self._fixed.copy()
+
+    def _external(self) -> np.ndarray:
+        """Of the loads' forces (nodes, block), complete on owned rows. Collective."""
+        run, out = self.run, np.zeros_like(self.run.x)
+        loads, change = np.hstack(run.loads), np.hstack(self.reader.loads())
+        for batch, of_state in zip(run.batches, self._changes, strict=True):
+            rows = batch.batch.rows
+            if np.any(change[rows]):
+                out += batch.functions.loads(change[rows])
+            for functions in of_state.functions if np.any(loads[rows]) else ():
+                out += functions.loads(loads[rows])
+        run.system.nodes.add_to_owners(out)
+        return out
+
+    def _of_terms(self) -> np.ndarray:
+        """Of the terms' forces (nodes, block) at the same increments. Collective."""
+        run, system = self.run, self.run.system
+        out, scale = np.zeros_like(run.x), self.reader.ghost()
+        if scale is not None:
+            out = system.terms.forces(run.x, lambda piece: isinstance(piece, GhostFaces)) * scale
+            system.nodes.add_to_owners(out)
+        return out
+
+    def _move(self) -> None:
+        """Of the points' state."""
+        run, points = self.run, self.points
+        reference, motion = run.system.interpolation.reference, run.motion
+        assert motion is not None
+        done = {name: rates.copy() for name, rates in points.now.items()}
+        parts = list(zip(run.batches, run.at, self._changes, strict=True))
+        for batch, at, change in parts:
+            points.move(batch, at, change, (run.x, self._dx), reference, motion, done)
+        for k, (batch, at, change) in enumerate(parts):
+            points.flow(batch, at, change, reference, run.system.mappings[k], done)
+        points.now = done
+
+
+def solve(
+    system: NodalSystem, aim: np.ndarray, products: Callable[[np.ndarray], np.ndarray], start: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Increments (nodes, block) from `start` on, at which free unknowns have no residual, and what is left over
+    the first: conjugate residuals, with the factor at hand. Collective.
+
+    Args:
+        aim: residual (nodes, block) at the start.
+        products: the matrix times increments.
+    """
+    own = slice(0, system.owned)
+
+    def dot(a: np.ndarray, b: np.ndarray) -> float:
+        return float(system.comm.allreduce(float(np.sum(a[own] * b[own] * system.as_force**2))))
+
+    x, r = start, system.on_free(aim)
+    first = size = np.sqrt(dot(r, r))
+    known: list[tuple[np.ndarray, np.ndarray]] = []
+    while first > 0.0 and size > ENOUGH * first and len(known) < _MOST:
+        z = _preconditioned(system, r)
+        az = system.on_free(products(z))
+        for other, image in known:
+            share = dot(image, az)
+            z, az = z - share * other, az - share * image
+        length = np.sqrt(dot(az, az))
+        if not length > 0.0:
+            break
+        known.append((z / length, az / length))
+        share = dot(known[-1][1], r)
+        x, r = x - share * known[-1][0], r - share * known[-1][1]
+        before, size = size, np.sqrt(dot(r, r))
+        if size > _STALLED * before and size < 1e-8 * first:
+            break
+    return x, size / first if first > 0.0 else 0.0
+
+
+def _preconditioned(system: Any, forces: np.ndarray) -> np.ndarray:
+    step = np.zeros_like(forces)
+    own = system.owned
+    step[:own] = system.solve_again(system.on_free(forces)[:own])
+    system.complete(step)
+    step[system.prescribed.fixed] = 0.0
+    return step
