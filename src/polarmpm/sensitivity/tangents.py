@@ -18,6 +18,7 @@ from ..assembly.system import NodalSystem
 from ..forms.directional import FormAlong, InitialAlong, MotionAlong
 from ..terms.ghost import GhostFaces
 from . import building
+from .balance import Carried
 from .leading import Lead, Leader
 from .pointrates import PointRates
 from .readers import Reader
@@ -37,6 +38,7 @@ class Linearised:
         self.motion: MotionAlong | None = None
         self.tangents: list[Tangent] = []
         self._names: list[str] = []
+        self.carried: Carried | None = None
         self.batches: list[BatchRates] = []
         self.at: list[At] = []
         self.x: np.ndarray = np.zeros((0, 0))
@@ -80,6 +82,8 @@ class Linearised:
         system = self.system
         interpolation, n = system.interpolation, len(system.nodes)
         self.batches = [BatchRates(interpolation, k, along, n) for k, along in enumerate(self.along)]
+        balanced = self.problem.balanced_reset and self.problem.progress.step
+        self.carried = Carried(self) if balanced else None
         for tangent in self.tangents:
             tangent.reset()
 
@@ -100,16 +104,21 @@ class Linearised:
             mapping = system.mappings[k] if yielding else None
             at = batch.at(x, batch.batch.batch.kept["state"], system.kernels[k], mapping)
             if system.initial is not None and system.initial._any:
-                self._take_initial(k)
+                self.take_initial(k)
                 batch.take_initial(at, system.initial._packed[k])
             out.append(at)
         return out
 
-    def _take_initial(self, k: int) -> None:
+    def take_initial(self, k: int) -> None:
+        """Let a batch know the kernels of its initial stresses. Collective."""
         kernels = self.system.initial.kernels[k]
         if kernels.form not in self._initial:
             self._initial[kernels.form] = InitialAlong(kernels.form, self.problem.comm)
         self.batches[k].initial = kernels, self._initial[kernels.form]
+
+    def precondition(self, forces: np.ndarray) -> np.ndarray:
+        """Increments (nodes, block) by which the factor at hand makes up for forces. Collective."""
+        return preconditioned(self.system, forces)
 
     def products(self, dx: np.ndarray) -> np.ndarray:
         """K dx (nodes, block) on all unknowns, complete on owned rows. Collective."""
@@ -165,11 +174,11 @@ class Tangent:
             state = self.points.state(batch, interpolation, self.reader.stabilisation[k])
             own = self.points.functions(batch, table), self.points.axes(batch)
             self._changes.append(Change(rates, state, *own, patches))
-        if problem.balanced_reset and problem.progress.step:
-            self._balance()
-
-    def _balance(self) -> None:
-        raise NotImplementedError
+        self._forces_alone: np.ndarray | None = None
+        if run.carried is not None:
+            loads = problem._converged_loads, self._loads_at_points
+            alone, self._carried = run.carried.rates(self._changes, self._external(*loads))
+            self._forces_alone = alone
 
     def prepare(self) -> None:
         """A step of the run has converged: the state that it has begun with. Collective."""
@@ -181,7 +190,12 @@ class Tangent:
     def follow(self) -> None:
         """Find the derivatives of the step that the run has taken. Collective."""
         run, system = self.run, self.run.system
-        dx, external = self._prescribed(), self._external()
+        self._loads_at_points = self.reader.loads()
+        dx, external = self._prescribed(), self._external(run.loads, self._loads_at_points)
+        if self._forces_alone is not None and run.leader.fell_back:
+            self._carried = self._forces_alone
+            for of_state in self._changes:
+                of_state.initial = None
         more = self._of_terms() - external - self._carried
         aim = run.forces(run.at, run.x, dx if np.any(dx) else None, self._changes) + more
         dx, self.check = solve(system, aim, run.products, dx)
@@ -195,10 +209,11 @@ class Tangent:
         self._fixed = self._fixed + self.reader.prescribed()
         return self._fixed.copy()
 
-    def _external(self) -> np.ndarray:
-        """Of the loads' forces (nodes, block), complete on owned rows. Collective."""
-        run, out = self.run, np.zeros_like(self.run.x)
-        loads, change = np.hstack(run.loads), np.hstack(self.reader.loads())
+    def _external(self, at_points: Any, changes: Any) -> np.ndarray:
+        """Of the loads' forces (nodes, block), complete on owned rows, of forces and couples at the points and
+        their changes. Collective."""
+        run, out = self.run, np.zeros_like(self.run.system.x)
+        loads, change = np.hstack(at_points), np.hstack(changes)
         for batch, of_state in zip(run.batches, self._changes, strict=True):
             rows = batch.batch.rows
             if np.any(change[rows]):
@@ -250,7 +265,7 @@ def solve(
     first = size = np.sqrt(dot(r, r))
     known: list[tuple[np.ndarray, np.ndarray]] = []
     while first > 0.0 and size > ENOUGH * first and len(known) < _MOST:
-        z = _preconditioned(system, r)
+        z = preconditioned(system, r)
         az = system.on_free(products(z))
         for other, image in known:
             share = dot(image, az)
@@ -267,7 +282,7 @@ def solve(
     return x, size / first if first > 0.0 else 0.0
 
 
-def _preconditioned(system: Any, forces: np.ndarray) -> np.ndarray:
+def preconditioned(system: Any, forces: np.ndarray) -> np.ndarray:
     step = np.zeros_like(forces)
     own = system.owned
     step[:own] = system.solve_again(system.on_free(forces)[:own])
