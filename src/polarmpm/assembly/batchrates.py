@@ -111,6 +111,10 @@ class Functions:
         return out
 
 
+def _turned(turn: np.ndarray | None, values: np.ndarray) -> np.ndarray:
+    return values if turn is None else np.einsum("nij,nj->ni", turn, values)
+
+
 def framed(layout: Layout, a: np.ndarray, frames: np.ndarray, *, values: bool = True) -> np.ndarray:
     """Gradients among unknowns (n, ..., nz) times frames (n, d, d); without values these are zero."""
     out, d = a.copy() if values else np.zeros_like(a), layout.dim
@@ -159,6 +163,7 @@ class Change:
         functions: one direction of the lattice after the other; empty: they stay.
         axes: functions with the change of the half axes; None: they stay.
         patches: of the patches' functions (n, functions).
+        turn: of what takes the stiff scalars into the frame in which they are averaged (n, m, m).
         initial: of packed initial stresses.
     """
 
@@ -167,6 +172,7 @@ class Change:
     functions: Sequence[Functions] = ()
     axes: Functions | None = None
     patches: np.ndarray | None = None
+    turn: np.ndarray | None = None
     initial: np.ndarray | None = None
     given: dict[str, Any] = field(default_factory=dict)
 
@@ -188,6 +194,9 @@ class BatchRates:
         self.functions = Functions(batch, nodes, axes)
         self.share: np.ndarray | None = None
         self.initial: tuple[InitialKernels, InitialAlong] | None = None
+        self.turn: np.ndarray | None = None  # of the stiff scalars; None: they are averaged as they are
+        if isinstance(self.form, ProjectedForm) and self.form.turned:
+            self.turn = self.form.frames(interpolation.reference.q[batch.rows])
 
     @property
     def numbers(self) -> np.ndarray:
@@ -281,15 +290,15 @@ class BatchRates:
         assert patches is not None
         m, kernels = form.scalars, form.compile_scalars(self.along.comm)
         at.measure = self._mean(kernels.measure, at.z, at.zk, at.state, self.numbers)
-        of_e = patches.moments(at.measure.whole[:, :m])
-        at.state[:, form.state_size : form.state_size + m] = patches.at_points(of_e)
-        by_t = self._mean(kernels.conjugate, at.z, at.zk, at.state, self.numbers).columns(0, m)
-        if at.yielding is not None:
-            by_t.at_points = by_t.at_points.copy()
-            by_t.at_points[at.yielding.rows] = self._returned(at)[:, self.layout.unknowns :]
-        of_t = patches.moments(by_t.whole)
-        at.moments, at.conjugate = (of_e, of_t), patches.at_points(of_t)
+        of_e = patches.moments(_turned(self.turn, at.measure.whole[:, :m]))
+        at.state[:, form.state_size : form.state_size + m] = self._back(patches.at_points(of_e))
+        of_t = patches.moments(_turned(self.turn, self._by_t(at)))
+        at.moments, at.conjugate = (of_e, of_t), self._back(patches.at_points(of_t))
         at.state[:, form.state_size + m : form.state_size + 2 * m] = at.conjugate
+
+    def _back(self, values: np.ndarray) -> np.ndarray:
+        """Scalars (n, m) in the points' own frames, of ones in the frame of the average."""
+        return values if self.turn is None else np.einsum("nij,ni->nj", self.turn, values)
 
     # changes --------------------------------------------------------------------------------------------
     def change_of_unknowns(
@@ -387,30 +396,39 @@ class BatchRates:
         change: Change | None,
     ) -> None:
         """Put the change of the projected scalars into that of the state."""
-        form, patches, (z, zk, numbers) = self.form, self.patches, doubled
-        assert patches is not None
+        form, (z, zk, numbers) = self.form, doubled
         assert at.moments is not None
-        m, moved = form.scalars, None if change is None else change.patches
+        m = form.scalars
         de = self._mean(self.along.measure, z, zk, np.hstack([at.state, dstate]), numbers).whole
-        of_e = patches.moments(de)
-        if moved is not None:
-            assert at.measure is not None
-            of_e = of_e + patches.moments(at.measure.whole[:, :m], moved)
-        dt = patches.at_points(of_e)
-        if moved is not None:
-            dt = dt + patches.at_points(at.moments[0], moved)
+        assert at.measure is not None
+        dt = self._averaged_change(at.measure.whole[:, :m], de, at.moments[0], change)
         dstate[:, form.state_size : form.state_size + m] = dt
 
     def _conjugate_change(self, at: At, by_t: np.ndarray, change: Change | None) -> np.ndarray:
         """Of pi, where L_t changes by `by_t` (n, m)."""
-        patches, moved = self.patches, None if change is None else change.patches
-        assert patches is not None
         assert at.moments is not None
-        of_t = patches.moments(by_t)
+        return self._averaged_change(self._by_t(at), by_t, at.moments[1], change)
+
+    def _averaged_change(
+        self, values: np.ndarray, changes: np.ndarray, moments: np.ndarray, change: Change | None
+    ) -> np.ndarray:
+        """Of averages (n, m), of scalars and their changes (n, m); `moments`: of the scalars."""
+        patches, turn = self.patches, None if change is None else change.turn
+        assert patches is not None
+        moved = None if change is None else change.patches
+        changes = _turned(self.turn, changes)
+        if turn is not None:
+            changes = changes + np.einsum("nij,nj->ni", turn, values)
+        averaged = patches.moments(changes)
         if moved is not None:
-            of_t = of_t + patches.moments(self._by_t(at), moved)
-        dpi = patches.at_points(of_t)
-        return dpi if moved is None else dpi + patches.at_points(at.moments[1], moved)
+            averaged = averaged + patches.moments(_turned(self.turn, values), moved)
+        out = patches.at_points(averaged)
+        if moved is not None:
+            out = out + patches.at_points(moments, moved)
+        out = self._back(out)
+        if turn is not None:
+            out = out + np.einsum("nij,ni->nj", turn, patches.at_points(moments))
+        return out
 
     def _by_t(self, at: At) -> np.ndarray:
         """L_t (n, m) at the points and in their boxes."""

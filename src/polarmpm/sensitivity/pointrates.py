@@ -101,6 +101,13 @@ class PointRates:
         assert batch.patches is not None
         return batch.patches.moved(moved[batch.batch.rows])
 
+    def turn(self, batch: BatchRates, interpolation: Interpolation) -> np.ndarray | None:
+        """Changes of what turns a batch's stiff scalars; None where nothing does."""
+        form, rows = batch.form, batch.batch.rows
+        if batch.turn is None or not isinstance(form, ProjectedForm):
+            return None
+        return along(form.frames, [interpolation.reference.q[rows]], [self.before["q"][rows]])
+
     def state(self, batch: BatchRates, interpolation: Interpolation, stabilisation: float) -> np.ndarray:
         """Changes (n, packed size) of a batch's packed state, before a step, where that of what holds points
         to their patches is given."""

@@ -173,7 +173,8 @@ class Tangent:
                 patches = self.points.patches(batch, chosen.cells, interpolation)
             state = self.points.state(batch, interpolation, self.reader.stabilisation[k])
             own = self.points.functions(batch, table), self.points.axes(batch)
-            self._changes.append(Change(rates, state, *own, patches))
+            turn = self.points.turn(batch, interpolation)
+            self._changes.append(Change(rates, state, *own, patches, turn))
         self._forces_alone: np.ndarray | None = None
         if run.carried is not None:
             loads = problem._converged_loads, self._loads_at_points
