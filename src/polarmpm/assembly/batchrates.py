@@ -137,6 +137,7 @@ class At:
         measure: the stiff scalars e and e_z; moments: of them, and of their conjugates, over the patches.
         yielding: points that yield.
         initial: packed initial stresses; None: there are none.
+        couples: dead couples in space (n, 3); None: there are none.
     """
 
     g: np.ndarray
@@ -151,6 +152,7 @@ class At:
     conjugate: np.ndarray | None = None
     yielding: Yielding | None = None
     initial: np.ndarray | None = None
+    couples: np.ndarray | None = None
 
 
 @dataclass
@@ -165,6 +167,7 @@ class Change:
         patches: of the patches' functions (n, functions).
         turn: of what takes the stiff scalars into the frame in which they are averaged (n, m, m).
         initial: of packed initial stresses.
+        couples: of dead couples in space (n, 3).
     """
 
     parameters: np.ndarray
@@ -174,6 +177,7 @@ class Change:
     patches: np.ndarray | None = None
     turn: np.ndarray | None = None
     initial: np.ndarray | None = None
+    couples: np.ndarray | None = None
     given: dict[str, Any] = field(default_factory=dict)
 
 
@@ -263,6 +267,21 @@ class BatchRates:
         if packed is not None:
             assert self.initial is not None
             at.work = at.work + self.initial[0].residual(at.z, self.frames(at.state), packed)
+
+    def take_couples(self, at: At, kernel: Kernel, couples: np.ndarray) -> None:
+        """Dead couples in space (n, 3) do work on what the points have turned by, too."""
+        at.couples, self._couple = couples, kernel
+        at.work = at.work.copy()
+        at.work[:, self._rotation] += kernel(at.z[:, self._rotation], couples)[:, :3] / self._volume
+
+    @property
+    def _rotation(self) -> slice:
+        return self.layout.where("rotation")
+
+    @property
+    def _volume(self) -> np.ndarray:
+        volume: np.ndarray = self.batch.batch.kept["volume"][:, None]
+        return volume
 
     def _inputs(self, at: At, rows: np.ndarray) -> list[np.ndarray]:
         return [at.z[rows], at.state[rows], np.tile(self.numbers, (len(rows), 1))]
@@ -373,6 +392,8 @@ class BatchRates:
                 sides = sides + np.einsum("nm,ndmz->ndz", dpi, odd)
         if at.initial is not None or (change is not None and change.initial is not None):
             work = work + self._initial_change(at, dz, dstate, change)
+        if at.couples is not None:
+            work = work + self._couples_change(at, dz, change)
         if change is not None:
             change.given |= {"state": dstate, "z": dz}
         return work, sides
@@ -387,6 +408,16 @@ class BatchRates:
         moved = np.zeros_like(stress) if moved is None else moved
         d = self.layout.dim**2
         return self.initial[1].residual(at.z, dz, at.state[:, :d], dstate[:, :d], stress, moved)
+
+    def _couples_change(self, at: At, dz: np.ndarray, change: Change | None) -> np.ndarray:
+        out, w, couples = np.zeros_like(dz), at.z[:, self._rotation], at.couples
+        assert couples is not None
+        tangent = self._couple(w, couples)[:, 3:].reshape(len(w), 3, 3)
+        moved = np.einsum("nij,nj->ni", tangent, dz[:, self._rotation])
+        if change is not None and change.couples is not None:
+            moved = moved + self._couple(w, change.couples)[:, :3]  # linear in the couples
+        out[:, self._rotation] = moved / self._volume
+        return out
 
     def _project_change(
         self,

@@ -94,6 +94,7 @@ class Linearised:
             self.motion = MotionAlong(problem._compiled.motion, problem.comm)
         self.x, self.loads = system.x.copy(), problem._attempted
         self.at = self.points_at(self.x, True)
+        self.put_couples(self.at, self.loads[1])
         for tangent in self.tangents:
             tangent.prepare()
 
@@ -108,6 +109,13 @@ class Linearised:
                 batch.take_initial(at, system.initial._packed[k])
             out.append(at)
         return out
+
+    def put_couples(self, at: list[At], couples: np.ndarray) -> None:
+        """Let dead couples (np, r) act where they are no plain loads."""
+        kernel = self.system.couple_kernel
+        if kernel is not None:
+            for batch, here in zip(self.batches, at, strict=True):
+                batch.take_couples(here, kernel, np.ascontiguousarray(couples[batch.batch.rows]))
 
     def take_initial(self, k: int) -> None:
         """Let a batch know the kernels of its initial stresses. Collective."""
@@ -215,6 +223,11 @@ class Tangent:
         their changes. Collective."""
         run, out = self.run, np.zeros_like(self.run.system.x)
         loads, change = np.hstack(at_points), np.hstack(changes)
+        if run.system.couple_kernel is not None:  # what couples do work on changes, too
+            d = run.problem.layout.dim
+            for batch, of_state in zip(run.batches, self._changes, strict=True):
+                of_state.couples = np.ascontiguousarray(changes[1][batch.batch.rows])
+            loads[:, d:], change[:, d:] = 0.0, 0.0
         for batch, of_state in zip(run.batches, self._changes, strict=True):
             rows = batch.batch.rows
             if np.any(change[rows]):
