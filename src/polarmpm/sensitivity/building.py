@@ -139,8 +139,9 @@ def check_step(problem: Any, leader: Any) -> None:
     """Raise InputError after a step that the tangent-linear run doesn't carry."""
     if leader.rebased:
         raise _not_carried("rotations that get a new base between resets (`rotation_limit`)")
-    if leader.record.path is not None:
-        raise _not_carried("steps along the path")
+    path = leader.record.path
+    if path is not None and path.relaxed is not None:
+        raise _not_carried("steps along the path that begin with much out of balance")
 
 
 def warn_of_resets(problem: Any) -> None:

@@ -115,6 +115,7 @@ class Reader:
                     setattr(problem.points, name, now)
             problem.progress = replace(
                 run.progress,
+                factor=run.progress.factor + sign * tangent.factor,
                 external_work=np.nan,
                 carried_work=np.nan,
                 ghost_work=np.nan,
@@ -122,7 +123,7 @@ class Reader:
                 term_work=np.nan,
             )
             problem._equilibrium = self._equilibrium(problem, run._equilibrium, tangent, sign)
-            problem.steps.append(run.steps[-1] if run.steps else None)
+            problem.steps.append(replace(run.steps[-1], factor=problem.progress.factor))
 
     def _equilibrium(self, problem: Any, e: Equilibrium, tangent: Tangent, sign: float) -> Equilibrium:
         run, d = self._lead.run.problem, tangent.run.x.shape[1]

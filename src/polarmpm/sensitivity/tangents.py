@@ -42,6 +42,7 @@ class Linearised:
         self.batches: list[BatchRates] = []
         self.at: list[At] = []
         self.x: np.ndarray = np.zeros((0, 0))
+        self._path: tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]] | None = None
         leader.followers.append(self)
 
     def add(self, name: str, reader: Reader) -> None:
@@ -93,6 +94,7 @@ class Linearised:
         if self.motion is None:
             self.motion = MotionAlong(problem._compiled.motion, problem.comm)
         self.x, self.loads = system.x.copy(), problem._attempted
+        self._path = None
         self.at = self.points_at(self.x, True)
         self.put_couples(self.at, self.loads[1])
         for tangent in self.tangents:
@@ -127,6 +129,20 @@ class Linearised:
     def precondition(self, forces: np.ndarray) -> np.ndarray:
         """Increments (nodes, block) by which the factor at hand makes up for forces. Collective."""
         return preconditioned(self.system, forces)
+
+    def path_of_loads(self) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """How nodes (nodes, block) move as the load factor grows, with which forces (nodes, block), and of what
+        at the points. Collective."""
+        if self._path is None:
+            begin, end = (self.problem._loads_at(factor) for factor in (0.0, 1.0))
+            grown = end[0] - begin[0], end[1] - begin[1]
+            forces = np.zeros_like(self.x)
+            for batch in self.batches:
+                forces += batch.functions.loads(np.hstack(grown)[batch.batch.rows])
+            self.system.nodes.add_to_owners(forces)
+            moved, _ = solve(self.system, -forces, self.products, np.zeros_like(forces))
+            self._path = moved, forces, grown
+        return self._path
 
     def products(self, dx: np.ndarray) -> np.ndarray:
         """K dx (nodes, block) on all unknowns, complete on owned rows. Collective."""
@@ -198,9 +214,9 @@ class Tangent:
     # a step -----------------------------------------------------------------------------------------------
     def follow(self) -> None:
         """Find the derivatives of the step that the run has taken. Collective."""
-        run, system = self.run, self.run.system
-        self._loads_at_points = self.reader.loads()
-        dx, external = self._prescribed(), self._external(run.loads, self._loads_at_points)
+        run, system, path = self.run, self.run.system, self.run.leader.record.path
+        own = self.reader.loads()
+        dx, external = self._prescribed(), self._external(run.loads, own)
         if self._forces_alone is not None and run.leader.fell_back:
             self._carried = self._forces_alone
             for of_state in self._changes:
@@ -208,10 +224,34 @@ class Tangent:
         more = self._of_terms() - external - self._carried
         aim = run.forces(run.at, run.x, dx if np.any(dx) else None, self._changes) + more
         dx, self.check = solve(system, aim, run.products, dx)
+        self.factor = 0.0
+        if path is not None and not path.stopped:
+            along, growth, at_points = run.path_of_loads()
+            self.factor = self._along_path(dx, along)
+            dx, external = dx + self.factor * along, external + self.factor * growth
+            more = more - self.factor * growth
+            own = own[0] + self.factor * at_points[0], own[1] + self.factor * at_points[1]
         self.residual = run.forces(run.at, run.x, dx, self._changes) + more
-        self._dx, self._loads = dx, external
+        self._dx, self._loads, self._loads_at_points = dx, external, own
         self._move()
         self.reader.read(self)
+
+    def _along_path(self, dx: np.ndarray, along: np.ndarray) -> float:
+        """Of the load factor, with which a step along the path stays as long as it is. Collective."""
+        run, system, d = self.run, self.run.system, self.run.problem.layout.dim
+        own, moved = slice(0, system.owned), run.x - run.leader.record.start
+        volume, change = system.node_volumes(), np.zeros((len(run.x), 1))
+        for batch, of_state in zip(run.batches, self._changes, strict=True):
+            for functions in of_state.functions:
+                change += functions.loads(run.problem.points.volume0[batch.batch.rows][:, None])
+        system.nodes.add_to_owners(change)
+
+        def inner(a: np.ndarray, b: np.ndarray, weight: np.ndarray) -> float:
+            here = np.einsum("n,ni,ni->", weight[own], a[own, :d], b[own, :d])
+            return float(system.comm.allreduce(float(here)))
+
+        longer = 2.0 * inner(moved, dx - self._dx, volume) + inner(moved, moved, change[:, 0])
+        return -longer / (2.0 * inner(moved, along, volume))
 
     def _prescribed(self) -> np.ndarray:
         """Of prescribed increments (nodes, block); zero elsewhere."""
