@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..assembly.batchrates import At, BatchRates, Change, framed
-from ..assembly.carrying import Moduli
+from ..assembly.carrying import Moduli, closing_at
 from ..forms.directional import FormAlong, InitialAlong
 from ..forms.projected import ProjectedForm
 from .differences import along
@@ -70,6 +70,19 @@ class CarriedModuli:
         return of_material - geometric
 
 
+def closing_change(
+    system: Any, forces: np.ndarray, change: np.ndarray, moved: np.ndarray, volumes: np.ndarray
+) -> np.ndarray:
+    """Changes of the forces (nodes, block) that close carried ones, which change by so much while nodes move (nodes,
+    d) and the body's shares change (nodes,). Collective."""
+    at = [system.positions(), system.node_volumes(), forces]
+
+    def close(*given: np.ndarray) -> np.ndarray:
+        return closing_at(system, *given)
+
+    return along(close, at, [moved, volumes, change], comm=system.comm)
+
+
 class Carried:
     """What a reset carries, as all parameters need it. Collective.
 
@@ -100,6 +113,7 @@ class Carried:
             external: changes of the loads' forces (nodes, block).
         """
         run, system = self.run, self.run.system
+        shift = self._shift_change(changes)
         left = [system.on_free(run.forces(self.at, self._x, None, changes) - external)]
         stress = [np.zeros(0)] * len(self.at)
         dstress = list(stress)
@@ -109,6 +123,7 @@ class Carried:
             parts = list(zip(run.batches, self.moduli, self.at, changes, strict=True))
             found = [self._first(*part, w, more) for part in parts]
             system.nodes.add_to_owners(more)
+            more[: system.owned] += shift * w[: system.owned]
             dw = -run.precondition(left[-1] + system.on_free(more))
             for k, (batch, moduli, here, change) in enumerate(parts):
                 z, work, dwork = found[k]
@@ -126,6 +141,27 @@ class Carried:
                 change.initial = along(pack, [stress[k], frames], [dstress[k], turned])
             left.append(system.on_free(run.forces(at, self._x, None, changes) - external))
         return left[0], left[-1]
+
+    def _shift_change(self, changes: list[Change]) -> Any:
+        """Of what has been added to the matrix' diagonal (owned nodes, block): a share of the largest entries."""
+        system = self.run.system
+        shift = system.moduli_shift
+        if not self.moduli or shift.share is None or shift.most is None:
+            return 0.0
+        most = np.zeros_like(shift.most)
+        for c in range(len(most)):
+            unit, more = np.zeros_like(self._x), np.zeros_like(self._x)
+            at = np.flatnonzero(system.unshifted[:, c] >= shift.most[c] * (1.0 - 1e-12))[:1]
+            unit[at, c] = 1.0
+            system.nodes.update_ghosts(unit)
+            for part in zip(self.run.batches, self.moduli, self.at, changes, strict=True):
+                self._first(*part, unit, more)
+            system.nodes.add_to_owners(more)
+            largest = np.argmax(np.abs(more[at, c])) if len(at) else None
+            found = 0.0 if largest is None else float(more[at, c][largest] / shift.share[at, 0][largest])
+            everywhere = system.comm.allgather((len(at) > 0, found))
+            most[c] = next((value for there, value in everywhere if there), 0.0)
+        return shift.factor * shift.share * most
 
     def _first(
         self, batch: BatchRates, moduli: CarriedModuli, at: At, change: Change, w: np.ndarray, out: np.ndarray

@@ -18,7 +18,7 @@ from ..assembly.system import NodalSystem
 from ..forms.directional import FormAlong, InitialAlong, MotionAlong
 from ..terms.ghost import GhostFaces
 from . import building
-from .balance import Carried
+from .balance import Carried, closing_change
 from .leading import Lead, Leader
 from .pointrates import PointRates
 from .readers import Reader
@@ -202,8 +202,9 @@ class Tangent:
         self._forces_alone: np.ndarray | None = None
         if run.carried is not None:
             loads = problem._converged_loads, self._loads_at_points
-            alone, self._carried = run.carried.rates(self._changes, self._external(*loads))
-            self._forces_alone = alone
+            found = run.carried.rates(self._changes, self._external(*loads))
+            still = np.zeros_like(self._dx)
+            self._forces_alone, self._carried = (f + self._closing(f, still) for f in found)
 
     def prepare(self) -> None:
         """A step of the run has converged: the state that it has begun with. Collective."""
@@ -233,6 +234,11 @@ class Tangent:
             own = own[0] + self.factor * at_points[0], own[1] + self.factor * at_points[1]
         self.residual = run.forces(run.at, run.x, dx, self._changes) + more
         self._dx, self._loads, self._loads_at_points = dx, external, own
+        if run.carried is not None:
+            before = self._carried
+            free = np.where(system.prescribed.fixed, 0.0, before)
+            self._carried = free + self._closing(free, dx)
+            self.residual = self.residual + before - self._carried
         self._move()
         self.reader.read(self)
 
@@ -240,18 +246,30 @@ class Tangent:
         """Of the load factor, with which a step along the path stays as long as it is. Collective."""
         run, system, d = self.run, self.run.system, self.run.problem.layout.dim
         own, moved = slice(0, system.owned), run.x - run.leader.record.start
-        volume, change = system.node_volumes(), np.zeros((len(run.x), 1))
-        for batch, of_state in zip(run.batches, self._changes, strict=True):
-            for functions in of_state.functions:
-                change += functions.loads(run.problem.points.volume0[batch.batch.rows][:, None])
-        system.nodes.add_to_owners(change)
+        volume, change = system.node_volumes(), self._volumes()
 
         def inner(a: np.ndarray, b: np.ndarray, weight: np.ndarray) -> float:
             here = np.einsum("n,ni,ni->", weight[own], a[own, :d], b[own, :d])
             return float(system.comm.allreduce(float(here)))
 
-        longer = 2.0 * inner(moved, dx - self._dx, volume) + inner(moved, moved, change[:, 0])
+        longer = 2.0 * inner(moved, dx - self._dx, volume) + inner(moved, moved, change)
         return -longer / (2.0 * inner(moved, along, volume))
+
+    def _volumes(self) -> np.ndarray:
+        """Of the nodes' shares of the body's volume (nodes,), complete on owned rows. Collective."""
+        run, out = self.run, np.zeros((len(self._dx), 1))
+        for batch, change in zip(run.batches, self._changes, strict=True):
+            volume = run.problem.points.volume0[batch.batch.rows][:, None]
+            for functions in change.functions:
+                out += functions.loads(volume)
+        run.system.nodes.add_to_owners(out)
+        return out[:, 0]
+
+    def _closing(self, change: np.ndarray, dx: np.ndarray) -> np.ndarray:
+        """Of what closes the carried forces, as these change (nodes, block), and nodes move. Collective."""
+        system, d = self.run.system, self.run.problem.layout.dim
+        free = np.where(system.prescribed.fixed, 0.0, system.carried)
+        return closing_change(system, free, change, dx[:, :d], self._volumes())
 
     def _prescribed(self) -> np.ndarray:
         """Of prescribed increments (nodes, block); zero elsewhere."""
