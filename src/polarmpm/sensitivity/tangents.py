@@ -42,7 +42,7 @@ class Linearised:
         self.batches: list[BatchRates] = []
         self.at: list[At] = []
         self.x: np.ndarray = np.zeros((0, 0))
-        self._path: tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]] | None = None
+        self._path: tuple[np.ndarray, np.ndarray] | None = None
         leader.followers.append(self)
 
     def add(self, name: str, reader: Reader) -> None:
@@ -130,18 +130,16 @@ class Linearised:
         """Increments (nodes, block) by which the factor at hand makes up for forces. Collective."""
         return preconditioned(self.system, forces)
 
-    def path_of_loads(self) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
-        """How nodes (nodes, block) move as the load factor grows, with which forces (nodes, block), and of what
-        at the points. Collective."""
+    def path_of_loads(self) -> tuple[np.ndarray, np.ndarray]:
+        """How nodes (nodes, block) move as the load factor grows, and with which forces (nodes, block).
+        Collective."""
         if self._path is None:
-            begin, end = (self.problem._loads_at(factor) for factor in (0.0, 1.0))
-            grown = end[0] - begin[0], end[1] - begin[1]
-            forces = np.zeros_like(self.x)
+            grown, forces = np.hstack(load_growth(self.problem)), np.zeros_like(self.x)
             for batch in self.batches:
-                forces += batch.functions.loads(np.hstack(grown)[batch.batch.rows])
+                forces += batch.functions.loads(grown[batch.batch.rows])
             self.system.nodes.add_to_owners(forces)
             moved, _ = solve(self.system, -forces, self.products, np.zeros_like(forces))
-            self._path = moved, forces, grown
+            self._path = moved, forces
         return self._path
 
     def products(self, dx: np.ndarray) -> np.ndarray:
@@ -166,10 +164,12 @@ class Tangent:
 
     Attributes:
         check: imbalance of the linear equation of the last step, over that of its right-hand side.
+        factor: derivative of the load factor, along the path.
     """
 
     def __init__(self, run: Linearised, reader: Reader):
         self._run, self.reader, self.check = weakref.ref(run), reader, 0.0  # no circles
+        self.factor = 0.0
         self.points = PointRates(run.problem)
 
     @property
@@ -201,8 +201,7 @@ class Tangent:
             self._changes.append(Change(rates, state, *own, patches, turn))
         self._forces_alone: np.ndarray | None = None
         if run.carried is not None:
-            loads = problem._converged_loads, self._loads_at_points
-            found = run.carried.rates(self._changes, self._external(*loads))
+            found = run.carried.rates(self._changes, self._external(*self._last_loads()))
             still = np.zeros_like(self._dx)
             self._forces_alone, self._carried = (f + self._closing(f, still) for f in found)
 
@@ -216,8 +215,7 @@ class Tangent:
     def follow(self) -> None:
         """Find the derivatives of the step that the run has taken. Collective."""
         run, system, path = self.run, self.run.system, self.run.leader.record.path
-        own = self.reader.loads()
-        dx, external = self._prescribed(), self._external(run.loads, own)
+        dx, external = self._prescribed(), self._external(run.loads, self.reader.loads())
         if self._forces_alone is not None and run.leader.fell_back:
             self._carried = self._forces_alone
             for of_state in self._changes:
@@ -227,13 +225,12 @@ class Tangent:
         dx, self.check = solve(system, aim, run.products, dx)
         self.factor = 0.0
         if path is not None and not path.stopped:
-            along, growth, at_points = run.path_of_loads()
+            along, growth = run.path_of_loads()
             self.factor = self._along_path(dx, along)
             dx, external = dx + self.factor * along, external + self.factor * growth
             more = more - self.factor * growth
-            own = own[0] + self.factor * at_points[0], own[1] + self.factor * at_points[1]
         self.residual = run.forces(run.at, run.x, dx, self._changes) + more
-        self._dx, self._loads, self._loads_at_points = dx, external, own
+        self._dx, self._loads = dx, external
         if run.carried is not None:
             before = self._carried
             free = np.where(system.prescribed.fixed, 0.0, before)
@@ -276,6 +273,14 @@ class Tangent:
         self._fixed = self._fixed + self.reader.prescribed()
         return self._fixed.copy()
 
+    def _last_loads(self) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+        """Of the last step at the points, as they are after a reset: forces and couples, and their changes."""
+        problem, own = self.run.problem, self.reader.loads()
+        if self.factor:
+            grown = load_growth(problem)
+            own = own[0] + self.factor * grown[0], own[1] + self.factor * grown[1]
+        return problem._converged_loads, own
+
     def _external(self, at_points: Any, changes: Any) -> np.ndarray:
         """Of the loads' forces (nodes, block), complete on owned rows, of forces and couples at the points and
         their changes. Collective."""
@@ -316,6 +321,13 @@ class Tangent:
         for k, (batch, at, change) in enumerate(parts):
             points.flow(batch, at, change, reference, run.system.mappings[k], done)
         points.now = done
+
+
+def load_growth(problem: Any) -> tuple[np.ndarray, np.ndarray]:
+    """By which forces (np, d) and couples (np, r) at the points grow with the load factor, along the path.
+    Collective."""
+    begin, end = (problem._loads_at(factor) for factor in (0.0, 1.0))
+    return end[0] - begin[0], end[1] - begin[1]
 
 
 def solve(
