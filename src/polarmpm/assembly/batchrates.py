@@ -134,10 +134,12 @@ class At:
         g, gk: unknowns and their derivatives along the half axes, in the lattice's axes; z, zk: in the frames.
         state: (n, packed size), with projected scalars and conjugates as they are in equilibrium.
         work, sides: what does work on z and zk, per volume.
-        measure: the stiff scalars e and e_z; moments: of them, and of their conjugates, over the patches.
+        measure: the stiff scalars e and e_z; by_t: their conjugates L_t (n, m); moments: of e and of these
+            over the patches; conjugate: pi (n, m).
         yielding: points that yield.
         initial: packed initial stresses; None: there are none.
         couples: dead couples in space (n, 3); None: there are none.
+        inverses: of the local equations' derivatives by their unknowns, by region.
     """
 
     g: np.ndarray
@@ -148,11 +150,13 @@ class At:
     work: np.ndarray
     sides: np.ndarray | None = None
     measure: Mean | None = None
+    by_t: np.ndarray | None = None
     moments: tuple[np.ndarray, np.ndarray] | None = None
     conjugate: np.ndarray | None = None
     yielding: Yielding | None = None
     initial: np.ndarray | None = None
     couples: np.ndarray | None = None
+    inverses: dict[int, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass
@@ -311,7 +315,8 @@ class BatchRates:
         at.measure = self._mean(kernels.measure, at.z, at.zk, at.state, self.numbers)
         of_e = patches.moments(_turned(self.turn, at.measure.whole[:, :m]))
         at.state[:, form.state_size : form.state_size + m] = self._back(patches.at_points(of_e))
-        of_t = patches.moments(_turned(self.turn, self._by_t(at)))
+        at.by_t = self._by_t(at)
+        of_t = patches.moments(_turned(self.turn, at.by_t))
         at.moments, at.conjugate = (of_e, of_t), self._back(patches.at_points(of_t))
         at.state[:, form.state_size + m : form.state_size + 2 * m] = at.conjugate
 
@@ -438,7 +443,8 @@ class BatchRates:
     def _conjugate_change(self, at: At, by_t: np.ndarray, change: Change | None) -> np.ndarray:
         """Of pi, where L_t changes by `by_t` (n, m)."""
         assert at.moments is not None
-        return self._averaged_change(self._by_t(at), by_t, at.moments[1], change)
+        assert at.by_t is not None
+        return self._averaged_change(at.by_t, by_t, at.moments[1], change)
 
     def _averaged_change(
         self, values: np.ndarray, changes: np.ndarray, moments: np.ndarray, change: Change | None
@@ -489,9 +495,11 @@ class BatchRates:
             there = [dz[rows], dstate[rows], np.tile(dnumbers, (len(rows), 1))]
             both = [a for pair in zip(here, there, strict=True) for a in pair]
             scale = kernels.row_scale[:, None]
-            matrix = kernels.local(np.hstack(here), X)[:, nx:].reshape(-1, nx, nx) * scale
+            if region not in at.inverses:
+                matrix = kernels.local(np.hstack(here), X)[:, nx:].reshape(-1, nx, nx) * scale
+                at.inverses[region] = np.linalg.inv(matrix)
             right = local(*both, X, np.zeros_like(X))[:, :, None] * scale
-            moved[which, :nx] = dX = -np.linalg.solve(matrix, right)[:, :, 0]
+            moved[which, :nx] = dX = -(at.inverses[region] @ right)[:, :, 0]
             out[which] = work(*both, X, dX)
             if form.scalars:
                 out[which] += self.along.bent(*both)

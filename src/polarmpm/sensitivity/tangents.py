@@ -23,7 +23,7 @@ from .leading import Lead, Leader
 from .pointrates import PointRates
 from .readers import Reader
 
-ENOUGH = 1e-12  # imbalance of the linear equation, over that of its right-hand side
+ENOUGH = 1e-9  # imbalance of the linear equation, over that of its right-hand side
 _STALLED, _MOST = 0.5, 25  # ratio of imbalances above which an iteration brings nothing; iterations
 
 
