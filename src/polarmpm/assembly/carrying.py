@@ -159,10 +159,17 @@ def closing(system: NodalSystem, forces: np.ndarray) -> np.ndarray:
 
     They are weighted by the nodes' volumes: nodes that hardly belong to the body get hardly any.
     """
+    return closing_at(system, system.positions(), system.node_volumes(), forces)
+
+
+def closing_at(
+    system: NodalSystem, positions: np.ndarray, volumes: np.ndarray, forces: np.ndarray
+) -> np.ndarray:
+    """The same where nodes have these positions (nodes, d) and volumes (nodes,). Collective."""
     own, comm = system.owned, system.comm
-    sums = _sums(system)
+    sums = _sums(system, positions)
     held = system.prescribed.fixed[:own]
-    weight = np.where(held, system.node_volumes()[:own, None] / system.as_force**2, 0.0)
+    weight = np.where(held, volumes[:own, None] / system.as_force**2, 0.0)
     given = np.einsum("knb,nb->k", sums, forces[:own])
     matrix = np.einsum("knb,nb,lnb->kl", sums, weight, sums)
     given, matrix = comm.allreduce(given), comm.allreduce(matrix)
@@ -171,11 +178,11 @@ def closing(system: NodalSystem, forces: np.ndarray) -> np.ndarray:
     return out
 
 
-def _sums(system: NodalSystem) -> np.ndarray:
+def _sums(system: NodalSystem, positions: np.ndarray) -> np.ndarray:
     """By what forces (owned nodes, block) are multiplied to sum up to a force and, about the body's middle
     and over its size, a moment: (components, owned nodes, block). Collective."""
     own, d, r = system.owned, system.layout.dim, system.layout.rotations
-    x = system.positions()[:own]
+    x = positions[:own]
     x = x - system.comm.allreduce(x.sum(axis=0)) / system.nodes.total
     size = float(np.sqrt(system.comm.allreduce(np.sum(x**2)) / system.nodes.total)) or 1.0
     axes = [(0, 1, 0)] if d == 2 else [(1, 2, 0), (2, 0, 1), (0, 1, 2)]

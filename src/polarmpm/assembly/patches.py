@@ -79,17 +79,30 @@ class Patches:
             scale = np.where(variance > _FLAT, 1.0 / np.sqrt(np.maximum(variance, _FLAT)), 0.0)
             along = np.einsum("ni,nia->na", away, axes[self.patch]) * scale[self.patch]
             out[:, 1:] = along / np.sqrt(volume[self.patch])[:, None]
+            self._slopes = axes * (scale / np.sqrt(volume)[:, None])[:, None]  # of the functions by places
         return np.ascontiguousarray(out)
 
-    def moments(self, values: np.ndarray) -> np.ndarray:
-        """sum V0 phi_a f_c over each patch (patches, functions, c) of values (n, c)."""
-        weighted = self.volume[:, None] * self.values
+    def moments(self, values: np.ndarray, functions: np.ndarray | None = None) -> np.ndarray:
+        """sum V0 phi_a f_c over each patch (patches, functions, c) of values (n, c); with other functions at
+        the points (n, functions) if they are given."""
+        weighted = self.volume[:, None] * (self.values if functions is None else functions)
         return self.sums(weighted[:, :, None] * values[:, None, :])
 
-    def at_points(self, moments: np.ndarray) -> np.ndarray:
-        """Values (n, c) of the functions with factors (patches, functions, c)."""
-        found: np.ndarray = np.einsum("na,nac->nc", self.values, moments[self.patch])
+    def at_points(self, moments: np.ndarray, functions: np.ndarray | None = None) -> np.ndarray:
+        """Values (n, c) of the functions, or of others (n, functions), with factors (patches, functions,
+        c)."""
+        own = self.values if functions is None else functions
+        found: np.ndarray = np.einsum("na,nac->nc", own, moments[self.patch])
         return found
+
+    def moved(self, places: np.ndarray) -> np.ndarray:
+        """Changes (n, functions) of functions that stay orthonormal and span what they have to, as the
+        points' places change by so much (n, d)."""
+        if self.values.shape[1] == 1 or not len(places):
+            return np.zeros_like(self.values)
+        out = np.zeros_like(self.values)
+        out[:, 1:] = np.einsum("ni,nia->na", places, self._slopes[self.patch])
+        return out - self.at_points(self.moments(out))
 
     def products(self, matrices: np.ndarray) -> np.ndarray:
         """sum V0 phi_a phi_b M_cd over each patch, (patches, modes, modes), of matrices (n, c, c)."""

@@ -229,19 +229,27 @@ class ReturnMapping:
         """
         y, form = self.yielding, self.form
         assert y is not None
-        stretch, wryness = self._tensors(y.X)
-        if form.material.micropolar:
-            if form.material.isotropic:
-                turn = rotations.to_tensor(base)
-                back = np.swapaxes(turn, 1, 2)
-                stretch, wryness = back @ stretch @ turn, back @ wryness @ turn
-            stretch = rotations.to_tensor(points.q[rows]) @ stretch
-            points.plastic_wryness = replaced(points.plastic_wryness, rows, points.wryness[rows] - wryness)
-        flowed = np.linalg.solve(stretch, points.F[rows])
+        flowed, wryness = self.flowed(y.X, base, points.q[rows], points.F[rows], points.wryness[rows])
+        if wryness is not None:
+            points.plastic_wryness = replaced(points.plastic_wryness, rows, wryness)
         points.plastic_F = replaced(points.plastic_F, rows, flowed)
         points.hardening = replaced(points.hardening, rows, y.X[:, form.hardening_column])
         dissipation = points.dissipation[rows] + self.dissipation()
         points.dissipation = replaced(points.dissipation, rows, dissipation)
+
+    def flowed(
+        self, X: np.ndarray, base: np.ndarray, q: np.ndarray, F: np.ndarray, wryness: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Fp and Gp (n, 3, 3), the latter None of classical materials, of local unknowns and the points' q,
+        F and wryness; `base` as of `update_plastic_state`."""
+        stretch, elastic = self._tensors(X)
+        if not self.form.material.micropolar:
+            return np.linalg.solve(stretch, F), None
+        if self.form.material.isotropic:
+            turn = rotations.to_tensor(base)
+            back = np.swapaxes(turn, 1, 2)
+            stretch, elastic = back @ stretch @ turn, back @ elastic @ turn
+        return np.linalg.solve(rotations.to_tensor(q) @ stretch, F), wryness - elastic
 
     def dissipation(self) -> np.ndarray:
         """Plastic dissipation (Pa) of the points that yield, since the last converged step, T (4.23)."""

@@ -14,6 +14,7 @@ from ..problems.elements import QuasiStaticFEM
 from ..problems.motion import Moving
 from ..problems.points import QuasiStatic
 from ..solvers.resetting import Never
+from ..terms.ghost import Ghost
 from ..terms.obstacles import Obstacle
 from ..tools import checks
 from ..tools.caller import warn
@@ -111,6 +112,36 @@ def check_problem(problem: Any) -> None:
             "elements of assembly 'dolfinx', which those with second gradients take, aren't differentiated; "
             "allowed is assembly = 'native'"
         )
+
+
+def check_carried(problem: Any) -> None:
+    """Raise InputError for what the tangent-linear run doesn't carry."""
+    apart = ""
+    if not isinstance(problem, QuasiStatic):
+        apart = "elements"
+    elif problem.points.bodies > 1:
+        apart = "several bodies"
+    elif problem.layout.axial:
+        apart = "bodies of revolution"
+    elif any(form.layout.second for form in problem.forms):
+        apart = "second gradients"
+    elif any(not isinstance(term, Ghost) for term in problem.terms):
+        apart = next(t.name for t in problem.terms if not isinstance(t, Ghost))
+    if apart:
+        raise _not_carried(apart)
+
+
+def _not_carried(what: str) -> InputError:
+    return InputError(f'method = "exact": {what} aren\'t carried; take method="twins", which does')
+
+
+def check_step(problem: Any, leader: Any) -> None:
+    """Raise InputError after a step that the tangent-linear run doesn't carry."""
+    if leader.rebased:
+        raise _not_carried("rotations that get a new base between resets (`rotation_limit`)")
+    path = leader.record.path
+    if path is not None and path.relaxed is not None:
+        raise _not_carried("steps along the path that begin with much out of balance")
 
 
 def warn_of_resets(problem: Any) -> None:

@@ -104,6 +104,9 @@ class Following(Protocol):
     def reset(self) -> None:
         """Increments of the leading run count from its present state on."""
 
+    def converged(self) -> None:
+        """A step of the leading run has converged, and its body has still the state of the last one."""
+
 
 class Watch(Observer):
     """Tells those that follow of resets, at once, while the leading run has the factor of what it carries."""
@@ -116,6 +119,12 @@ class Watch(Observer):
         leader = self._leader()
         if leader is not None:
             leader.was_reset()
+
+    def after_convergence(self, problem: Any, factor: float) -> None:
+        leader = self._leader()
+        if leader is not None:
+            for follower in leader.followers:
+                follower.converged()
 
     def after_commit(self, problem: Any, rebased: bool) -> None:
         self.rebased = rebased

@@ -12,12 +12,13 @@ import numpy as np
 from ..errors import InputError, NotDifferentiable
 from ..solvers.stepping import Step
 from ..tools import checks
-from . import building
+from . import building, readers
 from .building import Build, Observables
 from .leading import Along, Leader
+from .tangents import Linearised
 from .twins import Apart, Twin
 
-METHODS = ("twins",)
+METHODS = ("twins", "exact")
 _STEPS = {2: 1e-5, 1: 1e-6}  # of ln m, by the number of sides
 _SMALLEST = 1e-9
 
@@ -113,7 +114,12 @@ class Sensitivity:
         building.warn_of_resets(problem)
         self._check_deterministic(problem)
         self._leader = Leader(problem)
-        self._pairs = {name: self._pair(self._leader, name) for name in self.names}
+        self._linear: Linearised | None = None
+        self._pairs: dict[str, _Pair] = {}
+        if self.method == "exact":
+            self._linear = self._linearised()
+        else:
+            self._pairs = {name: self._pair(self._leader, name) for name in self.names}
         self._given = building.conditions(problem)
         self._taken: list[float | Along] = []
         self._broken = ""
@@ -141,28 +147,42 @@ class Sensitivity:
                 "differ); it has to be deterministic: seed random numbers"
             )
 
+    def _linearised(self) -> Linearised:
+        """What solves for the derivatives."""
+        building.check_carried(self.problem)
+        run, self.steps = Linearised(self._leader), {}
+        for name in self.names:
+            pair = [self._beside(self._leader, name, sign * readers.STEP)[:2] for sign in (1.0, -1.0)]
+            run.add(name, readers.Reader(self._leader, name, pair))
+        return run
+
     def _pair(self, leader: Leader, name: str) -> _Pair:
         twins, used = [], []
         for sign in (1.0, -1.0)[: self.sides]:
-            value = self.given[name] * (1.0 + sign * self.steps[name])
-            try:
-                with building.quiet():
-                    problem, observables = self._built({**self.given, name: value})
-            except InputError as e:
-                raise InputError(
-                    f"{name}: twins have {value!r} beside {self.given[name]!r}, and build fails: {e}. At an "
-                    "edge of its range sides=1 has a larger value only; or leave it out of `parameters`"
-                ) from e
-            apart = building.difference(leader.problem, problem)
-            if leader.problem.comm.allreduce(int(bool(apart))):
-                raise InputError(
-                    f"{name}: {apart or 'points'} of the body change with it; parameters are differentiated "
-                    "by whose points, nodes and conditions stay: not a geometry. Compare two runs instead"
-                )
+            problem, observables, value = self._beside(leader, name, sign * self.steps[name])
             twins.append(Twin(leader, problem, observables))
             used.append(value)
         over = used[0] - (used[1] if self.sides == 2 else self.given[name])
         return _Pair(name, self.steps[name], twins, over)
+
+    def _beside(self, leader: Leader, name: str, step: float) -> tuple[Any, Observables, float]:
+        """The problem of another value, its observables, and the value."""
+        value = self.given[name] * (1.0 + step)
+        try:
+            with building.quiet():
+                problem, observables = self._built({**self.given, name: value})
+        except InputError as e:
+            raise InputError(
+                f"{name}: twins have {value!r} beside {self.given[name]!r}, and build fails: {e}. At an "
+                "edge of its range sides=1 has a larger value only; or leave it out of `parameters`"
+            ) from e
+        apart = building.difference(leader.problem, problem)
+        if leader.problem.comm.allreduce(int(bool(apart))):
+            raise InputError(
+                f"{name}: {apart or 'points'} of the body change with it; parameters are differentiated "
+                "by whose points, nodes and conditions stay: not a geometry. Compare two runs instead"
+            )
+        return problem, observables, value
 
     # running ----------------------------------------------------------------------------------------
     def march(self, steps: int | None = None, **options: Any) -> Iterator[Step]:
@@ -207,6 +227,10 @@ class Sensitivity:
         """Let the twins take the step that the run has just taken."""
         building.check_kinks(self.problem)
         path = self._leader.record.path
+        if self._linear is not None:
+            self._linear.follow(self.problem)
+            self.check = {name: t.check for name, t in zip(self.names, self._linear.tangents, strict=True)}
+            return self._read()
         self._taken.append(self.problem.progress.factor if path is None else path)
         for name in self.names:
             pair = self._pairs[name]
@@ -252,6 +276,10 @@ class Sensitivity:
         """Observables and their derivatives."""
         self.values = building.read(self._observables)
         rates: dict[str, dict[str, Any]] = {name: {} for name in self.values}
+        for name, tangent in () if self._linear is None else self._linear.by_name():
+            found = [building.read(o) for o in tangent.reader.observables]
+            for observable, rate in tangent.reader.rates(self.values, found, self.given[name]).items():
+                rates[observable][name] = rate
         for pair in self._pairs.values():
             found = [building.read(twin.observables) for twin in pair.twins]
             for name, value in self.values.items():
@@ -266,6 +294,8 @@ class Sensitivity:
         """Free the memory of the run and its twins. Collective."""
         for pair in self._pairs.values():
             pair.close()
+        if self._linear is not None:
+            self._linear.close()
         self.problem.close()
 
     def __enter__(self) -> Self:

@@ -241,7 +241,7 @@ class _Shares(LoadShares):
         return bool(self.comm.size > 1)
 
 
-def _distribute(lead: Lead, points: Points) -> Route | None:
+def distribute(lead: Lead, points: Points) -> Route | None:
     """Points go where the leading run's are. Collective."""
     there, comm = lead.run.problem.points.id, points.comm
     rank = np.full((len(there), 1), float(comm.rank))
@@ -270,7 +270,7 @@ class Twin:
             problem.basis = self._basis = Followed(problem.basis)
             problem.policy = _Policy()
             problem.systems = partial(BorrowedPoints, leader=self._lead.system)
-            problem.distribution = partial(_distribute, self._lead, problem.points)
+            problem.distribution = partial(distribute, self._lead, problem.points)
             problem.load_shares = _Shares(problem.comm, None)
         else:
             problem.systems = partial(BorrowedElements, leader=self._lead.system)
@@ -293,6 +293,9 @@ class Twin:
                 self._reset()
         except Apart as e:
             self._lost = str(e)
+
+    def converged(self) -> None:
+        """The leading run's step is followed when it has been committed."""
 
     def _reset(self) -> None:
         p, leader = self.problem, self._lead.run

@@ -1,0 +1,508 @@
+"""Sums over a batch of points, and their derivatives in a direction: for the tangent-linear run.
+
+A point's forces are the product of its weighting functions and of what its stresses do work on. Where nodal
+values, the point's state, the material's numbers and, since points have moved by a reset, the weighting
+functions and boxes change too, the product rule gives the change of the forces: the kernels' derivatives
+(`forms.directional`) with the functions as they are, and stresses as they are with the functions' changes, one
+direction of the lattice after the other. Gradients are those in the lattice's axes until the kernels' frames
+(the first entries of the state) turn them, as these have changes of their own.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..forms.directional import FormAlong, InitialAlong
+from ..forms.initialstress import InitialKernels
+from ..forms.projected import ProjectedForm
+from ..kernels import native
+from ..kernels.kernel import Kernel
+from ..kinematics.layout import Layout
+from .interpolation import Interpolation, PointBatch, _gather
+from .patches import Patches
+from .stiffscalars import Mean
+
+if TYPE_CHECKING:
+    from ..forms.returnmapping import ReturnMapping, Yielding
+
+
+class Functions:
+    """Weighting functions of a batch's points, by which nodal values are gathered and forces spread.
+
+    Args:
+        nodes: how many there are.
+        axes: half axes (n, d, d) of the points' boxes; None: there are none.
+        weights: in the place of the batch's own.
+    """
+
+    def __init__(
+        self, batch: PointBatch, nodes: int, axes: np.ndarray | None, weights: np.ndarray | None = None
+    ):
+        b, n, d = batch.batch, len(batch.rows), batch.batch.dim
+        self.layout, self._nodes, self._own = batch.form.layout, nodes, native.Batch()
+        for name, _ in native.Batch._fields_:
+            setattr(self._own, name, getattr(b, name))
+        self._own.kept.update(b.kept)
+        still = np.zeros_like(b.kept["state"])
+        still[:, : d * d] = np.eye(d).ravel()
+        native.fill(self._own, state=still)
+        if weights is not None:
+            native.fill(self._own, weights=np.ascontiguousarray(weights))
+        self._kernels, self._boxes = native.PointKernels(), axes is not None
+        if axes is not None:
+            lean = np.ascontiguousarray(axes) if self.layout.rotations else None
+            native.fill(self._kernels, box_axes=np.ascontiguousarray(axes), box_lean=lean)
+        group = np.repeat(np.arange(b.ngroups), np.diff(b.kept["offsets"]))
+        self._sums = native.Patches()  # one patch of all nodes
+        native.fill(
+            self._sums,
+            npatches=1,
+            functions=1,
+            scalars=1,
+            modes=1,
+            offsets=np.array([0, nodes], dtype=np.int64),
+            nodes=np.arange(nodes, dtype=np.int32),
+            patch=np.zeros(n, dtype=np.int32),
+            map_of=np.ascontiguousarray(b.kept["node_offsets"][group], dtype=np.int64),
+            maps=np.ascontiguousarray(b.kept["nodes"], dtype=np.int32),
+            values=np.ones((n, 1)),
+        )
+
+    def gather(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """z (n, nz), and its derivatives along the half axes (n, d, nz), of nodal values (nodes, block)."""
+        n, nz = self._own.npoints, self.layout.unknowns
+        z = np.empty((n, nz))
+        if not self._boxes:
+            _gather(self._own, x, 0, z, None)
+            return z, None
+        zk = np.empty((n, self.layout.dim, nz))
+        gather = native.library().polarmpm_gather_boxes
+        if gather(ctypes.byref(self._own), ctypes.byref(self._kernels), x, z, zk, None):
+            raise MemoryError("no memory for the points' boxes")
+        return z, zk
+
+    def values(self, x: np.ndarray) -> np.ndarray:
+        """Values (n, block) at the points."""
+        n = self._own.npoints
+        z, value = np.empty((n, self.layout.unknowns)), np.empty((n, self.layout.block))
+        _gather(self._own, x, 0, z, value)
+        return value
+
+    def spread(self, work: np.ndarray, sides: np.ndarray | None) -> np.ndarray:
+        """Forces (nodes, block) on this rank's nodes of what does work on z (n, nz), per volume, and on its
+        derivatives along the half axes (n, d, nz)."""
+        out = np.zeros(self._nodes * self.layout.block)
+        own = ctypes.byref(self._own), ctypes.byref(self._kernels), ctypes.byref(self._sums)
+        flat = None if sides is None else np.ascontiguousarray(sides)
+        if native.library().polarmpm_patch_vectors(*own, np.ascontiguousarray(work), flat, None, out):
+            raise MemoryError("no memory for the sums over material points")
+        return np.ascontiguousarray(out.reshape(self.layout.block, self._nodes).T)
+
+    def loads(self, values: np.ndarray) -> np.ndarray:
+        """Forces (nodes, block) of point values (n, block)."""
+        out = np.zeros((self._nodes, values.shape[1]))
+        given = np.ascontiguousarray(values)
+        native.library().polarmpm_spread(ctypes.byref(self._own), given, values.shape[1], out)
+        return out
+
+
+def _turned(turn: np.ndarray | None, values: np.ndarray) -> np.ndarray:
+    return values if turn is None else np.einsum("nij,nj->ni", turn, values)
+
+
+def framed(layout: Layout, a: np.ndarray, frames: np.ndarray, *, values: bool = True) -> np.ndarray:
+    """Gradients among unknowns (n, ..., nz) times frames (n, d, d); without values these are zero."""
+    out, d = a.copy() if values else np.zeros_like(a), layout.dim
+    frames = frames.reshape(len(frames), *[1] * (a.ndim - 2), d, d)
+    for name in ("displacement", "rotation")[: 1 + bool(layout.rotations)]:
+        at = layout.where(name, 1)
+        rows = a[..., at].reshape(*a.shape[:-1], (at.stop - at.start) // d, d)
+        out[..., at] = (rows @ frames).reshape(*a.shape[:-1], at.stop - at.start)
+    return out
+
+
+@dataclass
+class At:
+    """A batch's points at some nodal values.
+
+    Attributes:
+        g, gk: unknowns and their derivatives along the half axes, in the lattice's axes; z, zk: in the frames.
+        state: (n, packed size), with projected scalars and conjugates as they are in equilibrium.
+        work, sides: what does work on z and zk, per volume.
+        measure: the stiff scalars e and e_z; by_t: their conjugates L_t (n, m); moments: of e and of these
+            over the patches; conjugate: pi (n, m).
+        yielding: points that yield.
+        initial: packed initial stresses; None: there are none.
+        couples: dead couples in space (n, 3); None: there are none.
+        inverses: of the local equations' derivatives by their unknowns, by region.
+    """
+
+    g: np.ndarray
+    gk: np.ndarray | None
+    z: np.ndarray
+    zk: np.ndarray | None
+    state: np.ndarray
+    work: np.ndarray
+    sides: np.ndarray | None = None
+    measure: Mean | None = None
+    by_t: np.ndarray | None = None
+    moments: tuple[np.ndarray, np.ndarray] | None = None
+    conjugate: np.ndarray | None = None
+    yielding: Yielding | None = None
+    initial: np.ndarray | None = None
+    couples: np.ndarray | None = None
+    inverses: dict[int, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass
+class Change:
+    """What changes at a batch's points, besides nodal values.
+
+    Attributes:
+        parameters: the material's numbers (nparam,).
+        state: (n, packed size).
+        functions: one direction of the lattice after the other; empty: they stay.
+        axes: functions with the change of the half axes; None: they stay.
+        patches: of the patches' functions (n, functions).
+        turn: of what takes the stiff scalars into the frame in which they are averaged (n, m, m).
+        initial: of packed initial stresses.
+        couples: of dead couples in space (n, 3).
+    """
+
+    parameters: np.ndarray
+    state: np.ndarray
+    functions: Sequence[Functions] = ()
+    axes: Functions | None = None
+    patches: np.ndarray | None = None
+    turn: np.ndarray | None = None
+    initial: np.ndarray | None = None
+    couples: np.ndarray | None = None
+    given: dict[str, Any] = field(default_factory=dict)
+
+
+class BatchRates:
+    """The points of a batch between two resets.
+
+    Attributes:
+        functions: of the points.
+    """
+
+    def __init__(self, interpolation: Interpolation, k: int, along: FormAlong, nodes: int):
+        self.batch = batch = interpolation.batches[k]
+        self.form, self.layout, self.along = batch.form, batch.form.layout, along
+        self.boxes = None if interpolation.boxes is None else interpolation.boxes[k]
+        self.patches: Patches | None = interpolation.patches[k]
+        self.nodes = nodes
+        axes = None if self.boxes is None else self.boxes._axes
+        self.functions = Functions(batch, nodes, axes)
+        self.share: np.ndarray | None = None
+        self.initial: tuple[InitialKernels, InitialAlong] | None = None
+        self.turn: np.ndarray | None = None  # of the stiff scalars; None: they are averaged as they are
+        if isinstance(self.form, ProjectedForm) and self.form.turned:
+            self.turn = self.form.frames(interpolation.reference.q[batch.rows])
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """The material's (nparam,)."""
+        numbers: np.ndarray = self.batch.batch.kept["param"]
+        return numbers
+
+    @property
+    def projected(self) -> bool:
+        return isinstance(self.form, ProjectedForm)
+
+    def _mean(
+        self, kernel: Kernel, z: np.ndarray, zk: np.ndarray | None, state: np.ndarray, numbers: np.ndarray
+    ) -> Mean:
+        """What a kernel gives at the points and in their boxes."""
+        n = len(z)
+        if zk is None:
+            return Mean(kernel(z, state, np.tile(numbers, (n, 1))))
+        assert self.share is not None
+        (_, d, nz), outputs = zk.shape, kernel.outputs
+        here, even, odd = np.empty((n, outputs)), np.empty((n, outputs)), np.empty((n, d, outputs))
+        arrays = [np.ascontiguousarray(a) for a in (z, zk, state, numbers, self.share)]
+        sizes = (n, d, nz, state.shape[1], len(numbers))
+        means = native.library().polarmpm_box_means
+        if means(kernel.address, *sizes, *arrays, outputs, here, even, odd):
+            raise MemoryError("no memory for the points' boxes")
+        return Mean(here, even, odd)
+
+    # at some nodal values -----------------------------------------------------------------------------
+    def at(self, x: np.ndarray, state: np.ndarray, kernels: Any, mapping: ReturnMapping | None) -> At:
+        """The points at nodal values x (nodes, block).
+
+        Args:
+            state: packed, (n, packed size).
+            kernels: (residual, residual and tangent).
+            mapping: has evaluated them; None: they are elastic.
+        """
+        if self.boxes is not None:
+            self.share = self.boxes.share / 6.0
+        frames, (g, gk) = self.frames(state), self.functions.gather(x)
+        z = framed(self.layout, g, frames)
+        zk = None if gk is None else framed(self.layout, gk, frames)
+        found = At(g, gk, z, zk, state.copy(), np.zeros_like(z))
+        found.yielding = None if mapping is None else mapping.yielding
+        if found.yielding is not None and not len(found.yielding.rows):
+            found.yielding = None
+        if self.projected:
+            self._project(found)
+        mean = self._mean(kernels[0], z, zk, found.state, self.numbers)
+        nz = self.layout.unknowns
+        if found.yielding is not None:
+            mean.at_points[found.yielding.rows] = self._returned(found)[:, :nz]
+        found.work, found.sides = mean.whole, mean.odd
+        return found
+
+    def frames(self, state: np.ndarray) -> np.ndarray:
+        """(n, d, d) of packed states, or of their changes."""
+        d = self.layout.dim
+        return state[:, : d * d].reshape(len(state), d, d)
+
+    def take_initial(self, at: At, packed: np.ndarray | None) -> None:
+        """Initial stresses (n, size) act, too."""
+        at.initial = packed
+        if packed is not None:
+            assert self.initial is not None
+            at.work = at.work + self.initial[0].residual(at.z, self.frames(at.state), packed)
+
+    def take_couples(self, at: At, kernel: Kernel, couples: np.ndarray) -> None:
+        """Dead couples in space (n, 3) do work on what the points have turned by, too."""
+        at.couples, self._couple = couples, kernel
+        at.work = at.work.copy()
+        at.work[:, self._rotation] += kernel(at.z[:, self._rotation], couples)[:, :3] / self._volume
+
+    @property
+    def _rotation(self) -> slice:
+        return self.layout.where("rotation")
+
+    @property
+    def _volume(self) -> np.ndarray:
+        volume: np.ndarray = self.batch.batch.kept["volume"][:, None]
+        return volume
+
+    def _inputs(self, at: At, rows: np.ndarray) -> list[np.ndarray]:
+        return [at.z[rows], at.state[rows], np.tile(self.numbers, (len(rows), 1))]
+
+    def _returned(self, at: At) -> np.ndarray:
+        """What does work on z (and t) at the points that yield."""
+        y, form = at.yielding, self.form
+        assert y is not None
+        out = np.zeros((len(y.rows), form.unknowns))
+        for region in np.unique(y.region):
+            which = np.flatnonzero(y.region == region)
+            kernels = form.return_kernels(form.regions[region], self.along.comm)  # type: ignore[attr-defined]
+            inputs = np.hstack(self._inputs(at, y.rows[which]))
+            out[which] = kernels.stress(inputs, np.ascontiguousarray(y.X[which, : kernels.size]))
+        if at.measure is not None and at.conjugate is not None:
+            nz, m = self.layout.unknowns, form.scalars
+            of_e = at.measure.at_points[y.rows, m:].reshape(len(y.rows), m, nz)
+            out[:, :nz] += np.einsum("km,kmz->kz", at.conjugate[y.rows], of_e)
+        return out
+
+    def _project(self, at: At) -> None:
+        """Put the projected scalars, and their conjugates, into the state."""
+        form, patches = self.form, self.patches
+        assert isinstance(form, ProjectedForm)
+        assert patches is not None
+        m, kernels = form.scalars, form.compile_scalars(self.along.comm)
+        at.measure = self._mean(kernels.measure, at.z, at.zk, at.state, self.numbers)
+        of_e = patches.moments(_turned(self.turn, at.measure.whole[:, :m]))
+        at.state[:, form.state_size : form.state_size + m] = self._back(patches.at_points(of_e))
+        at.by_t = self._by_t(at)
+        of_t = patches.moments(_turned(self.turn, at.by_t))
+        at.moments, at.conjugate = (of_e, of_t), self._back(patches.at_points(of_t))
+        at.state[:, form.state_size + m : form.state_size + 2 * m] = at.conjugate
+
+    def _back(self, values: np.ndarray) -> np.ndarray:
+        """Scalars (n, m) in the points' own frames, of ones in the frame of the average."""
+        return values if self.turn is None else np.einsum("nij,ni->nj", self.turn, values)
+
+    # changes --------------------------------------------------------------------------------------------
+    def change_of_unknowns(
+        self, at: At, x: np.ndarray, dx: np.ndarray | None, change: Change | None
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Of z and zk, where nodal values x change by dx (None: they stay)."""
+        dg, dgk = np.zeros_like(at.g), None if at.gk is None else np.zeros_like(at.gk)
+        parts = [] if dx is None else [self.functions.gather(dx)]
+        parts += [f.gather(x) for f in (change.functions if change is not None else ())]
+        for g, gk in parts:
+            dg += g
+            if dgk is not None and gk is not None:
+                dgk += gk
+        if change is not None and change.axes is not None and dgk is not None:
+            dgk = dgk + change.axes.gather(x)[1]
+        frames, layout = self.frames(at.state), self.layout
+        dz = framed(layout, dg, frames)
+        dzk = None if dgk is None else framed(layout, dgk, frames)
+        if change is not None:
+            turned = self.frames(change.state)
+            dz += framed(layout, at.g, turned, values=False)
+            if dzk is not None and at.gk is not None:
+                dzk += framed(layout, at.gk, turned, values=False)
+        return dz, dzk
+
+    def forces(self, at: At, x: np.ndarray, dx: np.ndarray | None, change: Change | None) -> np.ndarray:
+        """Changes of the forces (nodes, block) on this rank's nodes; `change.given` gets those of the state
+        and of what yields."""
+        layout, frames = self.layout, np.swapaxes(self.frames(at.state), 1, 2)
+        dz, dzk = self.change_of_unknowns(at, x, dx, change)
+        dwork, dsides = self.respond(at, dz, dzk, change)
+        raw = framed(layout, dwork, frames)
+        sides = None if dsides is None else framed(layout, dsides, frames)
+        if change is None:
+            return self.functions.spread(raw, sides)
+        turned = np.swapaxes(self.frames(change.state), 1, 2)
+        raw += framed(layout, at.work, turned, values=False)
+        if sides is not None and at.sides is not None:
+            sides += framed(layout, at.sides, turned, values=False)
+        out = self.functions.spread(raw, sides)
+        work = framed(layout, at.work, frames)
+        of_sides = None if at.sides is None else framed(layout, at.sides, frames)
+        for functions in change.functions:
+            out += functions.spread(work, of_sides)
+        if change.axes is not None and of_sides is not None:
+            out += change.axes.spread(np.zeros_like(work), of_sides)
+        return out
+
+    def respond(
+        self, at: At, dz: np.ndarray, dzk: np.ndarray | None, change: Change | None
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Changes of what does work on z and zk, in the frames."""
+        nz, m = self.layout.unknowns, self.form.scalars
+        dstate = np.zeros_like(at.state) if change is None else change.state.copy()
+        dnumbers = np.zeros_like(self.numbers) if change is None else change.parameters
+        z, numbers = np.hstack([at.z, dz]), np.concatenate([self.numbers, dnumbers])
+        zk = None if at.zk is None or dzk is None else np.concatenate([at.zk, dzk], axis=2)
+        if m:
+            self._project_change(at, (z, zk, numbers), dstate, change)
+        state = np.hstack([at.state, dstate])
+        mean = self._mean(self.along.residual, z, zk, state, numbers)
+        if at.yielding is not None:
+            mean.at_points[at.yielding.rows] = self._returned_change(at, dz, dstate, dnumbers, change)
+        work, sides = mean.whole[:, :nz], None if mean.odd is None else mean.odd[:, :, :nz]
+        if m:
+            dpi = self._conjugate_change(at, mean.whole[:, nz:], change)
+            assert at.measure is not None
+            n, of_e = len(z), at.measure.columns(m, m + m * nz)
+            work = work + np.einsum("nm,nmz->nz", dpi, of_e.whole.reshape(n, m, nz))
+            if sides is not None and of_e.odd is not None:
+                odd = of_e.odd.reshape(n, sides.shape[1], m, nz)
+                sides = sides + np.einsum("nm,ndmz->ndz", dpi, odd)
+        if at.initial is not None or (change is not None and change.initial is not None):
+            work = work + self._initial_change(at, dz, dstate, change)
+        if at.couples is not None:
+            work = work + self._couples_change(at, dz, change)
+        if change is not None:
+            change.given |= {"state": dstate, "z": dz}
+        return work, sides
+
+    def _initial_change(
+        self, at: At, dz: np.ndarray, dstate: np.ndarray, change: Change | None
+    ) -> np.ndarray:
+        assert self.initial is not None
+        size = self.initial[0].form.size
+        stress = np.zeros((len(dz), size)) if at.initial is None else at.initial
+        moved = None if change is None else change.initial
+        moved = np.zeros_like(stress) if moved is None else moved
+        d = self.layout.dim**2
+        return self.initial[1].residual(at.z, dz, at.state[:, :d], dstate[:, :d], stress, moved)
+
+    def _couples_change(self, at: At, dz: np.ndarray, change: Change | None) -> np.ndarray:
+        out, w, couples = np.zeros_like(dz), at.z[:, self._rotation], at.couples
+        assert couples is not None
+        tangent = self._couple(w, couples)[:, 3:].reshape(len(w), 3, 3)
+        moved = np.einsum("nij,nj->ni", tangent, dz[:, self._rotation])
+        if change is not None and change.couples is not None:
+            moved = moved + self._couple(w, change.couples)[:, :3]  # linear in the couples
+        out[:, self._rotation] = moved / self._volume
+        return out
+
+    def _project_change(
+        self,
+        at: At,
+        doubled: tuple[np.ndarray, np.ndarray | None, np.ndarray],
+        dstate: np.ndarray,
+        change: Change | None,
+    ) -> None:
+        """Put the change of the projected scalars into that of the state."""
+        form, (z, zk, numbers) = self.form, doubled
+        assert at.moments is not None
+        m = form.scalars
+        de = self._mean(self.along.measure, z, zk, np.hstack([at.state, dstate]), numbers).whole
+        assert at.measure is not None
+        dt = self._averaged_change(at.measure.whole[:, :m], de, at.moments[0], change)
+        dstate[:, form.state_size : form.state_size + m] = dt
+
+    def _conjugate_change(self, at: At, by_t: np.ndarray, change: Change | None) -> np.ndarray:
+        """Of pi, where L_t changes by `by_t` (n, m)."""
+        assert at.moments is not None
+        assert at.by_t is not None
+        return self._averaged_change(at.by_t, by_t, at.moments[1], change)
+
+    def _averaged_change(
+        self, values: np.ndarray, changes: np.ndarray, moments: np.ndarray, change: Change | None
+    ) -> np.ndarray:
+        """Of averages (n, m), of scalars and their changes (n, m); `moments`: of the scalars."""
+        patches, turn = self.patches, None if change is None else change.turn
+        assert patches is not None
+        moved = None if change is None else change.patches
+        changes = _turned(self.turn, changes)
+        if turn is not None:
+            changes = changes + np.einsum("nij,nj->ni", turn, values)
+        averaged = patches.moments(changes)
+        if moved is not None:
+            averaged = averaged + patches.moments(_turned(self.turn, values), moved)
+        out = patches.at_points(averaged)
+        if moved is not None:
+            out = out + patches.at_points(moments, moved)
+        out = self._back(out)
+        if turn is not None:
+            out = out + np.einsum("nij,ni->nj", turn, patches.at_points(moments))
+        return out
+
+    def _by_t(self, at: At) -> np.ndarray:
+        """L_t (n, m) at the points and in their boxes."""
+        form = self.form
+        assert isinstance(form, ProjectedForm)
+        kernels = form.compile_scalars(self.along.comm)
+        mean = self._mean(kernels.conjugate, at.z, at.zk, at.state, self.numbers).columns(0, form.scalars)
+        if at.yielding is not None:
+            mean.at_points = mean.at_points.copy()
+            mean.at_points[at.yielding.rows] = self._returned(at)[:, self.layout.unknowns :]
+        return mean.whole
+
+    def _returned_change(
+        self, at: At, dz: np.ndarray, dstate: np.ndarray, dnumbers: np.ndarray, change: Change | None
+    ) -> np.ndarray:
+        """Of stresses at the points that yield: their local unknowns solve the local equations, whatever
+        these depend on."""
+        y, form, comm = at.yielding, self.form, self.along.comm
+        assert y is not None
+        out, moved = np.zeros((len(y.rows), form.unknowns)), np.zeros_like(y.X)
+        for region in np.unique(y.region):
+            which = np.flatnonzero(y.region == region)
+            rows, kernels = y.rows[which], form.return_kernels(form.regions[region], comm)  # type: ignore[attr-defined]
+            local, work = self.along.returned(int(region))
+            X, nx = np.ascontiguousarray(y.X[which, : kernels.size]), kernels.size
+            here = self._inputs(at, rows)
+            there = [dz[rows], dstate[rows], np.tile(dnumbers, (len(rows), 1))]
+            both = [a for pair in zip(here, there, strict=True) for a in pair]
+            scale = kernels.row_scale[:, None]
+            if region not in at.inverses:
+                matrix = kernels.local(np.hstack(here), X)[:, nx:].reshape(-1, nx, nx) * scale
+                at.inverses[region] = np.linalg.inv(matrix)
+            right = local(*both, X, np.zeros_like(X))[:, :, None] * scale
+            moved[which, :nx] = dX = -(at.inverses[region] @ right)[:, :, 0]
+            out[which] = work(*both, X, dX)
+            if form.scalars:
+                out[which] += self.along.bent(*both)
+        if change is not None:
+            change.given["X"] = moved
+        return out

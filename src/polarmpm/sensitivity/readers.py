@@ -1,0 +1,177 @@
+"""What a parameter changes by itself, and observables of the tangent-linear run.
+
+Problems that `build` makes of a slightly larger and a slightly smaller value tell how the material's numbers,
+loads and supports depend on a parameter, whatever formulas a script has for them. They take no steps. After
+each step the run's state and its changes are put into them, and their own observables are read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..materials.base import parameter_values
+from ..problems.reactions import Equilibrium
+from ..terms.ghost import Ghost
+from .leading import Lead, Leader
+from .pointrates import STATE
+from .twins import distribute
+
+if TYPE_CHECKING:
+    from .tangents import Tangent
+
+STEP = 1e-5  # of ln m
+_CLOSE = 1e-6  # of an observable, relative: what the mean of the two may be off the run's
+
+
+class Reader:
+    """A pair of problems of a parameter.
+
+    Args:
+        pair: with a larger and a smaller value: (problem, observables).
+    """
+
+    def __init__(self, leader: Leader, name: str, pair: list[tuple[Any, Mapping[str, Any]]]):
+        self.name, self._pair, self._lead = name, pair, Lead(leader)
+        numbers = [[parameter_values(m) for m in p.points.materials] for p, _ in pair]
+        self.numbers = [(a - b) / (2.0 * STEP) for a, b in zip(*numbers, strict=True)]
+        held = [[getattr(form, "stabilisation", 0.0) for form in p.forms] for p, _ in pair]
+        self.stabilisation = [(a - b) / (2.0 * STEP) for a, b in zip(*held, strict=True)]
+        self._prescribers: list[Any] = []
+        self._before: np.ndarray | None = None
+
+    def _difference(self, larger: Any, smaller: Any) -> Any:
+        return (larger - smaller) / (2.0 * STEP)
+
+    # what the run needs -------------------------------------------------------------------------------------
+    def reset(self) -> None:
+        """The run has reset its grid. Collective."""
+        leading = self._lead.run.problem
+        system, factor = leading.system, leading.progress.factor
+        for problem, _ in self._pair:
+            distribute(self._lead, problem.points)
+            moved = problem._moving.at(factor if leading.progress.step else None, problem.supports)
+            self._check_grid(moved, leading.grid)
+            problem._put_grid(leading.grid)
+        self._prescribers = [p._prescribed(system.nodes) for p, _ in self._pair]
+        self._before = self._totals(factor)
+
+    def _check_grid(self, grid: Any, leading: Any) -> None:
+        for axis in range(grid.dim):
+            lines = [np.array([g.plane(axis, i) for i in range(g.shape[axis] + 1)]) for g in (grid, leading)]
+            if not np.array_equal(*lines):
+                raise InputError(
+                    f'{self.name}: the grid\'s lines move with it (fix on a moving plane); method="exact" '
+                    'doesn\'t carry that, take method="twins"'
+                )
+
+    def _totals(self, factor: float) -> np.ndarray:
+        larger, smaller = (prescribed.totals(factor) for prescribed in self._prescribers)
+        found: np.ndarray = self._difference(larger, smaller)
+        return found
+
+    def prescribed(self) -> np.ndarray:
+        """Change of what supports have prescribed in the last step (nodes, block). Collective."""
+        now, before = self._totals(self._lead.run.problem.progress.factor), self._before
+        assert before is not None
+        self._before = now
+        moved, layout = now - before, self._lead.run.problem.layout
+        if layout.rotations == 3 and self._lead.run.problem.comm.allreduce(int(np.any(moved[:, layout.dim :]))):
+            raise InputError(
+                f'{self.name}: prescribed rotations in space change with it; method="exact" doesn\'t carry '
+                'that, take method="twins"'
+            )
+        fixed: np.ndarray = np.where(self._prescribers[0].fixed, moved, 0.0)
+        return fixed
+
+    def loads(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of forces (np, d) and couples (np, r) at the points, at the last step's load factor. Collective."""
+        factor = self._lead.run.problem.progress.factor
+        larger, smaller = (p._loads_at(factor) for p, _ in self._pair)
+        return self._difference(larger[0], smaller[0]), self._difference(larger[1], smaller[1])
+
+    def ghost(self) -> np.ndarray | None:
+        """Of the ghost penalty's factors, over these (block,); None: they stay."""
+        scales = [[t.scale for t in p.terms if isinstance(t, Ghost)] for p, _ in self._pair]
+        if not scales[0] or np.array_equal(scales[0][0], scales[1][0]):
+            return None
+        larger, smaller = scales[0][0], scales[1][0]
+        mean = 0.5 * (larger + smaller)
+        out: np.ndarray = np.where(mean != 0.0, self._difference(larger, smaller) / np.where(mean, mean, 1), 0)
+        return out
+
+    # observables ------------------------------------------------------------------------------------------
+    def read(self, tangent: Tangent) -> None:
+        """Put in the run's state after a step and its changes. Collective."""
+        run = self._lead.run.problem
+        for sign, (problem, _) in zip((STEP, -STEP), self._pair, strict=True):
+            for name in STATE:
+                if name in tangent.points.now:
+                    now = getattr(run.points, name) + sign * tangent.points.now[name]
+                    setattr(problem.points, name, now)
+            problem.progress = replace(
+                run.progress,
+                factor=run.progress.factor + sign * tangent.factor,
+                external_work=np.nan,
+                carried_work=np.nan,
+                ghost_work=np.nan,
+                patch_work=np.nan,
+                term_work=np.nan,
+            )
+            problem._equilibrium = self._equilibrium(problem, run._equilibrium, tangent, sign)
+            problem.steps.append(replace(run.steps[-1], factor=problem.progress.factor))
+
+    def _equilibrium(self, problem: Any, e: Equilibrium, tangent: Tangent, sign: float) -> Equilibrium:
+        run, d = self._lead.run.problem, tangent.run.x.shape[1]
+        given = [entry.condition for entry in run.given.entries]
+        own = [entry.condition for entry in problem.given.entries]
+        supports = tuple(own[given.index(s)] for s in e.supports)
+        residual, tied, ties = tangent.residual, e.tied, run.system.prescribed.ties
+        if ties is not None:
+            residual, changed = ties.shares(residual)
+            tied = {k: e.tied[k] + sign * f for k, f in changed.items()}
+        dx, d = tangent._dx, run.layout.dim
+        return replace(
+            e,
+            supports=supports,
+            residual=e.residual + sign * residual,
+            tied=tied,
+            w=e.w + sign * dx[:, d:],
+            position=e.position + sign * dx[:, :d],
+            loads=e.loads + sign * tangent._loads,
+            carried=np.full_like(e.carried, np.nan),
+            terms=[(name, np.full_like(f, np.nan)) for name, f in e.terms],
+        )
+
+    @property
+    def observables(self) -> list[Mapping[str, Any]]:
+        """Of both problems."""
+        return [observables for _, observables in self._pair]
+
+    def rates(self, values: Mapping[str, Any], found: list[dict[str, Any]], value: float) -> dict[str, Any]:
+        """Derivatives by the parameter of a value, of observables that have been read.
+
+        Raises:
+            InputError: an observable is read of what isn't carried.
+        """
+        out = {}
+        for name, here in values.items():
+            larger, smaller = (np.asarray(f[name]) for f in found)
+            scale = np.abs(here).max(initial=0.0)
+            off = np.abs(0.5 * (larger + smaller) - here).max(initial=0.0)
+            if not off <= _CLOSE * max(scale, np.abs(larger - smaller).max(initial=0.0)):
+                raise InputError(
+                    f'observables: {name} depends on what method="exact" doesn\'t carry, such as energies or '
+                    'what terms do; take method="twins"'
+                )
+            out[name] = (larger - smaller) / (2.0 * STEP * value)
+        return out
+
+    def close(self) -> None:
+        """Collective."""
+        for problem, _ in self._pair:
+            problem.close()
