@@ -1,8 +1,10 @@
-"""Sharp edges of Mohr-Coulomb's pyramid, where two principal stresses are the same.
+"""Faces and sharp edges of Mohr-Coulomb's pyramid, in principal axes.
 
-Of isotropic classical materials elastic trial state, stress and flow have the same principal axes, so that
-the axis of the isolated principal stress is known from the trial state. On an edge the stress is symmetric
-about this axis; what flows across it is any sum of the two faces' flows (Koiter).
+Of isotropic classical materials elastic trial state, stress and flow have the same principal axes, which are
+known from the trial state. On a face the flow along each axis is a constant; as derivatives of the yield
+function by the stress its directions would be lost to rounding near an edge, and its moduli long before. On an
+edge two principal stresses are the same, the stress is symmetric about the axis of the third, and what flows
+across it is any sum of the two faces' flows (Koiter).
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ from .regions import LocalState, Region, Scales, YieldSurface
 # cos(arccos(1 - e)/3) = F(1/3, -1/3; 1/2; e/2), the hypergeometric series; the closed form has no derivative
 # at e = 0, where two eigenvalues coincide
 _SERIES, _NEAR = 9, 1e-2
+_APART = 1.1e-8  # a strain: by more, less what counts as rounding, principal stresses differ
+_NO_DISTANCE = 1e-30  # square of a distance of principal values where there is none
 
 
 def largest_root(x: Any) -> Any:
@@ -48,7 +52,14 @@ def principal_values(a: Any) -> tuple[Any, Any, Any]:
     return mean + high, mean + low - high, mean - low
 
 
-def axis_projector(a: Any, sign: int) -> Any:
+def _certain(s: LocalState) -> Any:
+    """Strain by which the trial state's principal values are apart, less what counts as rounding: on the apex
+    their axes are any."""
+    trial = ufl.dev(ufl.dot(s.Fe_trial, ufl.transpose(s.Fe_trial)))
+    return ufl.sqrt(ufl.inner(trial, trial)) - _APART
+
+
+def axis_projector(a: Any, sign: Any) -> Any:
     """n n of the axis of a symmetric tensor's largest (sign 1) or smallest (-1) eigenvalue, which is to be a
     single one."""
     d = sign * ufl.dev(a)
@@ -56,6 +67,68 @@ def axis_projector(a: Any, sign: int) -> Any:
     high, second = 2 * size * largest_root(x), 3 * size**2
     above = ufl.dot(d, d) + high * d + (high**2 - second) * ufl.Identity(3)
     return above / (3 * high**2 - second)
+
+
+class PyramidFace(Region):
+    """The faces of the pyramid: three different principal stresses.
+
+    The axis of the principal value that is farther from the middle one is found first, the two others in the
+    plane across it: near an edge those, but not the first, are as uncertain as rounding over their distance.
+
+    Args:
+        material: Mohr-Coulomb's.
+        surface: the pyramid's faces.
+    """
+
+    def __init__(self, material: Any, surface: YieldSurface):
+        self.material, self.name, self.surfaces = material, surface.name, (surface,)
+
+    @staticmethod
+    def _axes(s: LocalState) -> tuple[Any, Any]:
+        """n n of the largest and of the smallest principal stress."""
+        trial = ufl.dot(s.Fe_trial, ufl.transpose(s.Fe_trial))
+        above = ufl.gt(ufl.det(ufl.dev(trial)), 0.0)  # the largest is the one that is apart
+        sign = ufl.conditional(above, 1.0, -1.0)
+        first = axis_projector(trial, sign)
+        plane = ufl.Identity(3) - first
+        across = ufl.dot(plane, ufl.dot(trial, plane))
+        across = across - ufl.tr(across) / 2 * plane
+        size = ufl.sqrt(ufl.inner(across, across) / 2 + _NO_DISTANCE)
+        second = plane / 2 - sign * across / (2 * size)
+        high = ufl.as_tensor(
+            [[ufl.conditional(above, first[i, j], second[i, j]) for j in range(3)] for i in range(3)]
+        )
+        return high, first + second - high
+
+    def residual(self, s: LocalState) -> list[Any]:
+        """The flow along the axes, and the yield function of the principal stresses."""
+        tau, _ = s.kirchhoff()
+        high, low = self._axes(s)
+        (multiplier,), half = s.multipliers, math.sqrt(3) / 2
+        rise, fall = half * (1 + s.p.sin_psi), half * (1 - s.p.sin_psi)
+        flow = ufl.Identity(3) + (ufl.exp(-multiplier * rise) - 1) * high
+        flow = flow + (ufl.exp(multiplier * fall) - 1) * low
+        rows = s.flat(s.Ue - ufl.dot(flow, s.Fe_trial))
+        shear = half * (1 + s.p.sin_phi) * ufl.inner(tau, high)
+        shear = shear - half * (1 - s.p.sin_phi) * ufl.inner(tau, low)
+        return [
+            *rows,
+            s.chi - s.chi_before - multiplier,
+            shear - self.material.cohesion(s.chi, s.p),
+        ]
+
+    def row_scale(self, scales: Scales) -> np.ndarray:
+        return np.array([1.0] * (scales.deformation + 1) + [1.0 / scales.modulus])
+
+    def flow(self, s: LocalState) -> list[Any]:
+        """Dissipation, and the smallest of the multiplier and the distances of the principal stresses."""
+        tau, _ = s.kirchhoff()
+        axes, (multiplier,), half = self._axes(s), s.multipliers, math.sqrt(3) / 2
+        high, low = (ufl.inner(tau, axis) for axis in axes)
+        middle = ufl.tr(tau) - high - low
+        work = half * multiplier * ((1 + s.p.sin_psi) * high - (1 - s.p.sin_psi) * low)
+        apart = ufl.min_value(high - middle, middle - low) / s.p.scale - _APART
+        return [work - s.hardening_work(), ufl.min_value(multiplier, ufl.min_value(apart, _certain(s)))]
 
 
 class PyramidEdge(Region):
@@ -102,7 +175,8 @@ class PyramidEdge(Region):
         return np.array([1.0 / scales.modulus] * (2 + pairs) + [1.0] * (pairs + 3))
 
     def flow(self, s: LocalState) -> list[Any]:
-        """Dissipation, and the smaller of both faces' multipliers; the tip is beyond where k is negative."""
+        """Dissipation, and the smallest of both faces' multipliers and the distance of the principal stresses,
+        which is negative beyond the tip."""
         tau, _ = s.kirchhoff()
         _, along, volume = self._flow(s)
         shear = self._shear(s, tau)
@@ -111,4 +185,5 @@ class PyramidEdge(Region):
         square = squared_log_strain(*strain_invariants(s.flow)) - along**2
         apart = ufl.sqrt(ufl.max_value(0.0, square / 2 - across**2 / 4))
         least = -self.sign * across * (0.5 + 1e-6) - apart
-        return [work - s.hardening_work(), ufl.min_value(least, shear / s.p.c)]
+        apart = ufl.min_value(3 * shear / s.p.scale - _APART, _certain(s))
+        return [work - s.hardening_work(), ufl.min_value(least, apart)]

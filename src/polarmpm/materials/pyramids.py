@@ -23,7 +23,7 @@ import ufl
 from ..tools.checks import choice, put_numbers, refuse, require
 from .base import Material
 from .cones import TIPS, check_flow
-from .edges import PyramidEdge, principal_values
+from .edges import PyramidEdge, PyramidFace, principal_values
 from .plastic import Continuation, Plastic, check_names
 from .regions import SPRING, ConeApex, Edge, Region, SmoothPart, YieldSurface
 
@@ -209,6 +209,8 @@ class MohrCoulomb(Plastic):
         numbers = {"c": self.c, "H": self.H, "tip": self.tip, "cos_phi": math.sqrt(3) * math.cos(self.phi)}
         corner = _SHARPEST if self.sharp else math.sin(3 * self.corner)
         numbers |= {"sin_corner": corner, "nothing": _NOTHING * self.modulus**2}
+        if self.sharp:
+            numbers["scale"] = self.modulus
         for name, angle in (("phi", self.phi), ("psi", self.psi)):
             numbers |= _pyramid_numbers(name, math.sin(angle), self.corner)
         if self.cut is not None:
@@ -240,8 +242,9 @@ class MohrCoulomb(Plastic):
         shear = self.surface
         if self.cut is None:
             tip = (ConeApex(_Tip(self, "phi", "psi"), shear),) if self.phi > 0 and self.tip == 0 else ()
-            edges = [PyramidEdge(self, name, shear) for name in _SIGNS] if self.sharp else []
-            return (SmoothPart(shear), *edges, *tip)
+            if not self.sharp:
+                return (SmoothPart(shear), *tip)
+            return (PyramidFace(self, shear), *(PyramidEdge(self, name, shear) for name in _SIGNS), *tip)
         tension = YieldSurface("tension", self.tension)
         tip = (ConeApex(_Tip(self, "tension", "tension"), tension),) if self.tip == 0 else ()
         return (SmoothPart(shear), SmoothPart(tension), Edge(shear, tension), *tip)
