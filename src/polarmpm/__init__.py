@@ -63,6 +63,7 @@ from .terms.base import Boxes, Piece, Term
 from .terms.bodycontact import BodyContact
 from .terms.ghost import GhostPenalty
 from .terms.obstacles import Obstacle
+from .terms.rigid import RigidBody
 from .terms.surfaceterms import SurfaceTerm
 from .tools import ends
 
@@ -184,6 +185,7 @@ __all__ = [
     "RanksApart",
     "Recorder",
     "Region",
+    "RigidBody",
     "SaintVenantKirchhoff",
     "Selection",
     "Sensitivity",

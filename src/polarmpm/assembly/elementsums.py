@@ -24,8 +24,8 @@ from .elementscalars import scalars_of
 from .inertia import MassSets
 from .meshpattern import MeshPattern
 from .onpattern import OnPattern
+from .stepstate import Assembled
 from .stiffscalars import Evaluated, Linear
-from .system import Assembled
 
 if TYPE_CHECKING:
     from ..forms.returnmapping import Yielding

@@ -158,6 +158,7 @@ class Moving(WithInertia):
             with errors_on_all_ranks(self.comm):
                 for term in self.terms:
                     term.begin_step(step.theta * step.dt)
+                    term.integrate(step)
         if system.viscosity is not None:
             system.viscosity.begin(system, step.theta * step.dt)
         v, a = self._rates()
