@@ -1,4 +1,4 @@
-"""The weak form at a site in contact with a rigid body that moves freely, and the momentum of its turn.
+"""The weak form at a site in contact with a rigid body that moves freely.
 
 The body's unknowns q stand after the site's: how far its centre goes in the step (m), and its turn (rad), one
 angle in the plane, a rotation vector in space. Forces are per undeformed area of the site.
@@ -12,9 +12,8 @@ from mpi4py import MPI
 
 import ufl
 
-from ..kernels.kernel import Kernel, PointSpace, compile_expressions, matrix
+from ..kernels.kernel import Kernel
 from ..kinematics import tensors as kin
-from ..tools import compat
 from .contact import ContactForm
 
 
@@ -72,27 +71,3 @@ class RigidContactForm(ContactForm):
             work += kin.couple_work(couple, self._rotation(self.y), self._rotation(self.test))
             work -= ufl.dot(couple, spin)
         return work
-
-
-def turning_momentum(w: Any, inertia: Any) -> Any:
-    """What the spin's momentum s adds up to in a step in which a rigid body turns by w: the integral of s.
-
-    inertia: tensor J (kg m^2) at the beginning of the step, in space. With s = P / dt the step is the
-    implicit midpoint rule for the momentum in the body's frame, S' = S x J^-1 S, whose invariants, |S| and
-    the energy, are quadratic and kept; the rotation that belongs to it, by Cayley's map, keeps s itself.
-    """
-    s = ufl.dot(w, w)
-    half = kin.one_minus_cos(s)
-    a = 2.0 * half / (1.0 - s * kin.t_minus_sin(s)) * w  # 2 tan(t/2) along the axis
-    turned = ufl.dot(inertia, a)
-    return turned + 0.5 * ufl.cross(a, turned)
-
-
-def momentum_kernel(comm: MPI.Comm) -> Kernel:
-    """Kernel (w, J row by row) -> `turning_momentum` (3) and its derivative (3 x 3). Collective."""
-    space = PointSpace(compat.point_domain())
-    w, inertia = space.coefficient(3), space.coefficient(9)
-    at = ufl.variable(ufl.as_vector([w[i] for i in range(3)]))
-    momentum = turning_momentum(at, matrix(inertia, 3, 3))
-    values = [momentum, ufl.diff(momentum, at)]
-    return compile_expressions(values, {w: 0, inertia: 3}, 12, space.domain, comm)

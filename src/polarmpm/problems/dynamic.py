@@ -37,7 +37,8 @@ class Dynamic(Moving, QuasiStatic):
         density: mass per reference volume (kg/m^3): a number; one for each of `points.materials`, in a
             sequence or by material; or a function of the initial positions (n, d), which gives (n,).
         microinertia: j (m^2) of the microrotations' moment of inertia rho j, likewise; of a micropolar body
-            it is needed.
+            it is needed. In space also tensors J / rho (3, 3) of the undeformed body, which turn with the
+            microrotation: one; one a material; or a function that gives (n, 3, 3).
         rho_inf: by what a step multiplies motions whose period is much shorter than it: 1 keeps them (the
             implicit midpoint rule), 0 ends them at once.
         drag: of all velocities and spins relative to their inertia (1/s), the part of Rayleigh damping that

@@ -11,7 +11,8 @@ import numpy as np
 
 from ..conditions.amplitudes import Amplitude
 from ..errors import InputError
-from ..forms.rigidcontact import momentum_kernel, motions
+from ..forms.gyration import momentum_kernel
+from ..forms.rigidcontact import motions
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
