@@ -2,9 +2,9 @@
 
 import re
 
-from dolfinx import mesh
 import numpy as np
 import pytest
+from dolfinx import mesh
 from scipy.integrate import solve_ivp
 
 import polarmpm as pm
