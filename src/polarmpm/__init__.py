@@ -57,7 +57,7 @@ from .problems.observer import Observer
 from .problems.points import PUBLISHED, QuasiStatic
 from .solvers.choice import register_solver
 from .solvers.newton import Controls
-from .solvers.resetting import EverySteps, Never, WhenDistorted
+from .solvers.resetting import EverySteps, InMotion, Never, WhenDistorted
 from .solvers.stepping import Step
 from .terms.base import Boxes, Piece, Term
 from .terms.bodycontact import BodyContact
@@ -153,6 +153,7 @@ __all__ = [
     "HalfSpace",
     "Hencky",
     "Houlsby",
+    "InMotion",
     "InputError",
     "KernelError",
     "Linear",
