@@ -57,12 +57,13 @@ from .problems.observer import Observer
 from .problems.points import PUBLISHED, QuasiStatic
 from .solvers.choice import register_solver
 from .solvers.newton import Controls
-from .solvers.resetting import EverySteps, Never, WhenDistorted
+from .solvers.resetting import EverySteps, InMotion, Never, WhenDistorted
 from .solvers.stepping import Step
 from .terms.base import Boxes, Piece, Term
 from .terms.bodycontact import BodyContact
 from .terms.ghost import GhostPenalty
 from .terms.obstacles import Obstacle
+from .terms.rigid import RigidBody
 from .terms.surfaceterms import SurfaceTerm
 from .tools import ends
 
@@ -152,6 +153,7 @@ __all__ = [
     "HalfSpace",
     "Hencky",
     "Houlsby",
+    "InMotion",
     "InputError",
     "KernelError",
     "Linear",
@@ -184,6 +186,7 @@ __all__ = [
     "RanksApart",
     "Recorder",
     "Region",
+    "RigidBody",
     "SaintVenantKirchhoff",
     "Selection",
     "Sensitivity",

@@ -19,7 +19,8 @@ from ..tools.disposal import dispose_with, weakly
 from ..tools.timing import Timer
 from .formmatrix import FormMatrix
 from .nodalterms import NodalTerms
-from .system import Assembled, NodalSystem
+from .stepstate import Assembled
+from .system import NodalSystem
 
 
 class ElementSystem(NodalSystem):

@@ -24,8 +24,8 @@ from .elementscalars import scalars_of
 from .inertia import MassSets
 from .meshpattern import MeshPattern
 from .onpattern import OnPattern
+from .stepstate import Assembled
 from .stiffscalars import Evaluated, Linear
-from .system import Assembled
 
 if TYPE_CHECKING:
     from ..forms.returnmapping import Yielding
@@ -100,9 +100,9 @@ class SummedElements(OnPattern, ElementSystem):
         e, functions = self.forms.elements, self._functions
         rows = e.live_nodes.astype(np.int64)
         products = np.einsum("qi,qj->qij", functions, functions).reshape(len(functions), -1)
-        of_cells = mass.T.reshape(2, len(rows), len(functions)) @ products
+        of_cells = mass.T.reshape(-1, len(rows), len(functions)) @ products
         n = rows.shape[1]
-        yield MassSets(rows, self._mesh.block_columns(rows), of_cells.reshape(2, len(rows), n, n))
+        yield MassSets(rows, self._mesh.block_columns(rows), of_cells.reshape(-1, len(rows), n, n))
 
     def assemble(self, tangent: bool, lift: np.ndarray | None = None) -> Assembled:
         internal = np.zeros_like(self.x)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..geometry.grid import box_indices
 from ..kernels import native
+from ..kernels.kernel import Kernel
 from .nodalterms import columns_of_boxes
 
 _CHUNK = 1 << 21  # entries of products of weighting functions that are made at a time
@@ -24,8 +25,7 @@ class MassSets(NamedTuple):
     Attributes:
         rows: local nodes (m, n).
         columns: block columns of the nodes in each other's rows (m, n, n).
-        matrices: sums of the points' masses times two functions, for displacements and for rotations,
-            (2, m, n, n).
+        matrices: sums of the points' masses, or other values, times two functions, (k, m, n, n).
     """
 
     rows: np.ndarray
@@ -38,22 +38,28 @@ class Inertia:
 
     Args:
         mass: masses (kg) and moments of inertia (kg m^2) of this rank's points (np, block).
+        kernels: `gyration_kernel` and `momentum_kernel` of `forms.gyration`, of points whose inertia isn't
+            alike in all directions.
 
     Attributes:
+        tensors: their moments of inertia (np, 3, 3) at the beginning of the step, in space.
         scale: by which masses are multiplied (1/s^2), c of `kinematics.timesteps`.
         start: values (np, block) of the increments at the points when the step begins.
     """
 
-    def __init__(self, mass: np.ndarray):
-        self.mass, self.scale = mass, 0.0
+    def __init__(self, mass: np.ndarray, kernels: tuple[Kernel, Kernel] | None = None):
+        self.mass, self.scale, self.theta = mass, 0.0, 1.0
+        self.kernels, self.tensors = kernels, np.zeros((len(mass), 3, 3))
         self.start = np.zeros_like(mass)
         self._entries: np.ndarray | None = None
         # at the last increments (nodes, block) that were asked for, which are never written to
         self._moved: tuple[np.ndarray, np.ndarray] | None = None
         self._forces: tuple[np.ndarray, np.ndarray] | None = None
 
-    def begin(self, system: Any, scale: float) -> None:
-        """A step begins at the system's increments."""
+    def begin(self, system: Any, scale: float, theta: float = 1.0, tensors: np.ndarray | None = None) -> None:
+        """A step begins at the system's increments; theta: where in it forces are in balance."""
+        if tensors is not None:
+            self.tensors, self.theta = tensors, theta
         self.scale, self.start = scale, system.at_points(system.x)
         self._moved = system.x, np.zeros_like(self.mass)
         self._forces = system.x, np.zeros_like(system.x)
@@ -68,51 +74,79 @@ class Inertia:
         """Forces (nodes, block) in which the increments since the start of the step take part, complete on
         owned rows. Collective."""
         if self._forces is None or self._forces[0] is not system.x:
-            self._forces = system.x, system.from_points(self.scale * self.mass * self.moved(system))
+            values = self.scale * self.mass * self.moved(system)
+            if self.kernels is not None:
+                values[:, -3:] = self._turning(system)[0]
+            self._forces = system.x, system.from_points(values)
         return self._forces[1]
 
     def products(self, system: Any, direction: np.ndarray) -> np.ndarray:
         """The matrix times a direction (nodes, block), complete on owned rows. Collective."""
-        found: np.ndarray = system.from_points(self.scale * self.mass * system.at_points(direction))
+        at_points = system.at_points(direction)
+        values = self.scale * self.mass * at_points
+        if self.kernels is not None:
+            values[:, -3:] = np.einsum("nij,nj->ni", self._turning(system)[1], at_points[:, -3:])
+        found: np.ndarray = system.from_points(values)
         return found
+
+    def _turning(self, system: Any) -> tuple[np.ndarray, np.ndarray]:
+        """What the inertia of the points' turns in the step does (np, 3), and its derivative (np, 3, 3)."""
+        assert self.kernels is not None
+        n = len(self.mass)
+        numbers = np.tile((self.scale, self.theta), (n, 1))
+        out = np.zeros((0, 12))
+        if n:
+            out = self.kernels[0](self.moved(system)[:, -3:], self.tensors.reshape(n, 9), numbers)
+        return out[:, :3], out[:, 3:].reshape(n, 3, 3)
 
     def add_tangent(self, system: Any) -> None:
         """Add the matrix to the entries of the system's pattern."""
+        d, block = system.layout.dim, system.layout.block
+        turning = self.kernels is not None
         if self._entries is None:
-            self._entries = mass_entries(system, self.mass)
+            kinds = [[(i, i) for i in range(d)], [(i, i) for i in range(d, block)]]
+            some = 1 if turning or block == d else 2
+            self._entries = entries(system, self.mass[:, [0, block - 1]][:, :some], kinds[:some])
         system.pattern.values += self.scale * self._entries
+        if turning:
+            pairs = [[(d + i, d + j)] for i in range(3) for j in range(3)]
+            slopes = self._turning(system)[1]
+            system.pattern.values += entries(system, slopes.reshape(len(slopes), 9), pairs)
 
 
-def mass_entries(system: Any, mass: np.ndarray) -> np.ndarray:
-    """The mass matrix, as the values of a system's pattern, without rows and columns of prescribed unknowns,
-    but for the diagonal. This rank's part: rows of ghosts are still to be collected."""
-    pattern, d, block = system.pattern, system.layout.dim, system.layout.block
+def entries(system: Any, values: np.ndarray, pairs: list[list[tuple[int, int]]]) -> np.ndarray:
+    """Sums of values (np, k) times two functions, as the values of a system's pattern, without rows and
+    columns of prescribed unknowns, but for the diagonal: those of number k count for its pairs of components.
+    This rank's part: rows of ghosts are still to be collected."""
+    pattern, block = system.pattern, system.layout.block
     fixed, number = system.prescribed.fixed, system.nodes.number
     start, size = pattern.matrix.kept["row_start"], len(pattern.values)
     first = np.asarray(start[::block])
     # sums for displacements and rotations where a block begins, and the nodes of the block
-    sums, nodes = np.zeros((2, size)), np.zeros((2, size), dtype=np.int32)
-    for rows, columns, matrices in system.mass_sets(mass[:, [0, block - 1]]):
+    sums, nodes = np.zeros((len(pairs), size)), np.zeros((2, size), dtype=np.int32)
+    for rows, columns, matrices in system.mass_sets(values):
         row, column = np.broadcast_arrays(rows[:, :, None], rows[:, None, :])
         kept = columns >= 0
         if pattern.symmetric:
             kept &= number[row] <= number[column]
         row, column = row[kept], column[kept]
         at = first[row] + columns[kept].astype(np.int64) * block
-        for k in range(1 + (block > d)):
+        for k in range(len(pairs)):
             sums[k] += np.bincount(at, matrices[k][kept], minlength=size)
         nodes[:, at] = row, column
-    at = np.flatnonzero(sums[0])
+    at = np.flatnonzero(np.any(sums, axis=0))
     row, column = nodes[:, at]
     out, place = np.zeros(size), at - first[row]
-    for i in range(block):
-        free = ~(fixed[row, i] | fixed[column, i]) | (row == column)
-        out[(start[row * block + i] + place + i)[free]] = sums[int(i >= d)][at][free]
+    for k, (i, j) in ((k, pair) for k, some in enumerate(pairs) for pair in some):
+        kept = ~(fixed[row, i] | fixed[column, j]) | ((row == column) & (i == j))
+        if pattern.symmetric:
+            kept &= (row != column) | (i <= j)
+        out[(start[row * block + i] + place + j)[kept]] = sums[k][at][kept]
     return out
 
 
 def point_sets(batch: Any, mass: np.ndarray, matrix: native.Matrix) -> Iterator[MassSets]:
-    """Of the points of a batch, in its order, with masses (n, 2)."""
+    """Of the points of a batch, in its order, with masses, or other values, (n, k)."""
     kept = batch.batch.kept
     counts, first, begin = kept["count"], kept["node_offsets"], kept["offsets"]
     shapes, shape_of = np.unique(counts, axis=0, return_inverse=True)
@@ -130,7 +164,7 @@ def point_sets(batch: Any, mass: np.ndarray, matrix: native.Matrix) -> Iterator[
 def _sums(
     weights: np.ndarray, mass: np.ndarray, begin: np.ndarray, end: np.ndarray, index: np.ndarray
 ) -> np.ndarray:
-    """Matrices (2, m, n, n) of groups of points, by rows of the first and after the last one."""
+    """Matrices (k, m, n, n) of groups of points, by rows of the first and after the last one."""
     sizes = end - begin
     group = np.repeat(np.arange(len(begin)), sizes)
     at = np.arange(len(group)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
@@ -139,7 +173,7 @@ def _sums(
     for i in range(index.shape[1]):
         value *= weights[points, i, 0][:, index[:, i]]
     most = int(sizes.max(initial=1))
-    table, masses = np.zeros((len(begin), most, n)), np.zeros((len(begin), most, 2))
+    table, masses = np.zeros((len(begin), most, n)), np.zeros((len(begin), most, mass.shape[1]))
     table[group, at], masses[group, at] = value, mass[points]
     turned = np.swapaxes(table, 1, 2)
-    return np.stack([turned @ (masses[:, :, k, None] * table) for k in range(2)])
+    return np.stack([turned @ (masses[:, :, k, None] * table) for k in range(mass.shape[1])])

@@ -228,7 +228,7 @@ class LoadedPoints(ProjectedPoints):
             moduli: of each batch, `carrying.Moduli`.
             k: number of the motion; for the first one K has no factor yet.
         """
-        return self.solve_free(-left, k == 0, _ACCURACY)
+        return self.solve_alone(-left, k == 0, _ACCURACY)
 
     def _given(self, blocks: np.ndarray) -> native.PointKernels:
         kernels = native.PointKernels()

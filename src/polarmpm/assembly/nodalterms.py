@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 from ..errors import LocalFailure
 from ..kernels import native
 from ..terms.base import Boxes, BoxPairs, NodeSets, Piece, forces_of, matrices_of, multiply
+from .condensed import Condensed, block_diagonal
 
 
 @dataclass
@@ -40,6 +42,8 @@ class NodalTerms:
         self.nodes, self.pieces, self.comm = nodes, list(pieces), comm
         self.rows = [piece.boxes.rows(nodes) for piece in self.pieces]
         self._places: list[_Places] = []
+        self._movers = list({id(p.mover): p.mover for p in self.pieces if p.mover is not None}.values())
+        self._still = False
 
     def __len__(self) -> int:
         return len(self.pieces)
@@ -62,6 +66,50 @@ class NodalTerms:
         """Whether tangents jump; the same on all ranks."""
         return any(piece.kinked for piece in self.pieces)
 
+    # rigid bodies -----------------------------------------------------------------------------------
+    def settle(self, x: np.ndarray) -> None:
+        """Let rigid bodies go where forces on them are in balance at increments (nodes, b). Collective.
+
+        Raises:
+            LocalFailure: there is no such place.
+        """
+        for mover in () if self._still else self._movers:
+            mover.settle(x, self._pushing(mover, x))
+
+    def _pushing(self, mover: Any, x: np.ndarray) -> Iterator[Callable[[np.ndarray], Any]]:
+        for piece, rows in self._parts():
+            if piece.mover is mover:
+                yield piece.pushing(x[rows])  # type: ignore[attr-defined]
+
+    @contextmanager
+    def as_they_are(self) -> Iterator[None]:
+        """Rigid bodies stay where they are."""
+        self._still = True
+        try:
+            yield
+        finally:
+            self._still = False
+
+    def condensed(self, x: np.ndarray) -> Condensed | None:
+        """What rigid bodies, whose places follow from increments x (nodes, b), add to the tangent.
+        Collective."""
+        movers = [mover for mover in self._movers if mover.follows]
+        if not movers:
+            return None
+        inverse = block_diagonal([mover.inverse for mover in movers])
+        sizes = [len(mover.moved) for mover in movers]
+        starts = dict(zip(map(id, movers), np.cumsum([0, *sizes]), strict=False))
+        to_nodes, to_bodies = (np.zeros((len(inverse), *x.shape)) for _ in range(2))
+        for piece, rows in self._parts():
+            if id(piece.mover) in starts:
+                first = starts[id(piece.mover)]
+                for out, values in zip((to_nodes, to_bodies), piece.coupling(x[rows]), strict=True):  # type: ignore[attr-defined]
+                    for k in range(len(values)):
+                        out[first + k] += self._scatter(rows, values[k])
+        for column in to_nodes:
+            self.nodes.add_to_owners(column)
+        return Condensed(to_nodes, to_bodies, inverse, self.nodes.owned, self.comm)
+
     # forces -----------------------------------------------------------------------------------------
     def _scatter(self, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
         block = values.shape[2]
@@ -71,6 +119,7 @@ class NodalTerms:
 
     def forces(self, x: np.ndarray, which: Callable[[Piece], bool]) -> np.ndarray:
         """Sum (nodes, b) of the forces of some pieces at increments (nodes, b), on this rank."""
+        self.settle(x)
         out = np.zeros_like(x)
         for piece, rows in self._parts():
             if which(piece):
@@ -90,6 +139,7 @@ class NodalTerms:
 
     def commit(self, x: np.ndarray) -> None:
         """Tell all pieces the increments (nodes, b) of a converged step. Collective."""
+        self.settle(x)
         for piece, rows in self._parts():
             piece.commit(x[rows])
 
@@ -98,6 +148,7 @@ class NodalTerms:
         guarded = [(piece, rows) for piece, rows in self._parts() if piece.guarded]
         if not guarded:
             return
+        self.settle(x)
         bad = [piece.name for piece, rows in guarded if not piece.admits(x[rows])]
         names = sorted({name for part in self.comm.allgather(bad) for name in part})
         if names:
@@ -110,9 +161,12 @@ class NodalTerms:
 
     def balanced(self, x: np.ndarray) -> None:
         """Tell all pieces the increments (nodes, b) at which forces are in balance, before those of the
-        step's end. Local."""
+        step's end. Collective."""
+        self.settle(x)
         for piece, rows in self._parts():
             piece.balanced(x[rows])
+        for mover in self._movers:
+            mover.freeze()
 
     def refine(self, x: np.ndarray) -> bool:
         """After iterations have converged at increments (nodes, b): whether pieces have improved their
@@ -124,6 +178,7 @@ class NodalTerms:
         refining = [(piece, rows) for piece, rows in self._parts() if piece.refines]
         if not refining:
             return False
+        self.settle(x)
         better, reasons = False, []
         for piece, rows in refining:
             try:
@@ -197,12 +252,14 @@ class NodalTerms:
         return _Places(kept, unique, inverse.ravel())
 
     def add_tangents(self, x: np.ndarray, values: np.ndarray) -> None:
-        """Add the tangents at increments (nodes, b) to the values of the bound matrix."""
+        """Add the tangents at increments (nodes, b) to the values of the bound matrix. Collective."""
+        self.settle(x)
         for (piece, rows), places in zip(self._parts(), self._places, strict=True):
             places.add(piece, x[rows], values)
 
     def dense(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Local nodes (n,) of each set and its tangent (n b, n b) at increments (nodes, b)."""
+        """Local nodes (n,) of each set and its tangent (n b, n b) at increments (nodes, b). Collective."""
+        self.settle(x)
         for piece, rows in self._parts():
             matrices = np.broadcast_to(
                 matrices_of(piece, x[rows]), (*rows.shape, rows.shape[1], len(piece.pairs))
@@ -217,6 +274,7 @@ class NodalTerms:
         self, x: np.ndarray, direction: np.ndarray, which: Callable[[Piece], bool] = lambda piece: True
     ) -> np.ndarray:
         """Tangents of some pieces at x times a direction, summed at the nodes of this rank, (nodes, b)."""
+        self.settle(x)
         out = np.zeros_like(x)
         for piece, rows in filter(lambda part: which(part[0]), self._parts()):
             out += self._scatter(rows, multiply(piece.pairs, matrices_of(piece, x[rows]), direction[rows]))

@@ -28,7 +28,7 @@ from .latticerows import on_lattice
 from .loadedpoints import LoadedPoints, Shift
 from .onpattern import OnPattern
 from .pointboxes import BoxTangent
-from .system import Assembled
+from .stepstate import Assembled
 
 _UNFELT = 1e-12  # of a tangent's diagonal, added to it where there are fewer points than nodes
 

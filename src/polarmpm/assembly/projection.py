@@ -35,7 +35,7 @@ from ..tools.timing import Timer
 from .formmatrix import FormMatrix
 from .interpolation import Interpolation
 from .loadedpoints import LoadedPoints
-from .system import Assembled
+from .stepstate import Assembled
 
 DEGREE = 5  # three Gauss points in each direction: their Lagrange polynomials are all multiquadratics
 

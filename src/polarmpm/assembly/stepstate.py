@@ -1,4 +1,4 @@
-"""Where the iterations of a load step stand."""
+"""Where the iterations of a load step stand, and what an assembly sums."""
 
 from __future__ import annotations
 
@@ -7,7 +7,22 @@ from typing import Any
 
 import numpy as np
 
+from .condensed import Condensed
 from .pointboxes import BoxTangent
+
+
+@dataclass
+class Assembled:
+    """Sums over a body and its terms, complete on owned rows.
+
+    Attributes:
+        forces: internal minus external ones (nodes, block).
+        lifted: what the prescribed increments that are still to be put in add to them through the tangent;
+            None where there are none, or no tangent was asked for.
+    """
+
+    forces: np.ndarray
+    lifted: np.ndarray | None = None
 
 
 @dataclass
@@ -30,6 +45,7 @@ class StepState:
         projected: what the last tangent says of projected stresses, by batch; None before the first one.
         origin: from where the last correction was made: unknowns, residual, and `projected`; None where it
             put in prescribed values.
+        condensed: what rigid bodies add to the last tangent; None where there are none.
     """
 
     lift: np.ndarray
@@ -45,3 +61,4 @@ class StepState:
     solutions: int = 0
     projected: list[Any] | None = None
     origin: tuple[np.ndarray, np.ndarray, list[Any] | None] | None = None
+    condensed: Condensed | None = None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -22,22 +21,8 @@ from ..tools.timing import Timer
 from . import rounding
 from .inertia import Inertia
 from .nodalterms import NodalTerms
-from .stepstate import StepState
+from .stepstate import Assembled, StepState
 from .viscosity import Viscosity
-
-
-@dataclass
-class Assembled:
-    """Sums over a body and its terms, complete on owned rows.
-
-    Attributes:
-        forces: internal minus external ones (nodes, block).
-        lifted: what the prescribed increments that are still to be put in add to them through the tangent;
-            None where there are none, or no tangent was asked for.
-    """
-
-    forces: np.ndarray
-    lifted: np.ndarray | None = None
 
 
 class NodalSystem(ABC):
@@ -346,6 +331,10 @@ class NodalSystem(ABC):
         with self.timer("assembly"):
             sums = self.assemble(tangent, s.lift if tangent and s.pending else None)
             self.residual, s.lifted = sums.forces - self.carried, sums.lifted
+            if tangent:
+                s.condensed = self.terms.condensed(self.x)
+                if s.condensed is not None and s.lifted is not None:
+                    s.lifted = s.lifted - s.condensed.product(s.lift)
             s.initial = self.residual if s.initial is None else s.initial
             if tangent and s.rounding is None:  # at the start: iterates that run away must not set it
                 diagonal = self.diagonal()
@@ -396,6 +385,13 @@ class NodalSystem(ABC):
     def solve_free(self, forces: np.ndarray, fresh: bool, accuracy: float = ACCURACY) -> np.ndarray:
         """Increments (nodes, block) by which forces, complete on owned rows, move the nodes with the last
         tangent; prescribed unknowns stay. Collective."""
+        step = self.solve_alone(forces, fresh, accuracy)
+        if self.step.condensed is None:
+            return step
+        return self.step.condensed.completed(step, lambda right: self.solve_alone(right, False, accuracy))
+
+    def solve_alone(self, forces: np.ndarray, fresh: bool, accuracy: float) -> np.ndarray:
+        """The same with the nodes' own tangent."""
         prescribed, own = self.prescribed, self.nodes.owned
         step = np.zeros_like(self.x)
         step[:own] = self.solve(self.on_free(forces)[:own], fresh, accuracy)

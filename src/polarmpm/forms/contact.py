@@ -117,14 +117,18 @@ class ContactForm(SurfaceForm):
         trial = k * (slip - ufl.dot(slip, normal) * normal)
         return capped(trial, mu * pressure)
 
+    def _turned(self) -> Any:
+        """The obstacle's turn in this step (rad)."""
+        pose, d = self.coefficients[1], self.layout.dim
+        first = 2 * d + d * d + 1
+        return [pose[first + i] for i in range(self.layout.rotations)]
+
     def _couple(self, pressure: Any, normal: Any) -> Any:
         """Couple traction (N/m) against turns relative to the obstacle."""
-        constants, turns, pose = self.coefficients[2], self.coefficients[4], self.coefficients[1]
-        r, d = self.layout.rotations, self.layout.dim
+        constants, turns, r = self.coefficients[2], self.coefficients[4], self.layout.rotations
         k, rolling, drilling = (constants[CONSTANTS.index(n)] for n in ("turning", "rolling", "drilling"))
-        first = 2 * d + d * d + 1
-        w = self._rotation(self.y)
-        turn = ufl.as_vector([turns[i] + w[i] - turns[r + i] - pose[first + i] for i in range(r)])
+        w, turned = self._rotation(self.y), self._turned()
+        turn = ufl.as_vector([turns[i] + w[i] - turns[r + i] - turned[i] for i in range(r)])
         if r == 1:
             return capped(k * turn, rolling * pressure)
         about_normal = ufl.dot(turn, normal) * normal

@@ -41,7 +41,7 @@ class SurfaceForm:
         self.layout, self.data = layout, data
         self.space = PointSpace(compat.point_domain())
         self.slots = Layout(layout.dim, layout.rotations, self.parts)
-        self.size = self.slots.unknowns
+        self.size = self.slots.unknowns + self.further()
         self.y = self.space.coefficient(self.size)
         self.coefficients = [self.space.coefficient(n) for n in data]
         space = self.space.function_space(self.size)
@@ -49,6 +49,10 @@ class SurfaceForm:
         self.dx = ufl.dx(domain=self.space.domain, degree=1)
         self.residual = self.virtual_work() * self.dx
         self.tangent = self.linearised()
+
+    def further(self) -> int:
+        """How many unknowns y has after those of the point."""
+        return 0
 
     def virtual_work(self) -> Any:
         """Residual: what the point adds to the internal virtual work, a UFL scalar linear in `test`."""

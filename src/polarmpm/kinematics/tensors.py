@@ -27,12 +27,12 @@ def _series(s: Any, shift: int) -> Any:
     return total
 
 
-def _one_minus_cos(s: Any) -> Any:
+def one_minus_cos(s: Any) -> Any:
     """(1 - cos t) / t^2 of s = t^2."""
     return _series(s, 2)
 
 
-def _t_minus_sin(s: Any) -> Any:
+def t_minus_sin(s: Any) -> Any:
     """(t - sin t) / t^3 of s = t^2."""
     return _series(s, 3)
 
@@ -40,14 +40,14 @@ def _t_minus_sin(s: Any) -> Any:
 def exp_map(w: Any) -> Any:
     """Rotation tensor exp(hat(w)) of a rotation vector w (three components)."""
     s = ufl.dot(w, w)
-    sinc = 1 - s * _t_minus_sin(s)
-    return (1 - s * _one_minus_cos(s)) * ufl.Identity(3) + sinc * hat(w) + _one_minus_cos(s) * ufl.outer(w, w)
+    sinc = 1 - s * t_minus_sin(s)
+    return (1 - s * one_minus_cos(s)) * ufl.Identity(3) + sinc * hat(w) + one_minus_cos(s) * ufl.outer(w, w)
 
 
 def right_tangent(w: Any) -> Any:
     """J_r(w): dexp(hat(w)) = exp(hat(w)) hat(J_r(w) dw). See `docs/theory.md`."""
     s = ufl.dot(w, w)
-    b, c = _one_minus_cos(s), _t_minus_sin(s)
+    b, c = one_minus_cos(s), t_minus_sin(s)
     return (1 - s * c) * ufl.Identity(3) - b * hat(w) + c * ufl.outer(w, w)
 
 
@@ -109,8 +109,8 @@ def quaternion_tensor(q: Any) -> Any:
 def exp_quaternion(w: Any) -> list[Any]:
     """Components of the unit quaternion of a rotation vector w (three components), T (3.170)."""
     s = ufl.dot(w, w) / 4
-    half = (1 - s * _t_minus_sin(s)) / 2
-    return [1 - s * _one_minus_cos(s), *(half * w[i] for i in range(3))]
+    half = (1 - s * t_minus_sin(s)) / 2
+    return [1 - s * one_minus_cos(s), *(half * w[i] for i in range(3))]
 
 
 def quaternion_product(a: Any, b: Any) -> list[Any]:
@@ -123,7 +123,7 @@ def quaternion_product(a: Any, b: Any) -> list[Any]:
 def plane_exp_map(w: Any) -> Any:
     """Rotation tensor of an in-plane rotation by the angle w about the third axis."""
     s = w * w
-    cos, sin = 1 - s * _one_minus_cos(s), w * (1 - s * _t_minus_sin(s))
+    cos, sin = 1 - s * one_minus_cos(s), w * (1 - s * t_minus_sin(s))
     return ufl.as_tensor(((cos, -sin, 0), (sin, cos, 0), (0, 0, 1)))
 
 

@@ -347,7 +347,8 @@ class Problem(Results):
         before = np.zeros_like(system.x)
         if self.progress.step or self.at_rest:
             self._put_loads(system, None)
-            before = system.working_loads()
+            with system.terms.as_they_are():
+                before = system.working_loads()
         self._put_loads(system, factor)
         return StepStart(system.x.copy(), before, system.working_loads())
 
@@ -400,6 +401,7 @@ class Problem(Results):
         system.terms.commit(system.x)
         for term in self.terms:
             term.committed = True
+            term.finished()
 
     def _tell_of_reset(self) -> None:
         ranks.tell(self, "after_reset")

@@ -9,6 +9,7 @@ from ..bodies.selection import Selection
 from ..geometry.shapes import Shape
 from ..terms.bodycontact import BodyContact
 from ..terms.obstacles import Obstacle
+from ..terms.rigid import RigidBody
 from ..tools.meetings import collective
 from .conditions import Conditions
 from .obstacles import add_obstacle
@@ -33,23 +34,22 @@ class Contact(Conditions):
         motion: Any = None,
         rotation: Any = None,
         about: Any = None,
+        body: RigidBody | None = None,
         name: str | None = None,
     ) -> Obstacle:
         """A rigid obstacle that the body touches, presses against and slides on (docs/contact.md).
 
         Args:
             phi: a shape: `HalfSpace`, `Sphere` (a disc in the plane), `Cylinder`, `Box`, `Polygon`, `Solid`
-                (an STL
-                file); or a function (x) or (x, t) of the place (m) and the load factor that gives a UFL
-                scalar, positive outside of the obstacle, zero on its surface.
+                (an STL file); or a function (x) or (x, t) of the place (m) and the load factor that gives a
+                UFL scalar, positive outside of the obstacle, zero on its surface.
             on: places of the body that may touch it: a `Surface`, or the name of a group of facets of the
-                points'
-                mesh; of finite elements also what `elements.facets` takes. Default: the body's whole
+                points' mesh; of finite elements also what `elements.facets` takes. Default: the body's whole
                 boundary, of material points the corners of their domains that no others share.
             friction: Coulomb's coefficient.
             rolling, drilling: of micropolar bodies: resistance to turning about axes in the surface (in the
-            plane:
-                to turning) and about its normal: lengths (m), times the pressure the largest couple traction.
+                plane: to turning) and about its normal: lengths (m), times the pressure the largest couple
+                traction.
             stiffness: pressure per depth (Pa/m); default: ten times the stiffest material's lam + 2 mu over a
                 cell.
             gap: largest gap and depth (m) of places under pressure in a converged step (augmented Lagrange
@@ -57,11 +57,11 @@ class Contact(Conditions):
             barrier: instead of springs: the pressure sets in at this distance (m) and grows beyond all bounds
                 before the surface is touched.
             motion: displacement (m) of the obstacle, as values of `fix`: a number is ramped with the load
-                factor,
-                a function of the factor gives it.
+                factor, a function of the factor gives it.
             rotation: its turn about the point `about` (default: the origin), an angle (rad) or in space a
-                rotation
-                vector. A level set that depends on t moves along its normals only: it drags nothing along.
+                rotation vector. A level set that depends on t moves along its normals only: it drags nothing.
+            body: a `RigidBody` whose surface this is, instead of `motion`: it has a mass, loads and motions
+                of its own, and is pushed back. The shape is where it is at the beginning.
             name: for messages and results.
 
         Returns:
@@ -76,7 +76,7 @@ class Contact(Conditions):
         options = {
             **{"friction": friction, "rolling": rolling, "drilling": drilling, "stiffness": stiffness},
             **{"gap": gap, "barrier": barrier, "motion": motion, "rotation": rotation, "about": about},
-            "name": name,
+            **{"name": name, "body": body},
         }
         return add_obstacle(self, phi, on, options)
 

@@ -8,23 +8,27 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..assembly.loadedpoints import LoadedPoints
+from ..assembly.parts import Parts
 from ..basis.base import Basis
 from ..bodies.elements import Elements
 from ..bodies.points import Points
+from ..bodies.reference import Increments
 from ..errors import InputError
 from ..geometry.grid import Grid
 from ..solvers.newton import Controls
-from ..solvers.resetting import ResetPolicy, WhenDistorted
+from ..solvers.resetting import InMotion, ResetPolicy
 from ..terms.ghost import GhostPenalty
 from ..tools import checks
 from ..tools.meetings import collective
 from . import takeover
+from .comingnear import meets_supports, pieces_meet
 from .elements import QuasiStaticFEM
 from .gridpolicies import RegridPolicy
 from .motion import Moving
 from .points import QuasiStatic
 
-_DISTORTED = WhenDistorted()
+_IN_MOTION = InMotion()
 
 
 class Dynamic(Moving, QuasiStatic):
@@ -37,7 +41,8 @@ class Dynamic(Moving, QuasiStatic):
         density: mass per reference volume (kg/m^3): a number; one for each of `points.materials`, in a
             sequence or by material; or a function of the initial positions (n, d), which gives (n,).
         microinertia: j (m^2) of the microrotations' moment of inertia rho j, likewise; of a micropolar body
-            it is needed.
+            it is needed. In space also tensors J / rho (3, 3) of the undeformed body, which turn with the
+            microrotation: one; one a material; or a function that gives (n, 3, 3).
         rho_inf: by what a step multiplies motions whose period is much shorter than it: 1 keeps them (the
             implicit midpoint rule), 0 ends them at once.
         drag: of all velocities and spins relative to their inertia (1/s), the part of Rayleigh damping that
@@ -56,6 +61,8 @@ class Dynamic(Moving, QuasiStatic):
     """
 
     _most_growth = 1.5  # of the domains of points that fly apart
+    _pieces: np.ndarray | None = None  # of the body at the beginning, by number, of each local point
+    _several = False  # there are several of them in one body
 
     @collective("Dynamic", comm=lambda self, grid, *args, **options: grid.comm, compare=True)
     def __init__(
@@ -69,7 +76,7 @@ class Dynamic(Moving, QuasiStatic):
         drag: float = 0.0,
         viscosity: float = 0.0,
         basis: str | Basis = "bspline",
-        reset: int | ResetPolicy | None = _DISTORTED,
+        reset: int | ResetPolicy | None = _IN_MOTION,
         ghost: str | GhostPenalty | None = None,
         rebalance: float | None = 1.1,
         controls: Controls | None = None,
@@ -106,7 +113,7 @@ class Dynamic(Moving, QuasiStatic):
         rho_inf: float = 0.9,
         drag: float = 0.0,
         viscosity: float = 0.0,
-        reset: int | ResetPolicy | None = _DISTORTED,
+        reset: int | ResetPolicy | None = _IN_MOTION,
         rebalance: float | None = 1.1,
         controls: Controls | None = None,
     ) -> Dynamic:
@@ -155,6 +162,32 @@ class Dynamic(Moving, QuasiStatic):
             and self.comm.allreduce(bool(np.any(s.x[:, d:])), op=MPI.LOR)
         ):
             self._with_boxes(s.rebase_rotations)
+
+    def _comes_near(self, system: LoadedPoints, increments: Increments) -> bool:
+        policy, p, d = self.policy, self.points, self.layout.dim
+        if not isinstance(policy, InMotion):
+            return False
+        if self._pieces is None:
+            found = Parts.of(system, p)
+            self._pieces = (found.points if len(found.count) > p.bodies else np.zeros(len(p))).astype(float)
+            self._several = len(found.count) > p.bodies
+        moved = increments.value[:, :d]
+        if self._several:
+            most = float(np.abs(moved).max(initial=0.0)) / self.cell_size
+            far = self.comm.allreduce(most, op=MPI.MAX) > policy.near
+            body = p.body if p.bodies > 1 else np.zeros(len(p), dtype=np.int32)
+            if far and pieces_meet(self.grid, self.comm, p.x, self._pieces.astype(np.int64), body):
+                return True
+        return meets_supports(self.grid, self.comm, self.supports, p.x, p.x - moved)
+
+    def kept(self) -> dict[str, np.ndarray]:
+        return super().kept() | ({} if self._pieces is None else {"piece": self._pieces})
+
+    def keep(self, rows: dict[str, np.ndarray]) -> None:
+        super().keep(rows)
+        self._pieces = rows.get("piece")
+        most = 0.0 if self._pieces is None else float(self._pieces.max(initial=0.0))
+        self._several = self.comm.allreduce(most, op=MPI.MAX) > 0.0
 
     @property
     def _evaluated_at_end(self) -> bool:

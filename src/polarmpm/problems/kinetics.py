@@ -12,12 +12,14 @@ import numpy as np
 from ..bodies.selection import Selection
 from ..errors import InputError
 from ..geometry.surfaces import Surface
+from ..kinematics import rotations
 from ..kinematics.moments import moments
 from ..kinematics.timesteps import check_rho
 from ..terms.absorbing import Absorbing
 from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
+from . import gyration
 from .base import Problem
 
 Given = float | Sequence[float] | Callable[[np.ndarray], Any]
@@ -46,10 +48,13 @@ class WithInertia(Problem):
         if not self.layout.rotations and microinertia is not None:
             raise checks.refuse("microinertia", microinertia, "the material has no microrotation")
         self._density, self._microinertia = density, microinertia
+        self._has_tensors = self.layout.rotations == 3 and gyration.is_tensor(microinertia)
         with errors_on_all_ranks(self.comm):
             self._of_points("density", density, positive=True)
             if microinertia is not None:
-                self._of_points("microinertia", microinertia, positive=False)
+                self._gyration_of_points()
+        if self._has_tensors and self.drag:
+            raise checks.refuse("drag", drag, "there is none where microinertia is a tensor")
         self.points.set_moving()
 
     @property
@@ -92,8 +97,33 @@ class WithInertia(Problem):
         d, r, volume = self.layout.dim, self.layout.rotations, self.points.volume0
         with errors_on_all_ranks(self.comm):
             mass = self._of_points("density", self._density, positive=True) * volume
-            turned = mass * self._of_points("microinertia", self._microinertia, positive=False) if r else mass
+            turned = mass * np.trace(self._gyration_of_points(), axis1=1, axis2=2) / 3.0 if r else mass
         return np.column_stack([*[mass] * d, *[turned] * r])
+
+    def _gyration_of_points(self) -> np.ndarray:
+        """J / rho (np, 3, 3) of the local points in the undeformed body (m^2); local."""
+        if self._has_tensors:
+            return gyration.of_points("microinertia", self._microinertia, self.points)
+        j = self._of_points("microinertia", self._microinertia, positive=False)
+        found: np.ndarray = j[:, None, None] * np.eye(3)
+        return found
+
+    def _tensors(self) -> np.ndarray:
+        """Moments of inertia (kg m^2) of the local points (np, 3, 3), as they are turned now. Collective."""
+        mass, turn = self._masses()[:, 0], rotations.to_tensor(self.points.q)
+        with errors_on_all_ranks(self.comm):
+            turned = turn @ self._gyration_of_points() @ np.swapaxes(turn, 1, 2)
+        found: np.ndarray = mass[:, None, None] * turned
+        return found
+
+    def _spin_momenta(self) -> np.ndarray:
+        """Of the local points' microrotations (np, r) (N m s). Collective."""
+        d, r = self.layout.dim, self.layout.rotations
+        if self._has_tensors:
+            momenta: np.ndarray = np.einsum("nij,nj->ni", self._tensors(), self.points.spin)
+            return momenta
+        found: np.ndarray = self._masses()[:, d:] * self.points.spin[:, 3 - r :]
+        return found
 
     def inertia(self) -> dict[str, float]:
         """The body's mass (kg) and, with microrotations, the sum of their moments of inertia (kg m^2).
@@ -193,7 +223,7 @@ class WithInertia(Problem):
         p, d, r, mass = self.points, self.layout.dim, self.layout.rotations, self._masses()
         twice = np.sum(mass[:, :d] * p.velocity**2)
         if r:
-            twice += np.sum(mass[:, d:] * p.spin[:, 3 - r :] ** 2)
+            twice += np.sum(self._spin_momenta() * p.spin[:, 3 - r :])
         return 0.5 * float(self.comm.allreduce(float(twice)))
 
     @collective("momentum")
@@ -208,7 +238,7 @@ class WithInertia(Problem):
         in the plane, (3,) in space."""
         d, r, p, mass = self.layout.dim, self.layout.rotations, self.points, self._masses()
         point = np.zeros(d) if about is None else checks.vector("about", about, d)
-        turning = mass[:, d:] * p.spin[:, 3 - r :] if r else np.zeros((len(p), 0))
+        turning = self._spin_momenta() if r else np.zeros((len(p), 0))
         sums: np.ndarray = moments(p.x - point, mass[:, :d] * p.velocity, turning).sum(axis=0)
         return np.asarray(self.comm.allreduce(sums))
 

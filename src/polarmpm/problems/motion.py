@@ -20,6 +20,7 @@ from ..assembly.system import NodalSystem
 from ..assembly.viscosity import Viscosity
 from ..bodies.reference import Increments
 from ..errors import InputError, LocalFailure
+from ..forms.gyration import gyration_kernel, momentum_kernel
 from ..kinematics.timesteps import TimeStep
 from ..solvers.newton import Outcome
 from ..solvers.stepping import Schedule, Step
@@ -142,7 +143,10 @@ class Moving(WithInertia):
     def _add_inertia(self, system: NodalSystem) -> None:
         """Give a new system the points' masses."""
         if system.inertia is None:
-            system.inertia = Inertia(self._masses())
+            kernels = None
+            if self._has_tensors:
+                kernels = gyration_kernel(self.comm), momentum_kernel(self.comm)
+            system.inertia = Inertia(self._masses(), kernels)
             system.viscosity = Viscosity(self.viscosity) if self.viscosity else None
 
     def _set_step(self, system: NodalSystem, time: float) -> float:
@@ -158,13 +162,24 @@ class Moving(WithInertia):
             with errors_on_all_ranks(self.comm):
                 for term in self.terms:
                     term.begin_step(step.theta * step.dt)
+                    term.integrate(step)
         if system.viscosity is not None:
             system.viscosity.begin(system, step.theta * step.dt)
         v, a = self._rates()
-        inertia.begin(system, step.acceleration + self.drag * step.rate)
+        tensors = self._tensors() if self._has_tensors else None
+        inertia.begin(system, step.acceleration + self.drag * step.rate, step.theta, tensors)
         pushed = inertia.mass * (step.history(v, a) - self.drag * step.rate_history(v, a))
+        if tensors is not None:
+            pushed[:, -3:] = step.history(*self._turning(inertia))
         self._pushed = pushed[:, : self.layout.dim], pushed[:, self.layout.dim :]
         return now + step.theta * step.dt
+
+    def _turning(self, inertia: Inertia) -> tuple[np.ndarray, np.ndarray]:
+        """Momenta of the points' spins (np, 3), and their rates, at the beginning of the step. Rates are kept
+        over the mean moment of inertia, as `spin_rate`: momenta aren't affected by what turns."""
+        p = self.points
+        momenta = np.einsum("nij,nj->ni", inertia.tensors, p.spin)
+        return momenta, inertia.mass[:, -3:] * p.spin_rate
 
     def _loads_at(self, factor: float) -> tuple[np.ndarray, np.ndarray]:
         """With the history's."""
@@ -306,10 +321,28 @@ class Moving(WithInertia):
         v, a = step.end(increments.value - inertia.start, v, a)  # positions move by the same
         if step.rho_inf == 1.0:  # it isn't used, but by a step with another rho_inf
             a = (v - before) / step.dt
+        if inertia.kernels is not None:
+            self._turn_spins(step, inertia, increments, v, a)
         p.velocity, p.acceleration = v[:, :d].copy(), a[:, :d].copy()
         p.spin, p.spin_rate = (np.pad(w[:, d:], ((0, 0), (3 - r, 0))) for w in (v, a))
         self._step = self._pushed = self._found = None
         self._mean_before = self._mean
+
+    def _turn_spins(
+        self, step: TimeStep, inertia: Inertia, increments: Increments, v: np.ndarray, a: np.ndarray
+    ) -> None:
+        """Put spins and their rates into v and a (np, block), where inertia isn't alike in all directions."""
+        s, rate = self._turning(inertia)
+        turn = (increments.value - inertia.start)[:, -3:]
+        momentum = np.zeros((0, 12))
+        if len(turn):
+            assert inertia.kernels is not None
+            momentum = inertia.kernels[1](turn, inertia.tensors.reshape(-1, 9))
+        new, after = step.end(momentum[:, :3], s, rate)
+        if step.rho_inf == 1.0:
+            after = (new - s) / step.dt
+        v[:, -3:] = np.linalg.solve(self._tensors(), new[:, :, None])[:, :, 0]
+        a[:, -3:] = after / inertia.mass[:, -3:]
 
     def kept(self) -> dict[str, np.ndarray]:
         mean = {} if self._mean_before is None else {"mean_acceleration": self._mean_before}

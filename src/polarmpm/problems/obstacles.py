@@ -16,6 +16,8 @@ from ..geometry.shapes import shape_of
 from ..geometry.surfaces import Surface
 from ..materials.base import Material
 from ..terms.obstacles import Obstacle
+from ..terms.rigid import RigidBody
+from ..terms.rigidobstacles import RigidObstacle
 from ..tools import checks
 from .surfaces import Loaded
 
@@ -32,23 +34,39 @@ def add_obstacle(problem: Any, phi: Any, on: Any, options: dict[str, Any]) -> Ob
         name = checks.text("obstacle: name", options["name"])
     shape = shape_of(f"{name}: phi", phi)
     law, constants, gap = _law(problem, name, options)
+    body = _rigid(problem, name, options)
     surface, parents = _sites(problem, name, on)
-    made = Obstacle(
-        name,
-        shape,
-        surface,
-        parents,
-        law,
-        constants,
-        problem.cell_size,
-        gap,
-        options["motion"],
-        options["rotation"],
-        options["about"],
-        aslant=on is None and parents is not None,
-    )
+    of = (name, shape, surface, parents, law, constants, problem.cell_size, gap)
+    aslant = on is None and parents is not None
+    if body is None:
+        motion = options["motion"], options["rotation"], options["about"]
+        made = Obstacle(*of, *motion, aslant=aslant)
+    else:
+        made = RigidObstacle(*of, aslant=aslant, body=body)
+        if not body.taken:
+            problem.add(body)
     problem.add(made)
     return made
+
+
+def _rigid(problem: Any, name: str, options: dict[str, Any]) -> RigidBody | None:
+    """The rigid body whose surface an obstacle is."""
+    if options["body"] is None:
+        return None
+    body = checks.instance(f"{name}: body", options["body"], RigidBody, "a polarmpm.RigidBody is")
+    for key in ("motion", "rotation", "about"):
+        if options[key] is not None:
+            raise checks.refuse(
+                f"{name}: {key}", options[key], f"body = {body!r} moves by itself, or as its `held` says"
+            )
+    if body.dim != problem.layout.dim:
+        raise InputError(f"{name}: {body!r} has {body.dim} dimensions, the body has {problem.layout.dim}")
+    if problem.layout.axial:
+        raise InputError(f"{name}: body = {body!r}: there are none in a body of revolution; use motion")
+    if body.taken and not any(term is body for term in problem.terms):
+        raise InputError(f"{name}: body = {body!r} belongs to another problem; make another one")
+    body.check_motion(hasattr(problem, "velocity"))
+    return body
 
 
 def _law(problem: Loaded, name: str, given: dict[str, Any]) -> tuple[Law, dict[str, float], float | None]:

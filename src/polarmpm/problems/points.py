@@ -343,6 +343,7 @@ class QuasiStatic(Regridded):
         p.factor, p.step, p.since_reset = factor, p.step + 1, p.since_reset + 1
         with errors_on_all_ranks(self.comm, "the reset policy") as answer:
             due = answer.alike = bool(self.policy.due(p.since_reset, increments.gradient, self.comm))
+        due = due or self._comes_near(system, increments)
         p.reset_due = due or any(term.renew for term in self.terms)
         if not p.reset_due and self.layout.rotations:
             largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
@@ -352,6 +353,10 @@ class QuasiStatic(Regridded):
                     term.rebase_rotations()
                 p.rotation_factor = factor
         self._seal = Seal(self.points)
+
+    def _comes_near(self, system: LoadedPoints, increments: Increments) -> bool:
+        """Whether the body comes to what the grid's nodes don't know of. Collective."""
+        return False
 
     # restart --------------------------------------------------------------------------------------
     def increments(self) -> tuple[Reference, np.ndarray, np.ndarray] | None:

@@ -16,6 +16,8 @@ from ..terms.base import Term
 from ..terms.bodycontact import BodyContact
 from ..terms.ghost import Ghost
 from ..terms.obstacles import Obstacle
+from ..terms.rigid import RigidBody
+from ..terms.rigidobstacles import RigidObstacle
 from ..tools import checks
 from .given import Given
 
@@ -32,7 +34,9 @@ def check(problem: Any, kind: type) -> None:
         raise InputError("of: no load step has been solved yet; give conditions to a dynamic problem itself")
     if any(isinstance(load, HandedOver) or load.amplitude.fade is not None for load in before.loads):
         raise InputError("of: some conditions are still fading; let them fade out first")
-    terms = [term.name for term in before.terms if not isinstance(term, Ghost | Obstacle | BodyContact)]
+    terms = [
+        term.name for term in before.terms if not isinstance(term, Ghost | Obstacle | BodyContact | RigidBody)
+    ]
     if terms:
         raise InputError(
             f"of: {terms[0]}: conditions on surfaces, and terms of one's own, can't be taken over; "
@@ -47,12 +51,20 @@ def check(problem: Any, kind: type) -> None:
 
 def take_conditions(made: Any, before: Any) -> None:
     """Supports hold the body where it is, and loads keep the values that they have."""
-    factor = before.progress.factor
+    factor, bodies = before.progress.factor, dict[int, RigidBody]()
     for given in before.given:
         if given.released is not None:
             continue
+        if isinstance(given.condition, RigidBody):
+            body = bodies[id(given.condition)] = given.condition.still(factor)
+            body.check_motion(True)
+            made._terms.append(body)
+            made.given.add(Given(body.name, body, 0.0), "term")
+            continue
         if isinstance(given.condition, Obstacle | BodyContact):
             stays = given.condition.still(factor)
+            if isinstance(stays, RigidObstacle):
+                stays.body = bodies[id(stays.body)]
             made._terms.append(stays)
             made.given.add(Given(stays.name, stays, 0.0), "surface")
             continue

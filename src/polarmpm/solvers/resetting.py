@@ -54,6 +54,21 @@ class WhenDistorted:
 
 
 @dataclass(frozen=True)
+class InMotion(WhenDistorted):
+    """`WhenDistorted`, and in dynamic problems also where the nodes, which go along with a moving body, don't
+    know what it comes to: when it reaches nodes at which a support acts, and, while pieces of one body that
+    were apart at the beginning are so near that they share nodes, whenever they have moved by `near` cells,
+    as between two resets they are glued.
+    """
+
+    near: float = 0.02
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "near", checks.number("near", self.near, least=0.0))
+
+
+@dataclass(frozen=True)
 class Never:
     """Keep the first weighting functions: a total Lagrangian method, for studies."""
 

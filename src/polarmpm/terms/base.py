@@ -26,6 +26,7 @@ from ..geometry.grid import Grid, box_indices
 from ..geometry.nodes import ActiveNodes
 from ..geometry.surfaces import Surface
 from ..kinematics.layout import Layout
+from ..kinematics.timesteps import TimeStep
 from ..tools.checks import ordinary, refuse, shown, whole
 from ..tools.parallel import errors_on_all_ranks
 
@@ -109,6 +110,7 @@ class Piece(ABC):
         guarded: there are increments at which it has no forces, see `admits`; the same on all ranks.
         refines: it has to be asked by `refine`; the same on all ranks.
         kinked: its tangent jumps, so that iterations need a line search; the same on all ranks.
+        mover: a rigid body (`terms.rigid`) on which its forces depend; the same on all ranks.
     """
 
     name: str
@@ -123,6 +125,7 @@ class Piece(ABC):
     refines: bool = False
     kinked: bool = False
     of: Term | None = None
+    mover: Any = None
 
     @abstractmethod
     def forces(self, x: np.ndarray) -> np.ndarray:
@@ -299,6 +302,12 @@ class Term(ABC):
 
     def end_at(self, factor: float) -> None:  # noqa: B027
         """The step ends at a load factor, or time; forces were in balance at that of `set_factor`."""
+
+    def finished(self) -> None:  # noqa: B027
+        """A step has converged, and all pieces have been told."""
+
+    def integrate(self, step: TimeStep) -> None:  # noqa: B027
+        """A step in time begins, for terms that have an inertia of their own; in dynamic problems."""
 
     def begin_step(self, duration: float) -> None:  # noqa: B027
         """A step in time begins (s), to the state in which its forces are in balance; in dynamic problems."""

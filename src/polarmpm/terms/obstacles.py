@@ -53,6 +53,7 @@ class Obstacle(Sites):
     external = True
     proportional = False
     renew = False
+    piece: type[SitePiece] = SitePiece
 
     def __init__(
         self,
@@ -217,7 +218,7 @@ class Obstacle(Sites):
             self.F = self._F_at = setting.deformations(self.parents)
         self._data = self.values(self._factor)
         every = np.arange(len(self.surface))
-        y = np.zeros((len(every), self.form.size))
+        y = np.zeros((len(every), self.layout.block))
         y[:, : self.layout.dim] = self.u - self._u_at
         told = self.tell(y, every)
         gap = told["gap"][:, 0]
@@ -226,14 +227,14 @@ class Obstacle(Sites):
             self.seen_area = self.next_area = self._area_towards(told["normal"])
         self.area_now = self.seen_area
         self._near, self.renew = gap < _REACH * self._size, False
-        self._moved = np.zeros((len(every), self.form.size + self.layout.dim**2))
+        self._moved = np.zeros((len(every), self.layout.block + self.layout.dim**2))
         if isinstance(setting, GridSetting) and self.parents is not None:
             carried = setting.beside(self.name, self.parents, self.surface.x + self._u_at)
         else:
             carried = setting.carry(self)
         near = self._near[carried.rows]
         # the last one to be told of a converged step tells its obstacle
-        return [SitePiece(self, carried, at, near=which) for at, which in ((near, True), (~near, False))]
+        return [self.piece(self, carried, at, near=which) for at, which in ((near, True), (~near, False))]
 
     def _check_start(self, gap: np.ndarray) -> None:
         """Raise InputError where the body begins inside of the obstacle."""
