@@ -31,7 +31,7 @@ from ..materials.base import parameter_values
 from ..terms.base import Boxes, BoxPairs, Piece, Term, pieces_of
 from ..terms.settings import GridSetting
 from ..tools.checks import shown
-from ..tools.parallel import errors_on_all_ranks
+from ..tools.parallel import errors_on_all_ranks, reduced
 from .bodyweights import patches_of_bodies, weights_of_bodies
 from .nodesets import Groups, group_points, node_sets_of, ownership_priorities, reached_cells
 from .patches import Patches
@@ -108,14 +108,16 @@ class Interpolation:
         touched, node_sets, node_offsets = node_sets_of(grid, groups, more)
         priorities = ownership_priorities(grid, groups, touched) if grid.comm.size > 1 else None
         self.nodes = ActiveNodes.build(grid, touched, partial(basis.positions, grid), priorities)
-        node_sets = self.nodes.local(touched).astype(np.int32)[node_sets]
+        if grid.comm.size > 1:
+            node_sets = self.nodes.local(touched)[node_sets]
+        node_sets = node_sets.astype(np.int32)
         self.batches = [
             self._batch(form, m, w, order, groups, (node_sets, node_offsets)) for m, form in enumerate(forms)
         ]
         self.patches = self._patches(cells)
         sides = [int(groups.count.max(initial=2)), *(max(b.count) for b in of_pieces)]
         sides += [p.reach + 1 for p in self.patches if p is not None]
-        self.reach = int(grid.comm.allreduce(max(sides) - 1, op=MPI.MAX))
+        self.reach = int(reduced(grid.comm, max(sides) - 1, MPI.MAX))
         self.boxes: list[PointBoxes] | None = None
         if filled:
             self.boxes = [PointBoxes(b.batch, b.form.layout, points, b.rows, r) for b in self.batches]

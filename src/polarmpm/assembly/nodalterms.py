@@ -205,6 +205,8 @@ class NodalTerms:
     def crossing(self) -> np.ndarray:
         """Pairs of local nodes (k, 2) of different bodies that pieces couple, either way."""
         found: list[np.ndarray] = [np.zeros((0, 2), dtype=np.int64)]
+        if not self.pieces:
+            return found[0]
         for piece, rows in self._parts():
             if isinstance(piece.boxes, BoxPairs):
                 n = int(np.prod(piece.boxes.parts[0].count))

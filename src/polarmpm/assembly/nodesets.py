@@ -29,15 +29,35 @@ def group_points(material: np.ndarray, w: Weights) -> tuple[np.ndarray, Groups]:
     """Sort points by material, lowest node and node count."""
     n, dim = w.lowest.shape
     # neighbours next to each other: their groups share rows of the matrix, which then stay in the cache
-    keys = [w.count[:, i] for i in range(dim)] + [w.lowest[:, i] for i in range(dim - 1, -1, -1)] + [material]
-    order = np.lexsort(keys)
-    columns = np.column_stack([material, w.lowest, w.count])[order]
-    new = np.ones(n, dtype=bool)
-    new[1:] = np.any(columns[1:] != columns[:-1], axis=1)
-    heads = columns[new]
+    order, new = _sorted([material, *w.lowest.T, *w.count.T[::-1]])
+    first = order[new]
+    heads = np.column_stack([material[first], w.lowest[first], w.count[first]])
     offsets = np.append(np.flatnonzero(new), n)
     heads, offsets = _merged(heads, offsets, 1 + dim)
     return order, Groups(heads[:, 0], heads[:, 1 : 1 + dim], heads[:, 1 + dim :], offsets)
+
+
+def _sorted(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """The order of rows (n,) whose columns are whole numbers, the first column before all others, and which
+    of them differ from the one before."""
+    n = len(columns[0])
+    new = np.ones(n, dtype=bool)
+    key, numbers = np.zeros(n, dtype=np.int64), 1
+    for column in columns if n else ():
+        low, high = int(column.min()), int(column.max())
+        if high == low:
+            continue
+        numbers *= high - low + 1
+        key = key * (high - low + 1) + (column - low)
+    if numbers > 2**62:  # no number is large enough for all columns
+        order = np.lexsort(columns[::-1])
+        table = np.column_stack(columns)[order]
+        new[1:] = np.any(table[1:] != table[:-1], axis=1)
+        return order, new
+    order = np.argsort(key, kind="stable")
+    key = key[order]
+    np.not_equal(key[1:], key[:-1], out=new[1:])
+    return order, new
 
 
 def _merged(heads: np.ndarray, offsets: np.ndarray, same: int) -> tuple[np.ndarray, np.ndarray]:
@@ -64,6 +84,8 @@ def _merged(heads: np.ndarray, offsets: np.ndarray, same: int) -> tuple[np.ndarr
 def boxes_of(grid: Grid, sizes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """For each different size (n, d) of boxes of nodes: which rows have it, and its nodes' distances from the
     lowest one, as lattice numbers."""
+    if len(sizes) and np.array_equal(sizes.min(axis=0), sizes.max(axis=0)):  # as of standard points
+        return [(np.arange(len(sizes)), box_indices(sizes[0]) @ grid.strides)]
     different, kind = np.unique(sizes, axis=0, return_inverse=True)
     out = []
     for k, size in enumerate(different):

@@ -94,6 +94,9 @@ class PointSystem(OnPattern, LoadedPoints):
         where they are until the next reset leaves them out."""
         reached = self.pattern.reached
         assert reached is not None
+        if self.comm.size == 1:
+            self.prescribed.fixed[~reached] = True
+            return
         count = reached[:, None].astype(float)
         self.nodes.add_to_owners(count)
         self.nodes.update_ghosts(count)

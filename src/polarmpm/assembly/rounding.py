@@ -8,6 +8,8 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..tools.parallel import reduce_in_place
+
 _ROUNDING = 16 * float(np.finfo(float).eps)
 
 
@@ -26,24 +28,21 @@ def squares(diagonal: np.ndarray, sizes: np.ndarray, mean_size: float, comm: MPI
     """
     d = sizes.shape[-1]
     forces = np.abs(diagonal[:, :d]) * sizes
-    couples = np.abs(diagonal[:, d:]) / mean_size
-    strains = np.minimum(couples, forces.mean(axis=1, keepdims=True))
-    found = np.array([np.sum(forces**2) + np.sum(strains**2), np.sum(couples**2)])
-    return _ROUNDING**2 * np.asarray(comm.allreduce(found))
+    found = np.array([np.vdot(forces, forces), 0.0])
+    if diagonal.shape[1] > d:
+        couples = np.abs(diagonal[:, d:]) / mean_size
+        strains = np.minimum(couples, forces.sum(axis=1, keepdims=True) / d)
+        found += np.vdot(strains, strains), np.vdot(couples, couples)
+    reduce_in_place(comm, found)
+    return _ROUNDING**2 * found
 
 
-def level(made: np.ndarray | None, rotations: np.ndarray, comm: MPI.Comm) -> float:
+def level(made: np.ndarray | None, turned: float) -> float:
     """Out-of-balance force (N) that rounding makes at increments: loads whose strains are near rounding can't
-    be balanced more closely. Collective.
+    be balanced more closely.
 
     Args:
         made: of `squares`, None: 0.
-        rotations: the nodes' increments (n, r), r = 0 without microrotations.
+        turned: the largest increment of a rotation of all ranks, 0 without microrotations.
     """
-    if made is None:
-        return 0.0
-    turned = 0.0
-    if rotations.shape[1]:
-        most = float(np.abs(rotations).max(initial=0.0))
-        turned = min(1.0, comm.allreduce(most, op=MPI.MAX))
-    return math.sqrt(made[0] + turned**2 * made[1])
+    return 0.0 if made is None else math.sqrt(made[0] + min(1.0, turned) ** 2 * made[1])

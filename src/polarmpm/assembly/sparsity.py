@@ -171,12 +171,15 @@ def build(
         native.library().polarmpm_couple_nodes(ctypes.byref(batch), reach, mark)
     for patch in patches:
         patch.couple(reach, mark)
-    reached = np.any(mark, axis=1)
+    reached = mark.any(axis=1)
     mark[: nodes.owned, codes // 2] = 1  # nodes of a term that is gone have no more than themselves
-    row, code = np.nonzero(mark)
+    alone = nodes.comm.size == 1  # then numbers ascend with the lattice's
+    if symmetric and alone:
+        mark[:, : codes // 2] = 0
+    row, code = np.divmod(np.flatnonzero(mark), codes)
     offset = box_indices((side,) * grid.dim) - reach
     col = nodes.local(nodes.lattice[row] + (offset @ grid.strides)[code])
-    if symmetric:
+    if symmetric and not alone:
         keep = nodes.number[row] <= nodes.number[col]
         row, code, col = row[keep], code[keep], col[keep]
     pairs: tuple[np.ndarray, ...] = row, code, col
@@ -209,6 +212,8 @@ def of_pairs(
         local: this rank's pairs: row, code of the column in it, column; sorted by row.
     """
     row, code, col = local
+    if nodes.comm.size == 1 and code.min(initial=0) != _CROSSING and _in_order(row, col):
+        return _alone(nodes, block, symmetric, reach, codes, local)
     mine = row < nodes.owned
     pairs = np.stack([nodes.number[row[mine]], nodes.number[col[mine]]], axis=1)
     route, ghost_pairs = None, np.zeros((0, 2), dtype=np.int64)
@@ -222,6 +227,44 @@ def of_pairs(
     return _assemble_pattern(
         nodes, block, symmetric, reach, codes, (row, code, col, mine), pairs, route, ghost_pairs
     )
+
+
+def _in_order(row: np.ndarray, col: np.ndarray) -> bool:
+    """Whether pairs of nodes, sorted by row, ascend."""
+    return bool(np.all((col[1:] > col[:-1]) | (row[1:] > row[:-1])))
+
+
+def _alone(
+    nodes: Nodes, block: int, symmetric: bool, reach: int, codes: int, local: tuple[np.ndarray, ...]
+) -> Pattern:
+    """The same on one rank, of pairs that are in order."""
+    row, code, col = local
+    offsets = np.zeros(len(nodes) + 1, dtype=np.int64)
+    np.cumsum(np.bincount(row, minlength=len(nodes)), out=offsets[1:])
+    indptr, indices = _scalar_rows(col, offsets, block, symmetric)
+    starts = indptr[:-1]
+    if symmetric:  # see `_assemble_pattern`
+        starts = (starts.reshape(-1, block) - np.arange(block)).ravel()
+    column = np.arange(len(row)) - offsets[row]
+    if symmetric:
+        diagonal = indptr[:-1].copy()
+    else:
+        own = column[row == col] * block
+        diagonal = (indptr[:-1].reshape(-1, block) + own[:, None] + np.arange(block)).ravel()
+    place = np.full((len(nodes), codes), -1, dtype=np.int32)
+    place[row, code] = column
+    values = np.zeros(int(indptr[-1]))
+    pattern = Pattern(nodes, block, symmetric, indptr, indices, values, diagonal, native.Matrix())
+    native.fill(
+        pattern.matrix,
+        symmetric=int(symmetric),
+        reach=reach,
+        place=place,
+        row_start=starts,
+        number=nodes.number,
+        values=values,
+    )
+    return pattern
 
 
 def _assemble_pattern(
@@ -289,10 +332,12 @@ def _scalar_rows(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Scalar row pointers and columns of block rows with ascending block columns, the diagonal first."""
     nodes = len(offsets) - 1
-    lengths = np.repeat(np.diff(offsets) * block, block).reshape(nodes, block)
+    lengths = np.empty((nodes, block), dtype=np.int64)
+    lengths[:] = (np.diff(offsets) * block)[:, None]
     if symmetric:
-        lengths = lengths - np.arange(block)
-    indptr = np.concatenate([[0], np.cumsum(lengths.ravel())])
+        lengths -= np.arange(block)
+    indptr = np.zeros(nodes * block + 1, dtype=np.int64)
+    np.cumsum(lengths.ravel(), out=indptr[1:])
     columns = np.empty(int(indptr[-1]), dtype=np.int32)
     offsets, cols = np.ascontiguousarray(offsets, dtype=np.int64), np.ascontiguousarray(cols, dtype=np.int64)
     native.library().polarmpm_scalar_columns(nodes, offsets, cols, block, int(symmetric), columns)

@@ -13,10 +13,12 @@ import numpy as np
 
 from ..conditions.prescribed import Prescribed
 from ..geometry.nodes import Nodes
+from ..kernels import native
 from ..kinematics.layout import Layout
 from ..solvers.choice import is_large
 from ..solvers.linear import ACCURACY, NearNullSpace
 from ..terms.base import Piece
+from ..tools.parallel import reduce_in_place, reduced
 from ..tools.timing import Timer
 from . import rounding
 from .inertia import Inertia
@@ -209,7 +211,7 @@ class NodalSystem(ABC):
         """Whether `solver="auto"` takes multigrid. Collective."""
         position = self.nodes.position[: self.nodes.owned]
         ends = np.stack([position.max(axis=0, initial=-np.inf), -position.min(axis=0, initial=np.inf)])
-        self.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
+        reduce_in_place(self.comm, ends, MPI.MAX)
         return self._is_large(float((ends.sum(axis=0) / self.length).max()))
 
     def _is_large(self, cells: float) -> bool:
@@ -317,7 +319,7 @@ class NodalSystem(ABC):
         self._find_pending()
 
     def _find_pending(self) -> None:
-        self.step.pending = bool(self.comm.allreduce(bool(np.any(self.step.lift)), op=MPI.LOR))
+        self.step.pending = bool(reduced(self.comm, bool(self.step.lift.any()), MPI.LOR))
 
     def pending(self) -> bool:
         return self.step.pending
@@ -342,32 +344,35 @@ class NodalSystem(ABC):
                 s.rounding = rounding.squares(diagonal, sizes, self.mean_size, self.comm)
 
     def convergence_measures(self) -> tuple[float, float]:
-        with np.errstate(over="ignore", invalid="ignore"):  # divergence shows in the measures
-            return self._convergence_measures()
-
-    def _convergence_measures(self) -> tuple[float, float]:
-        own = slice(0, self.nodes.owned)
-        external, last = self.external[own], self.step.correction
-        r = self.on_free(self.residual)[own]
+        last, prescribed, sums, balance = self.step.correction, self.prescribed, np.empty(5), None
+        if prescribed.ties is not None:
+            with np.errstate(over="ignore", invalid="ignore"):  # divergence shows in the measures
+                balance = self.on_free(self.residual)
         # |f_ext + f_rct|: at supports the reaction makes it the internal force
-        total = external + (self.residual[own] - r)
-        sums = np.array(
-            [
-                np.sum((r * self.as_force) ** 2),
-                np.sum((total * self.as_force) ** 2),
-                0.0 if last is None else abs(np.sum(r * last[own])),
-                np.sum(total * self.x[own]),
-            ]
+        native.library().polarmpm_measures(
+            self.nodes.owned,
+            self.layout.block,
+            self.layout.dim,
+            self.residual,
+            balance,
+            prescribed.fixed.view(np.uint8),
+            np.ascontiguousarray(self.external),
+            last,
+            self.x,
+            self.as_force,
+            sums,
         )
-        self.comm.Allreduce(MPI.IN_PLACE, sums)
-        out, loads = np.sqrt(sums[:2])
-        level = rounding.level(self.step.rounding, self.x[:, self.layout.dim :], self.comm)
+        sums[2] = abs(sums[2])
+        reduce_in_place(self.comm, sums[:4])
+        first, second, work, done, most = sums.tolist()
+        out, loads = math.sqrt(first), math.sqrt(second)
+        level = rounding.level(self.step.rounding, reduced(self.comm, most, MPI.MAX))
         # before the first correction loads as small as rounding still count
         if (last is not None or loads == 0.0) and out <= level:
             return 0.0, 0.0
-        force = out / loads if loads > 0 else np.inf
-        energy = sums[2] / abs(sums[3]) if sums[3] != 0 else np.inf
-        return float(force), float(energy)
+        force = out / loads if loads > 0 else math.inf
+        energy = work / abs(done) if done != 0 else math.inf
+        return force, energy
 
     def update(self, fresh: bool, accuracy: float = ACCURACY) -> None:
         fixed, s = self.prescribed.fixed, self.step

@@ -17,7 +17,7 @@ from ..materials.base import Material, check_material
 from ..tools import checks
 from ..tools.machine import check_memory
 from ..tools.meetings import collective
-from ..tools.parallel import errors_on_all_ranks, known_anywhere
+from ..tools.parallel import errors_on_all_ranks, known_anywhere, reduced
 from .cutboxes import half_axes, inside_parts
 from .partition import distribute
 from .points import Points
@@ -364,7 +364,7 @@ def _keep(x: np.ndarray, inside: Inside | None, bounds: Any) -> np.ndarray:
 def check_inside(grid: Grid, points: Points) -> None:
     """Raise PointsOutsideGrid, on every rank, unless all points lie in the grid."""
     outside = ~grid.inside(points.x)
-    count = grid.comm.allreduce(int(outside.sum()))
+    count = reduced(grid.comm, int(np.count_nonzero(outside)))
     if count:
         ids = np.concatenate(grid.comm.allgather(points.id[outside][:20]))
         lower, upper = (tuple(round(v, 9) for v in c) for c in (grid.lower, grid.upper))

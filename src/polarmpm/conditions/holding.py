@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import InputError, SupportLost, TrustWarning
 from ..geometry.planes import Plane
 from ..tools.caller import warn
-from ..tools.parallel import errors_on_all_ranks
+from ..tools.parallel import errors_on_all_ranks, reduce_in_place, reduced
 from .prescribed import Prescribed
 from .supports import Support
 
@@ -33,14 +33,14 @@ def check_held(prescribed: Prescribed, volume: np.ndarray, step: int) -> None:
         SupportLost: the body has left a support.
     """
     comm, own = prescribed.comm, len(volume)
-    most = comm.allreduce(float(np.abs(volume).max(initial=0.0)), op=MPI.MAX)
+    most = reduced(comm, float(np.abs(volume).max(initial=0.0)), MPI.MAX)
     weights = np.where(volume > _NOTHING * most, volume, 0.0)
     sums = np.zeros((len(prescribed.supports), 2))
     for k, mask in enumerate(prescribed.masks):
         held = weights[mask[:own]]
-        sums[k] = held.sum(), np.sum(held**2)
-    comm.Allreduce(MPI.IN_PLACE, sums)
-    for support, (first, second) in zip(prescribed.supports, sums, strict=True):
+        sums[k] = held.sum(), held @ held
+    reduce_in_place(comm, sums)
+    for support, (first, second) in zip(prescribed.supports, sums.tolist(), strict=True):
         if not first:
             if support.met is None:
                 raise InputError(_nothing(prescribed, support, weights))

@@ -12,7 +12,7 @@ from ..errors import InputError
 from ..geometry.nodes import Positioned
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
-from ..tools.parallel import errors_on_all_ranks
+from ..tools.parallel import errors_on_all_ranks, reduce_in_place
 from .supports import Support, component_names
 from .ties import Ties
 
@@ -112,7 +112,7 @@ class Prescribed:
                 scale[column] = max(scale[column], size)
         for part in (slice(0, self.layout.dim), slice(self.layout.dim, None)):
             scale[part] = scale[part].max(initial=0.0)
-        self.comm.Allreduce(MPI.IN_PLACE, scale, op=MPI.MAX)
+        reduce_in_place(self.comm, scale, MPI.MAX)
         with errors_on_all_ranks(self.comm):
             return self._put_together(found, _ROUNDING * scale)
 

@@ -27,6 +27,7 @@ from .axes import STEEP, Axes, checked_lines, equal_size, evened, steepest
 
 # Lattice nodes outside the box that points' domains may reach: they belong to walls ("at and beyond").
 MARGIN = 4
+_SLACK = 1e-9  # of a cell, by which points may be outside
 _FAR = 1e12  # cells from the origin of coordinates, where rounding is a ten-thousandth of a cell
 
 
@@ -298,11 +299,11 @@ class Grid:
         return r
 
     # lattice ------------------------------------------------------------------------------------
-    @property
+    @cached_property
     def _sides(self) -> np.ndarray:
         return np.array([n + 1 + 2 * MARGIN for n in self.shape], dtype=np.int64)
 
-    @property
+    @cached_property
     def strides(self) -> np.ndarray:
         """Step of the node number for one cell in each direction; the last axis runs fastest."""
         sides = self._sides
@@ -338,9 +339,10 @@ class Grid:
 
     def inside(self, x: np.ndarray) -> np.ndarray:
         """Which points (n, d) lie in the box, its boundary included."""
-        xi = self.local(x)
-        slack = 1e-9
-        mask: np.ndarray = np.all((xi >= -slack) & (xi <= np.array(self.shape) + slack), axis=1)
+        xi, mask = self.local(x), np.ones(len(x), dtype=bool)
+        for axis, number in enumerate(self.shape):
+            along = xi[:, axis]
+            mask &= (along >= -_SLACK) & (along <= number + _SLACK)
         return mask
 
     def cell_number(self, index: np.ndarray) -> np.ndarray:
@@ -439,8 +441,8 @@ class GradedGrid(Grid):
 
 def box_indices(count: Sequence[int]) -> np.ndarray:
     """Indices (m, d) in a box of `count` nodes or cells in each direction, the last axis running fastest."""
-    count = tuple(count)
-    return np.stack(np.unravel_index(np.arange(np.prod(count)), count), axis=-1)
+    count = tuple(int(n) for n in count)
+    return np.stack(np.unravel_index(np.arange(math.prod(count)), count), axis=-1)
 
 
 def snap(xi: np.ndarray, tolerance: float = 1e-8) -> np.ndarray:

@@ -79,9 +79,11 @@ class ActiveNodes:
 
     def local(self, lattice: np.ndarray) -> np.ndarray:
         """Local rows of lattice numbers that are active on this rank."""
-        order = np.argsort(self.lattice, kind="stable") if self.owned < len(self) else slice(None)
-        at = np.searchsorted(self.lattice[order], lattice)
-        return np.arange(len(self))[order][at]
+        if self.owned == len(self):
+            return np.searchsorted(self.lattice, lattice)
+        order = np.argsort(self.lattice, kind="stable")
+        found: np.ndarray = order[np.searchsorted(self.lattice[order], lattice)]
+        return found
 
     def find(self, lattice: np.ndarray) -> np.ndarray:
         """Local rows of lattice numbers; -1 for those that aren't active on this rank."""

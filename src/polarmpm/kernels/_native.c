@@ -552,6 +552,7 @@ void polarmpm_mirror(const Matrix *M, int32_t nb, int64_t pairs, const int32_t *
 #include "_elements.h"
 #include "_patches.h"
 #include "_moments.h"
+#include "_measures.h"
 #include "_return.h"
 #include "_lattice.h"
 

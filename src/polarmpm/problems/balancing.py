@@ -13,6 +13,7 @@ from ..assembly.initialstress import InitialStress
 from ..assembly.loadedpoints import LoadedPoints
 from ..forms.initialstress import InitialKernels, InitialStressForm
 from ..kinematics.layout import Layout
+from ..tools.parallel import reduced
 from ..tools.timing import Timer
 
 
@@ -32,8 +33,8 @@ class BalancedResets:
 
     def equip(self, system: LoadedPoints) -> LoadedPoints:
         """Let a system take along the initial stresses that its points have, if there are any."""
-        there = bool(np.any(system.interpolation.reference.initial_stress))
-        if self.comm.allreduce(there, op=MPI.LOR):
+        there = bool(system.interpolation.reference.initial_stress.any())
+        if reduced(self.comm, there, MPI.LOR):
             self._put(system)
         return system
 

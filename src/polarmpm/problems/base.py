@@ -27,7 +27,7 @@ from ..solvers.newton import Controls, Outcome
 from ..solvers.stepping import Schedule, Step, march
 from ..tools import checks
 from ..tools.meetings import collective
-from ..tools.parallel import errors_on_all_ranks
+from ..tools.parallel import errors_on_all_ranks, reduced
 from ..tools.timing import Timer
 from . import along, ranks
 from .attempts import Search
@@ -396,7 +396,7 @@ class Problem(Results):
         works = system.terms.work(start, system.x)
         self.progress.ghost_work += works.pop("ghost", 0.0)
         held = system.holding_energy(system.x) - system.holding_energy(start)
-        self.progress.patch_work += self.comm.allreduce(held)
+        self.progress.patch_work += reduced(self.comm, held)
         self.progress.term_work += sum(works.values())
         system.terms.commit(system.x)
         for term in self.terms:

@@ -17,6 +17,7 @@ from ..assembly.interpolation import Interpolation
 from ..bodies.points import Points
 from ..errors import NotConserved
 from ..geometry.grid import Grid
+from ..tools.parallel import reduce_in_place
 
 _ROUNDING = 1e-11
 _SNAPPED = 2e-8  # of a cell: domains that end so close to a plane are put on it
@@ -36,7 +37,7 @@ class Totals:
     def numbers(cls, points: Points, grid: Grid) -> np.ndarray:
         """Sums over this rank's points, (3 + d,)."""
         v, x = points.volume0, points.x - np.array(grid.lower)
-        return np.array([len(v), v.sum(), v @ np.abs(x).sum(axis=1), *(v @ x)])
+        return np.array([len(v), v.sum(), (v @ np.abs(x)).sum(), *(v @ x)])
 
     @classmethod
     def of(cls, numbers: np.ndarray) -> Totals:
@@ -83,8 +84,8 @@ class Conservation:
         own, d = nodes.owned, grid.dim
         at = nodes.position[:own] - np.array(grid.lower) + x[:own, :d]
         mine = Totals.numbers(points, grid)
-        sums = np.concatenate([mine, [self._volumes.sum()], self._volumes @ at])
-        self.comm.Allreduce(MPI.IN_PLACE, sums)
+        sums = np.array([*mine, self._volumes.sum(), *(self._volumes @ at)])
+        reduce_in_place(self.comm, sums)
         now = Totals.of(sums[: len(mine)])
         on_grid = Totals(now.count, sums[len(mine)], sums[len(mine) + 1 :], now.size)
         _compare("a step: grid instead of points", now, on_grid, _SNAPPED * max(grid.largest) * now.volume)

@@ -34,7 +34,7 @@ from ..terms.base import Term
 from ..terms.ghost import Ghost, GhostPenalty, make_penalty
 from ..tools import checks
 from ..tools.meetings import collective
-from ..tools.parallel import errors_on_all_ranks
+from ..tools.parallel import errors_on_all_ranks, reduced
 from .balancing import BalancedResets
 from .boxes import BoxRecord
 from .conservation import Conservation
@@ -310,8 +310,7 @@ class QuasiStatic(Regridded):
         return ratios
 
     def _check(self, increments: Increments) -> str:
-        bad = self.volume_ratios(increments) <= 0
-        inverted = self.comm.allreduce(int(np.sum(bad)))
+        inverted = reduced(self.comm, int(np.count_nonzero(self.volume_ratios(increments) <= 0)))
         return f"{inverted} material point(s) turned inside out" if inverted else ""
 
     def _trust(self, system: LoadedPoints, start: np.ndarray, outcome: Outcome) -> None:
@@ -347,7 +346,7 @@ class QuasiStatic(Regridded):
         p.reset_due = due or any(term.renew for term in self.terms)
         if not p.reset_due and self.layout.rotations:
             largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
-            if self.comm.allreduce(largest, op=MPI.MAX) > self.rotation_limit:
+            if reduced(self.comm, largest, MPI.MAX) > self.rotation_limit:
                 self._with_boxes(system.rebase_rotations)
                 for term in self.terms:
                     term.rebase_rotations()

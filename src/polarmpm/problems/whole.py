@@ -28,6 +28,7 @@ Changing = tuple[Any, tuple[str, ...] | None]  # an object, and which of its att
 
 
 _CONTAINERS = (list, dict, set)
+_PLAIN = frozenset({np.ndarray, bool, int, float, str, tuple, type(None)})  # what most attributes are
 
 
 class Undo:
@@ -40,10 +41,15 @@ class Undo:
             found = getattr(thing, "__dict__", {})
             kept = dict(found) if names is None else {name: found[name] for name in names if name in found}
             self._attributes.append((thing, kept, names is None))
-            arrays = isinstance(thing, Term)
+            if isinstance(thing, Term):
+                for value in kept.values():
+                    self._remember(value, True)
+                continue
             for value in kept.values():
-                if arrays or isinstance(value, _CONTAINERS):
-                    self._remember(value, arrays)
+                if type(value) in _PLAIN:
+                    continue
+                if isinstance(value, _CONTAINERS):
+                    self._remember(value, False)
 
     def _remember(self, value: Any, arrays: bool) -> None:
         """What a container contains; of terms, which scripts may write, numbers in arrays, too."""

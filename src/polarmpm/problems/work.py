@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mpi4py import MPI
-
 import numpy as np
 
 from ..assembly.system import NodalSystem
+from ..tools.parallel import reduce_in_place
 
 
 @dataclass
@@ -56,5 +55,5 @@ def step_work(
             - system.initial_energy(system.x),
         ]
     )
-    system.comm.Allreduce(MPI.IN_PLACE, sums)
+    reduce_in_place(system.comm, sums)
     return float(sums[0] + sums[1]), float(sums[2])

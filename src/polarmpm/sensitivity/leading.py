@@ -17,6 +17,7 @@ from ..problems.attempts import Search
 from ..problems.observer import Observer
 from ..solvers.arclength import Path, least_cosine
 from ..solvers.newton import Controls, Outcome
+from ..tools.parallel import reduced
 
 
 @dataclass
@@ -74,7 +75,8 @@ class Leading(Search):
     def _note(self, system: NodalSystem, start: np.ndarray, path: Along | None = None) -> None:
         boxes = getattr(system, "_boxes", None)
         shares = None if boxes is None else [b.share for b in boxes]
-        level = rounding.level(system.step.rounding, system.x[:, system.dim :], system.comm)
+        most = float(np.abs(system.x[:, system.dim :]).max(initial=0.0))
+        level = rounding.level(system.step.rounding, reduced(system.comm, most, MPI.MAX))
         self.record = Record(start, system.x, system.residual, shares, level, path)
 
     def at_factor(

@@ -205,6 +205,17 @@ def raise_on_all_ranks(comm: MPI.Comm, error: BaseException | None, what: str = 
         raise error
 
 
+def reduced(comm: MPI.Comm, value: Any, op: MPI.Op = MPI.SUM) -> Any:
+    """A number of all ranks, which one rank alone has already. Collective."""
+    return value if comm.size == 1 else comm.allreduce(value, op=op)
+
+
+def reduce_in_place(comm: MPI.Comm, values: np.ndarray, op: MPI.Op = MPI.SUM) -> None:
+    """Make an array's numbers those of all ranks. Collective."""
+    if comm.size > 1:
+        comm.Allreduce(MPI.IN_PLACE, values, op=op)
+
+
 class Answer:
     """What local work has found, where that has to be the same on all ranks; see `errors_on_all_ranks`."""
 
