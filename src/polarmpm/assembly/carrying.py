@@ -98,7 +98,6 @@ def carry_stress(system: LoadedPoints) -> None:
     initial, i = system.initial, system.interpolation
     assert initial is not None
     initial.replace(np.zeros_like(i.reference.initial_stress))
-    put_shift(system, np.zeros_like(i.reference.side_shift))
     left = system.imbalance()
     size, thin = _norm(system, left), i.basis.thin_reach
     try:
@@ -107,13 +106,10 @@ def carry_stress(system: LoadedPoints) -> None:
             system.assemble_moduli([m.blocks for m in moduli], _THIN if thin else 0.0)
             for k in range(1 if thin else _SOLUTIONS):
                 w, before = system.carrying_motion(left, k, moduli), i.reference.initial_stress.copy()
-                sides = i.reference.side_shift
                 initial.replace(before + _stresses(system, moduli, w))
-                put_shift(system, sides + _shifts(system, w))
                 now = system.imbalance()
                 if not _norm(system, now) < size:  # rounding is reached
                     initial.replace(before)
-                    put_shift(system, sides)
                     break
                 system.carried_by = [*system.carried_by[:k], w]
                 left, size = now, _norm(system, now)
@@ -126,28 +122,8 @@ def carry_forces(system: LoadedPoints) -> None:
     """The same with forces alone. Collective."""
     if system.initial is not None:
         system.initial.replace(np.zeros_like(system.interpolation.reference.initial_stress))
-    put_shift(system, np.zeros_like(system.interpolation.reference.side_shift))
     left = system.imbalance()
     system.carried = left + closing(system, left)
-
-
-def put_shift(system: LoadedPoints, shift: np.ndarray) -> None:
-    """Put in what balances within the boxes (np, d, d, d)."""
-    i = system.interpolation
-    if np.any(shift) or np.any(i.reference.side_shift):
-        i.reference.side_shift = shift
-        for boxes in i.boxes or ():
-            boxes.pack(i.reference)
-
-
-def _shifts(system: LoadedPoints, w: np.ndarray) -> np.ndarray:
-    """What nodal displacements w (nodes, block) are of the variation of F within the boxes, (np, d, d, d)."""
-    i = system.interpolation
-    out = np.zeros_like(i.reference.side_shift)
-    for boxes in i.boxes or ():
-        if boxes.balances:
-            out[boxes.rows] = boxes.shift(i.reference, w)
-    return out
 
 
 def _stresses(system: LoadedPoints, moduli: Sequence[Moduli], w: np.ndarray) -> np.ndarray:

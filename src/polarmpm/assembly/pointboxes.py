@@ -132,9 +132,8 @@ class PointBoxes:
             if not turns.any():
                 turns = None
         frames, tilt = None, None
-        side_F = reference.side_F[rows] + reference.side_shift[rows]
-        if side_F.any():
-            frames = np.ascontiguousarray(side_F @ self._to_frame(reference)[:, None])
+        if reference.side_F[rows].any():
+            frames = np.ascontiguousarray(reference.side_F[rows] @ self._to_frame(reference)[:, None])
             tilt = np.ascontiguousarray(np.linalg.inv(self.batch.frames)[:, None] @ frames)
         self._frames, self._varies = frames, frames is not None or turns is not None
         self._arrays |= {"box_turns": turns, "box_lean": lean, "box_frame": frames, "box_tilt": tilt}
@@ -183,26 +182,6 @@ class PointBoxes:
             out[:, k] = (turn @ odd)[:, 3 - r :]
         return out
 
-    def _turned(self, z: np.ndarray) -> np.ndarray:
-        """I + du/dx~ (n, 1, d, d) of z (n, unknowns)."""
-        d = self.layout.dim
-        gradient = self.layout.part(z, "displacement", 1) @ np.linalg.inv(self.batch.frames)
-        out: np.ndarray = (np.eye(d) + gradient)[:, None]
-        return out
-
-    @property
-    def balances(self) -> bool:
-        """Whether balanced resets shift how the deformation varies within the boxes, too."""
-        return self.carries and not self.layout.rotations
-
-    def shift(self, reference: Reference, x: np.ndarray) -> np.ndarray:
-        """What nodal motions x (nodes, block) are of the variation of F along the half axes, (n, d, d, d)."""
-        d = self.layout.dim
-        z, zk, _ = self.gather(x)
-        grown = zk[:, :, : d * d].reshape(-1, d, d, d)
-        found: np.ndarray = grown @ np.linalg.inv(self._to_frame(reference))[:, None]
-        return np.where((self.share > FLOWED)[:, None, None, None], found, 0.0)
-
     @property
     def carries(self) -> bool:
         """Whether resets carry along how the strains vary within a box. Of bodies of revolution, and of
@@ -223,7 +202,6 @@ class PointBoxes:
         if self._frames is not None:
             grown = grown + self._frames
         grown = grown @ np.linalg.inv(self._to_frame(reference))[:, None]
-        grown = grown - self._turned(z) @ reference.side_shift[rows]
         p.side_F[rows, :, :d, :d] = np.where(lasts[:, None, None, None], grown, 0.0)
         if r:
             kept = reference.side_wryness[rows]
@@ -246,7 +224,6 @@ class PointBoxes:
         lifted: np.ndarray | None,
         *,
         lift_only: bool = False,
-        moduli_of_points: bool = False,
     ) -> None:
         """Add the boxes' tangent at nodal increments x (nodes, block) to a matrix.
 
@@ -255,11 +232,9 @@ class PointBoxes:
             before: x before the last correction, where the kernel predicts stresses.
             lifted: takes what prescribed increments add through the tangent.
             lift_only: the matrix has it already: only what prescribed increments add is meant.
-            moduli_of_points: sides have those of the points.
         """
         # right after a reset the sides have the moduli of the points, but of rings at other radii
         whole = self._varies or bool(np.any(x)) or self.layout.axial
-        whole = whole and not moduli_of_points
         kernels = native.PointKernels()
         native.fill(kernels, kernel=kernel.address, before=before)
         self.put(kernels, None)

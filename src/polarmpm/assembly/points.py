@@ -243,9 +243,6 @@ class PointSystem(OnPattern, LoadedPoints):
                 *map(ctypes.byref, arguments), nothing, nothing.copy(), None
             ):
                 raise MemoryError("no memory for the sums over material points")
-        for own, (_, kernel) in zip(self._boxes or (), self.kernels, strict=False):
-            if own.balances:
-                own.add_moduli(kernel, pattern.matrix, nothing, nothing, None, moduli_of_points=True)
         pattern.mirror()
         self._collect()
         self.moduli_shift = Shift()

@@ -18,8 +18,6 @@ class Reference:
     Attributes:
         x, F, q, wryness: as of `Points`.
         side_F: how F varies along the points' half axes, (np, d, d, d).
-        side_shift: what of this balances the state at a reset, and is taken out again at the next one,
-            (np, d, d, d).
         side_wryness: wryness from which on rotations vary within the points' boxes.
         side_gradients: derivatives along the points' half axes of the gradients of the rotations before their
             base, (np, d, r, d): dw/dx~ F~ of what has turned since then.
@@ -36,7 +34,6 @@ class Reference:
     q: np.ndarray
     wryness: np.ndarray
     side_F: np.ndarray
-    side_shift: np.ndarray
     side_wryness: np.ndarray
     side_gradients: np.ndarray
     initial_stress: np.ndarray
@@ -48,10 +45,10 @@ class Reference:
         """The points' current state, without an initial stress; `block`: unknowns of a node."""
         n, d = len(points), points.dim
         if points.has_sides:
-            sides = points.side_F[:, :, :d, :d].copy(), np.zeros((n, d, d, d)), points.side_wryness.copy()
+            sides = points.side_F[:, :, :d, :d].copy(), points.side_wryness.copy()
             turning = points.side_gradients[:, :, 3 - (block - d) :, :d].copy()
         else:
-            sides = np.zeros((n, d, d, d)), np.zeros((n, d, d, d)), points.wryness.copy()
+            sides = np.zeros((n, d, d, d)), points.wryness.copy()
             turning = np.zeros((n, d, block - d, d))
         columns = d + points.second_gradient * d * (d + 1) // 2
         stress = np.zeros((n, block, columns))

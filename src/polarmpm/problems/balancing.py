@@ -28,7 +28,7 @@ class BalancedResets:
         self.layouts, self.comm, self.timer = tuple(dict.fromkeys(layouts)), comm, timer
         self.kernels: dict[Layout, InitialKernels] = {}
         # initial stresses and forces, while a step is tried with forces alone
-        self._before: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+        self._before: tuple[np.ndarray, np.ndarray] | None = None
 
     def equip(self, system: LoadedPoints) -> LoadedPoints:
         """Let a system take along the initial stresses that its points have, if there are any."""
@@ -57,8 +57,7 @@ class BalancedResets:
         are none."""
         if system.initial is None or not system.initial.active():
             return False
-        reference = system.interpolation.reference
-        self._before = reference.initial_stress.copy(), reference.side_shift, system.carried
+        self._before = system.interpolation.reference.initial_stress.copy(), system.carried
         put_loads()
         carrying.carry_forces(system)
         return True
@@ -67,6 +66,5 @@ class BalancedResets:
         """Put back what was there before `fall_back`."""
         assert system.initial is not None
         assert self._before is not None
-        stress, sides, system.carried = self._before
-        system.initial.replace(stress)
-        carrying.put_shift(system, sides)
+        system.initial.replace(self._before[0])
+        system.carried = self._before[1]
