@@ -23,6 +23,7 @@ from .parts import joined, on_planes, supported
 _TURNED = 0.25
 _REACH = 0.0095  # cells; unlike where boxes of fresh bodies end, a simple fraction
 _GAUSS = 3.0**-0.5
+_LEAST = 1e-4  # of a cell: shorter boxes see no kink
 
 
 class AveragedSplines(QuadraticSplines):
@@ -72,13 +73,18 @@ class AveragedSplines(QuadraticSplines):
         # in its own cell, and in the one that it reaches
         begin, end = np.where(step < 0, plane, low), np.where(step > 0, plane, high)
         mine = self._means(grid, begin, end, cells, orders)
+        if orders > 2:
+            self._put_slopes(mine, grid, (x, half, step), begin, end, cells)
         length = high - low
         share = np.where(length > 0, 1.0 - (end - begin) / np.where(length > 0, length, 1.0), 0.5)
 
         def other(rows: np.ndarray, there: np.ndarray) -> np.ndarray:
             begin = np.where(step > 0, plane, low)[rows]
             end = np.where(step < 0, plane, high)[rows]
-            return self._means(grid, begin, end, there, orders)
+            means = self._means(grid, begin, end, there, orders)
+            if orders > 2:
+                self._put_slopes(means, grid, (x[rows], half[rows], step[rows]), begin, end, there)
+            return means
 
         return joined(cells, step, share, mine, other)
 
@@ -102,6 +108,28 @@ class AveragedSplines(QuadraticSplines):
         means += self.derivatives(grid, centre + away, cells, orders)
         means *= 0.5
         return means
+
+    def _put_slopes(
+        self,
+        means: np.ndarray,
+        grid: Grid,
+        boxes: tuple[np.ndarray, np.ndarray, np.ndarray],
+        low: np.ndarray,
+        high: np.ndarray,
+        cells: np.ndarray,
+    ) -> None:
+        """Of boxes (x, half length, step) that reach another cell, let second derivatives be the slopes of
+        the lines that fit the first ones best, with their kink: 3 / l^2 times the mean of xi N' over the box,
+        here over the parts from low to high (n, d) (m). Stresses that are linear in boxes are then in balance
+        with what acts on them wherever the cells are."""
+        x, half, step = boxes
+        centre, away = 0.5 * (low + high), 0.5 * _GAUSS * (high - low)
+        moment = np.zeros(means[:, :, 1].shape)
+        for at in (centre - away, centre + away):
+            moment += 0.5 * (at - x)[:, :, None] * self.derivatives(grid, at, cells, 2)[:, :, 1]
+        reaching = (step != 0) & (half > _LEAST * grid.sizes(cells))
+        square = np.where(reaching, half, 1.0) ** 2
+        means[:, :, 2] = np.where(reaching[:, :, None], 3.0 * moment / square[:, :, None], means[:, :, 2])
 
 
 def _within_next(grid: Grid, x: np.ndarray, half: np.ndarray, cells: np.ndarray) -> np.ndarray:
