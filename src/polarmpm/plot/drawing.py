@@ -233,6 +233,18 @@ def finish_solid(ax: Any, drawn: Sequence[np.ndarray], view: tuple[float, float]
     ax.view_init(*view)
 
 
+def set_ends(ax: Any, ends: Sequence[np.ndarray], view: tuple[float, float]) -> None:
+    """Axes around the lowest and highest coordinates, whatever is drawn."""
+    low, high = ends
+    if len(low) == 3:
+        ax._polarmpm_drawn = False
+        finish_solid(ax, [np.array(ends)], view)
+        return
+    margin = 0.04 * np.max(high - low)
+    ax.set_xlim(low[0] - margin, high[0] + margin)
+    ax.set_ylim(low[1] - margin, high[1] + margin)
+
+
 def _one_tick(low: float, high: float) -> Any:
     """A tick near the middle: more of them would run into each other along a thin side."""
     from matplotlib.ticker import FixedLocator, MaxNLocator
