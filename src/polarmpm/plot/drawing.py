@@ -173,7 +173,8 @@ def solid_undeformed(ax: Any, polygons: np.ndarray, outward: np.ndarray, view: t
 
     # only what faces the camera: two layers of a translucent grey would show as stripes
     seen = outward @ _camera(view) > 0
-    body = Poly3DCollection(polygons[seen], facecolor=to_rgba(GREY, 0.25), edgecolor="none")
+    body = Poly3DCollection(polygons[seen], facecolor=to_rgba(GREY, 0.25), edgecolor="none", zorder=1)
+    ax.computed_zorder = False  # it would stand in front of the body, which it isn't sorted with
     body.set_antialiased(False)  # no hairlines between neighbours
     body.set_rasterized(len(polygons) > _MANY)
     ax.add_collection3d(body)
@@ -186,7 +187,7 @@ def solid_faces(ax: Any, polygons: np.ndarray, colour: np.ndarray, edges: bool =
     colour = colour.copy()
     colour[:, :3] *= _brightness(polygons)[:, None]
     line = colour * [0.5, 0.5, 0.5, 1.0] if edges else colour
-    body = Poly3DCollection(polygons, facecolor=colour, edgecolor=line, linewidth=0.2)
+    body = Poly3DCollection(polygons, facecolor=colour, edgecolor=line, linewidth=0.2, zorder=2)
     body.set_rasterized(len(polygons) > _MANY)
     ax.add_collection3d(body)
 
