@@ -85,7 +85,9 @@ def solve(cell, args, folder):
     with (
         pm.Recorder(folder / f"{name}.pvd", problem, fields=("velocity", "hardening")) as record,
         pm.Table(folder / f"{name}.csv", front=lambda: front_of(problem), work=problem.energies) as table,
-        demo.film(args, folder / f"{name}.gif", problem, "velocity", length=(1e3, "mm")) as film,
+        demo.film(
+            args, folder / f"{name}.gif", problem, "velocity", length=(1e3, "mm"), domains=True
+        ) as film,
     ):
         for step in problem.march(args.time, dt=args.dt, adaptive=True, smallest=1e-2):
             if step.number % 5 == 0:

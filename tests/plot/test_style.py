@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from polarmpm import InputError, plot
+from polarmpm.plot import drawing
 
 pytest.importorskip("matplotlib")
 
@@ -46,3 +48,16 @@ def test_panels_of_several_kinds_have_the_widths_asked_for():
     assert hasattr(left, "zaxis")
     assert not hasattr(right, "zaxis")
     assert tuple(left.get_subplotspec().get_gridspec().get_width_ratios()) == (2, 1)
+
+
+def test_ends_of_axes_do_not_depend_on_what_is_drawn():
+    """Frames of a movie stand still."""
+    view, ends = (22.0, -60.0), (np.zeros(3), np.array([1.0, 2.0, 3.0]))
+    found = []
+    for large in (5.0, 0.1):
+        _, ax = plot.subplots(subplot_kw={"projection": "3d"})
+        drawing.finish_solid(ax, [np.array([[0.0, 0.0, 0.0], [large] * 3])], view)
+        drawing.set_ends(ax, ends, view)
+        found.append([ax.get_xlim(), ax.get_ylim(), ax.get_zlim()])
+    np.testing.assert_array_equal(*found)
+    assert found[0][2][0] < 0 < 3 < found[0][2][1] < 3.5

@@ -173,7 +173,8 @@ def solid_undeformed(ax: Any, polygons: np.ndarray, outward: np.ndarray, view: t
 
     # only what faces the camera: two layers of a translucent grey would show as stripes
     seen = outward @ _camera(view) > 0
-    body = Poly3DCollection(polygons[seen], facecolor=to_rgba(GREY, 0.25), edgecolor="none")
+    body = Poly3DCollection(polygons[seen], facecolor=to_rgba(GREY, 0.25), edgecolor="none", zorder=1)
+    ax.computed_zorder = False  # it would stand in front of the body, which it isn't sorted with
     body.set_antialiased(False)  # no hairlines between neighbours
     body.set_rasterized(len(polygons) > _MANY)
     ax.add_collection3d(body)
@@ -186,7 +187,7 @@ def solid_faces(ax: Any, polygons: np.ndarray, colour: np.ndarray, edges: bool =
     colour = colour.copy()
     colour[:, :3] *= _brightness(polygons)[:, None]
     line = colour * [0.5, 0.5, 0.5, 1.0] if edges else colour
-    body = Poly3DCollection(polygons, facecolor=colour, edgecolor=line, linewidth=0.2)
+    body = Poly3DCollection(polygons, facecolor=colour, edgecolor=line, linewidth=0.2, zorder=2)
     body.set_rasterized(len(polygons) > _MANY)
     ax.add_collection3d(body)
 
@@ -231,6 +232,18 @@ def finish_solid(ax: Any, drawn: Sequence[np.ndarray], view: tuple[float, float]
     ax.set_box_aspect(span, zoom=0.85)  # labels stay clear of what is beside the axes
     ax.grid(False)
     ax.view_init(*view)
+
+
+def set_ends(ax: Any, ends: Sequence[np.ndarray], view: tuple[float, float]) -> None:
+    """Axes around the lowest and highest coordinates, whatever is drawn."""
+    low, high = ends
+    if len(low) == 3:
+        ax._polarmpm_drawn = False
+        finish_solid(ax, [np.array(ends)], view)
+        return
+    margin = 0.04 * np.max(high - low)
+    ax.set_xlim(low[0] - margin, high[0] + margin)
+    ax.set_ylim(low[1] - margin, high[1] + margin)
 
 
 def _one_tick(low: float, high: float) -> Any:

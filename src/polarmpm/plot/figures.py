@@ -197,8 +197,9 @@ def draw(
     cmap: Any,
     undeformed: bool,
     edges: bool = True,
+    ends: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Any:
-    """Draw a gathered body, on rank 0; a new figure without axes."""
+    """Draw a gathered body, on rank 0, between the ends of the axes, if given; a new figure without axes."""
     with styled():
         dim, mappable = scene.dim, drawing.colours(scene.shown, cmap, options.limits)
         ax = ax or drawing.new_axes(scene.span, **({"projection": "3d"} if dim == 3 else {}))
@@ -209,6 +210,8 @@ def draw(
             _draw_flat_mesh(ax, scene, undeformed, edges, mappable)
         else:
             _draw_solid_mesh(ax, scene, undeformed, edges, mappable, options.view)
+        if ends is not None:  # before the colour bar, which stands where they leave room
+            drawing.set_ends(ax, ends, options.view)
         drawing.name_axes(ax, dim, options.unit)
         if mappable is not None and label is not None:
             drawing.colour_bar(ax, mappable, label, dim)

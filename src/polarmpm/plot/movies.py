@@ -66,7 +66,7 @@ class Movie:
         if isinstance(problem, QuasiStaticFEM):
             scene = figures.mesh_scene(problem.elements, values, at, factor)
         else:
-            scene = figures.points_scene(problem.points, values, factor)
+            scene = figures.points_scene(problem.points, values, factor, self._look["domains"])
         if scene is not None:
             self._scenes.append(scene)
             clock, unit = (
@@ -134,13 +134,7 @@ class Movie:
         look, options, dim = self._look, self._options, scene.dim
         figure.clear()
         ax = figure.add_subplot(**({"projection": "3d"} if dim == 3 else {}))
-        figures.draw(scene, ax, options, look["label"], look["cmap"], look["undeformed"], look["edges"])
-        margin = 0.04 * np.max(ends[1] - ends[0])
-        if dim == 3:
-            drawing.finish_solid(ax, [np.array(ends)], options.view)
-        else:
-            ax.set_xlim(ends[0][0] - margin, ends[1][0] + margin)
-            ax.set_ylim(ends[0][1] - margin, ends[1][1] + margin)
+        figures.draw(scene, ax, options, look["label"], look["cmap"], look["undeformed"], look["edges"], ends)
         ax.set_title(title)
         if look["also"] is not None:
             with checks.evaluating("also"):
@@ -185,6 +179,7 @@ def movie(
     cmap: Any = "viridis",
     undeformed: bool = False,
     edges: bool = True,
+    domains: bool = False,
     length: tuple[float, str] = (1.0, "m"),
     view: tuple[float, float] = (22.0, -60.0),
     fps: float = 10.0,
@@ -204,6 +199,7 @@ def movie(
         path: of the file: .gif, .webp, or .png (animated, in all colours) need nothing, .mp4, .webm and .mov
             the program ffmpeg.
         field, component, label, limits, cmap, undeformed, edges, length, view: as of `plot.view`.
+        domains: of points, as of `plot_points`: for bodies that flow, whose boxes F draws out into needles.
         fps: frames a second.
         dpi: pixels an inch.
         initial: the present state is the first frame.
@@ -225,7 +221,7 @@ def movie(
     what.of(problem)  # an unknown field shows now
     bar = what.label if label == "" else label
     same: dict[str, Any] = {"label": bar, "limits": limits, "cmap": cmap, "length": length, "view": view}
-    flags = {"undeformed": undeformed, "edges": edges, "initial": initial}
+    flags = {"undeformed": undeformed, "edges": edges, "domains": domains, "initial": initial}
     options = Options(comm, problem.points.dim, None, 0, ax=None, **same, **flags)
     look = {"label": bar, "cmap": cmap, "also": also, **flags, **number}
     return Movie(file, problem, what, options, look)

@@ -95,6 +95,10 @@ def _rendered(
             "show_edges": edges and len(now) < 5000,
             "edge_color": "#404040",
             "line_width": 1,
+            # sides in the shade keep the colours of the bar
+            "ambient": 0.5,
+            "diffuse": 0.55,
+            "specular": 0.0,
         }
         if values is None or mappable is None:
             plotter.add_mesh(mesh, color=drawing.PLAIN, **look)
