@@ -2,9 +2,9 @@
 
 Of isotropic classical materials elastic trial state, stress and flow have the same principal axes, which are
 known from the trial state. On a face the flow along each axis is a constant; as derivatives of the yield
-function by the stress its directions would be lost to rounding near an edge, and its moduli long before. On an
-edge two principal stresses are the same, the stress is symmetric about the axis of the third, and what flows
-across it is any sum of the two faces' flows (Koiter).
+function by the stress its directions would be lost to rounding near an edge, and its moduli long before. On
+an edge two principal stresses are the same, the stress is symmetric about the axis of the third, and what
+flows across it is any sum of the two faces' flows (Koiter).
 """
 
 from __future__ import annotations
@@ -175,8 +175,8 @@ class PyramidEdge(Region):
         return np.array([1.0 / scales.modulus] * (2 + pairs) + [1.0] * (pairs + 3))
 
     def flow(self, s: LocalState) -> list[Any]:
-        """Dissipation, and the smallest of both faces' multipliers and the distance of the principal stresses,
-        which is negative beyond the tip."""
+        """Dissipation, and the least of both faces' multipliers and the distance of principal stresses, which
+        is negative beyond the tip."""
         tau, _ = s.kirchhoff()
         _, along, volume = self._flow(s)
         shear = self._shear(s, tau)
