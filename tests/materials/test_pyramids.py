@@ -202,6 +202,41 @@ def test_consistent_tangent(name):
         assert error.max(initial=0.0) < 1e-6, kind
 
 
+@pytest.mark.parametrize(("phi", "stretch"), [(10.0, -0.0178), (0.0, -0.0102), (0.0, 0.0102)])
+def test_moduli_near_sharp_edges_are_bounded(phi, stretch):
+    """States that begin 1e-12 to 1e-3 away from an edge, and end on it or beside it: moduli stay below a few
+    elastic ones, and stresses change by no more than they say."""
+    driven = Driven(pyramid(phi=phi, psi=phi, edges="sharp"), 240)
+    small = np.logspace(-12, -3, 120)
+    z = np.zeros((240, 4))
+    z[:, 0], z[:, 3] = np.concatenate([small, -small]), stretch
+    stress, moduli, y = driven.stress(z)
+    assert len(y.rows) == len(z)
+    assert {0, 2 if stretch < 0 else 1} == set(y.region)
+    largest = 2 * HENCKY.mu + HENCKY.lam
+    assert np.abs(moduli).max() < 10 * largest
+    step = 1e-10 * np.random.default_rng(1).uniform(-1, 1, z.shape)
+    change = driven.stress(z + step)[0] - stress
+    assert np.abs(change).max() < 40 * largest * np.abs(step).max()
+
+
+@pytest.mark.parametrize("phi", [10.0, 40.0])
+def test_stretch_that_is_the_same_in_the_plane_ends_on_the_sharp_tip(phi):
+    """Two stresses are the same, and neither is the one apart: its axis would be any, and the edge about it
+    has a solution far away. From the tip nothing leads away but another stretch."""
+    driven = Driven(pyramid(phi=phi, psi=phi, edges="sharp"), 40)
+    turned = np.linspace(0.0, 0.1, 40)
+    z = np.stack([0.055 + 0.01 * turned, -turned, turned, 0.055 + 0.01 * turned], axis=1)
+    x = driven.solve(z)
+    assert np.all(x.region == 3)
+    assert x.tau == pytest.approx(C / math.tan(math.radians(phi)) * np.tile(np.eye(3), (40, 1, 1)))
+    driven.advance(z)
+    before = driven.points.hardening.copy()
+    again = driven.solve(0 * z)
+    assert np.all(again.region == 3)
+    assert np.abs(again.chi - before[again.rows]).max() < 1e-12
+
+
 @pytest.mark.parametrize("edges", ["sharp", "rounded"])
 def test_edges_are_weaker_by_what_is_said(edges):
     """Triaxial states, at p = 0: the strength is the sharp one less `edge_deficit`, if any."""

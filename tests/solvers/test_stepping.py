@@ -21,8 +21,8 @@ class Stub:
 
     comm = COMM
 
-    def __init__(self, limit: float, iterations: int = 3):
-        self.limit, self.iterations = limit, iterations
+    def __init__(self, limit: float, iterations: int = 3, creeps: bool = False):
+        self.limit, self.iterations, self.creeps = limit, iterations, creeps
         self.progress, self.steps = SimpleNamespace(factor=0.0, step=0), []
         self.attempts: list[float] = []
 
@@ -34,6 +34,12 @@ class Stub:
         history = [(1.0, 1.0)] * (self.iterations + 1)
         if abs(factor - self.progress.factor) > self.limit * (1 + 1e-12):
             return Outcome(False, history, "too far")
+        return self.reach(factor, history)
+
+    def attempt_creeping(self, factor: float) -> Outcome:
+        return self.reach(factor, [(1.0, 1.0)] * 8) if self.creeps else Outcome(False, [], "still too far")
+
+    def reach(self, factor, history):
         self.progress.factor, self.progress.step = factor, self.progress.step + 1
         return Outcome(True, history)
 
@@ -99,6 +105,15 @@ def test_equal_steps_give_up():
     assert e.value.factor == 0.5
     assert len(e.value.tried) == 1
     assert len(e.value.history) == 4
+
+
+def test_steps_that_cannot_be_cut_creep():
+    """Those that can are cut first; iterations of both ways count."""
+    (step,) = run(Stub(0.3, creeps=True), 1)
+    assert (step.factor, step.cuts, len(step.history)) == (1.0, 0, 12)
+    stub = Stub(0.13, creeps=True)
+    assert [step.cuts for step in run(stub, 1, adaptive=True, smallest=0.5)] == [1, 0]
+    assert stub.attempts == [1.0, 0.5, 1.0]
 
 
 def test_adaptive_cuts_retries_and_grows():

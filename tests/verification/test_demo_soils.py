@@ -41,12 +41,15 @@ def test_default_settings_of_the_slope(run):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("degrees", "settlement", "size"), [(20, 0.02, (7.0, 3.5)), (30, 0.04, (11.0, 5.0))])
-def test_footing_on_frictional_soil(folder, degrees, settlement, size):
+@pytest.mark.parametrize(
+    ("degrees", "edges", "settlement", "size"),
+    [(20, "sharp", 0.02, (7.0, 3.5)), (30, "rounded", 0.04, (11.0, 5.0))],
+)
+def test_footing_on_frictional_soil(folder, degrees, edges, settlement, size):
     """Prandtl's N_c with psi = phi, 14.835 and 30.14, on coarse cells."""
     demo, phi = demo_module("strip_footing"), math.radians(degrees)
     elastic = pm.Hencky.from_engineering(E=demo.YOUNG, nu=demo.POISSON)
-    demo.soil = lambda: pm.MohrCoulomb(elastic, phi=phi, psi=phi, c=demo.STRENGTH)
+    demo.soil = lambda: pm.MohrCoulomb(elastic, phi=phi, psi=phi, c=demo.STRENGTH, edges=edges)
     demo.SETTLEMENT, (demo.LENGTH, demo.DEPTH) = settlement, size
     args = argparse.Namespace(cells=4, points_per_cell=2, steps=20, locking="cured", grid="equal")
     _, loads, _ = demo.solve("bspline", args, folder)

@@ -17,22 +17,29 @@ class Viscosity:
 
     Args:
         time: stress over that of the same strain, per strain rate (s).
+
+    Attributes:
+        scale: stress over the elastic one of the same strain, since the start of the step.
     """
 
     def __init__(self, time: float):
-        self.time, self._scale = time, 0.0
+        self.time, self.scale = time, 0.0
         self._moduli: list[np.ndarray] = []
         self._start: list[np.ndarray] = []
 
     def begin(self, system: Any, duration: float) -> None:
         """A step begins, which takes `duration` (s) up to the state in which forces are in balance."""
-        self._scale = self.time / duration
+        self.scale = self.time / duration
         self._moduli = [_whole(*system.elastic_tangent(k)) for k in range(system.batches)]
+        self.count_from(system)
+
+    def count_from(self, system: Any) -> None:
+        """Strains count from the present increments on."""
         self._start = [system.unknowns(k) for k in range(system.batches)]
 
     def blocks(self, system: Any, k: int, tangent: bool) -> np.ndarray:
         """Stresses, and with `tangent` moduli, of the points of batch k, as of a return mapping."""
-        moduli = self._scale * self._moduli[k]
+        moduli = self.scale * self._moduli[k]
         stress: np.ndarray = np.einsum("nij,nj->ni", moduli, system.unknowns(k) - self._start[k])
         if not tangent:
             return stress

@@ -2,9 +2,9 @@
 
 Of isotropic classical materials elastic trial state, stress and flow have the same principal axes, which are
 known from the trial state. On a face the flow along each axis is a constant; as derivatives of the yield
-function by the stress its directions would be lost to rounding near an edge, and its moduli long before. On an
-edge two principal stresses are the same, the stress is symmetric about the axis of the third, and what flows
-across it is any sum of the two faces' flows (Koiter).
+function by the stress its directions would be lost to rounding near an edge, and its moduli long before. On
+an edge two principal stresses are the same, the stress is symmetric about the axis of the third, and what
+flows across it is any sum of the two faces' flows (Koiter).
 """
 
 from __future__ import annotations
@@ -52,11 +52,12 @@ def principal_values(a: Any) -> tuple[Any, Any, Any]:
     return mean + high, mean + low - high, mean - low
 
 
-def _certain(s: LocalState) -> Any:
-    """Strain by which the trial state's principal values are apart, less what counts as rounding: on the apex
-    their axes are any."""
-    trial = ufl.dev(ufl.dot(s.Fe_trial, ufl.transpose(s.Fe_trial)))
-    return ufl.sqrt(ufl.inner(trial, trial)) - _APART
+def _certain(trial: Any, sign: Any) -> Any:
+    """By how much the largest (sign 1) or smallest eigenvalue of a trial Fe Fe^T differs from the next one,
+    less what counts as rounding: with a smaller distance the axis would be any."""
+    size, x = _cosine(sign * ufl.dev(trial))
+    high = 2 * size * largest_root(ufl.conditional(ufl.gt(size, 0.0), x, 0.0))
+    return 1.5 * high - ufl.sqrt(ufl.max_value(0.0, 3 * size**2 - 0.75 * high**2)) - _APART
 
 
 def axis_projector(a: Any, sign: Any) -> Any:
@@ -84,11 +85,17 @@ class PyramidFace(Region):
         self.material, self.name, self.surfaces = material, surface.name, (surface,)
 
     @staticmethod
-    def _axes(s: LocalState) -> tuple[Any, Any]:
-        """n n of the largest and of the smallest principal stress."""
+    def _trial(s: LocalState) -> tuple[Any, Any, Any]:
+        """Fe Fe^T, whether its largest eigenvalue is the one that is apart, and the sign of that."""
         trial = ufl.dot(s.Fe_trial, ufl.transpose(s.Fe_trial))
-        above = ufl.gt(ufl.det(ufl.dev(trial)), 0.0)  # the largest is the one that is apart
-        sign = ufl.conditional(above, 1.0, -1.0)
+        above = ufl.gt(ufl.det(ufl.dev(trial)), 0.0)
+        return trial, above, ufl.conditional(above, 1.0, -1.0)
+
+    @staticmethod
+    def _axes(s: LocalState) -> tuple[Any, Any, Any]:
+        """n n of the largest and of the smallest principal stress, and by how much the two eigenvalues of the
+        trial state that are close to each other differ."""
+        trial, above, sign = PyramidFace._trial(s)
         first = axis_projector(trial, sign)
         plane = ufl.Identity(3) - first
         across = ufl.dot(plane, ufl.dot(trial, plane))
@@ -98,12 +105,12 @@ class PyramidFace(Region):
         high = ufl.as_tensor(
             [[ufl.conditional(above, first[i, j], second[i, j]) for j in range(3)] for i in range(3)]
         )
-        return high, first + second - high
+        return high, first + second - high, 2 * size
 
     def residual(self, s: LocalState) -> list[Any]:
         """The flow along the axes, and the yield function of the principal stresses."""
         tau, _ = s.kirchhoff()
-        high, low = self._axes(s)
+        high, low, _ = self._axes(s)
         (multiplier,), half = s.multipliers, math.sqrt(3) / 2
         rise, fall = half * (1 + s.p.sin_psi), half * (1 - s.p.sin_psi)
         flow = ufl.Identity(3) + (ufl.exp(-multiplier * rise) - 1) * high
@@ -123,12 +130,15 @@ class PyramidFace(Region):
     def flow(self, s: LocalState) -> list[Any]:
         """Dissipation, and the smallest of the multiplier and the distances of the principal stresses."""
         tau, _ = s.kirchhoff()
-        axes, (multiplier,), half = self._axes(s), s.multipliers, math.sqrt(3) / 2
+        (multiplier,), half = s.multipliers, math.sqrt(3) / 2
+        *axes, distance = self._axes(s)
         high, low = (ufl.inner(tau, axis) for axis in axes)
         middle = ufl.tr(tau) - high - low
         work = half * multiplier * ((1 + s.p.sin_psi) * high - (1 - s.p.sin_psi) * low)
         apart = ufl.min_value(high - middle, middle - low) / s.p.scale - _APART
-        return [work - s.hardening_work(), ufl.min_value(multiplier, ufl.min_value(apart, _certain(s)))]
+        trial, _, sign = self._trial(s)
+        certain = ufl.min_value(distance - _APART, _certain(trial, sign))
+        return [work - s.hardening_work(), ufl.min_value(multiplier, ufl.min_value(apart, certain))]
 
 
 class PyramidEdge(Region):
@@ -175,8 +185,8 @@ class PyramidEdge(Region):
         return np.array([1.0 / scales.modulus] * (2 + pairs) + [1.0] * (pairs + 3))
 
     def flow(self, s: LocalState) -> list[Any]:
-        """Dissipation, and the smallest of both faces' multipliers and the distance of the principal stresses,
-        which is negative beyond the tip."""
+        """Dissipation, and the least of both faces' multipliers and the distance of principal stresses, which
+        is negative beyond the tip."""
         tau, _ = s.kirchhoff()
         _, along, volume = self._flow(s)
         shear = self._shear(s, tau)
@@ -185,5 +195,6 @@ class PyramidEdge(Region):
         square = squared_log_strain(*strain_invariants(s.flow)) - along**2
         apart = ufl.sqrt(ufl.max_value(0.0, square / 2 - across**2 / 4))
         least = -self.sign * across * (0.5 + 1e-6) - apart
-        apart = ufl.min_value(3 * shear / s.p.scale - _APART, _certain(s))
+        trial = ufl.dot(s.Fe_trial, ufl.transpose(s.Fe_trial))
+        apart = ufl.min_value(3 * shear / s.p.scale - _APART, _certain(trial, self.sign))
         return [work - s.hardening_work(), ufl.min_value(least, apart)]

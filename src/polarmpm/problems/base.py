@@ -29,8 +29,7 @@ from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks, reduced
 from ..tools.timing import Timer
-from . import along, ranks
-from .attempts import Search
+from . import along, attempts, ranks
 from .marching import March
 from .observer import Observer
 from .reactions import Equilibrium
@@ -69,7 +68,7 @@ class Problem(Results):
         self._fields = StateFields(comm)
         self._last_x: np.ndarray | None = None  # where the points were before the last step
         self.failed_at: np.ndarray | None = None
-        self.search = Search()
+        self.search = attempts.Search()
 
     # what the methods differ in -------------------------------------------------------------------
     @abstractmethod
@@ -202,6 +201,12 @@ class Problem(Results):
         factor = _factor(factor)
         with ranks.step(self, f"the step to load factor {factor:.9g}", factor), self._solving("attempt"):
             return self.whole(partial(self._attempt_or_fall_back, factor))
+
+    def attempt_creeping(self, factor: float) -> Outcome:
+        """The same where `attempt` has failed, by `attempts.creep`; bodies that don't yield fail at once."""
+        factor = _factor(factor)
+        with ranks.step(self, f"the step to load factor {factor:.9g}", factor), self._solving("attempt"):
+            return self.whole(partial(attempts.creeping, self, partial(self._attempt, factor)))
 
     def _attempt_or_fall_back(self, factor: float) -> Outcome:
         outcome = self._attempt(factor)

@@ -32,6 +32,9 @@ class Marching(Stepped, Protocol):
 
     def attempt(self, factor: float) -> Outcome: ...
 
+    def attempt_creeping(self, factor: float) -> Outcome:
+        """Another way, where `attempt` has failed and no shorter step is to be tried."""
+
     def suited(self, size: float) -> float:
         """How long a step should be, after one of `size`, where errors are controlled."""
 
@@ -231,8 +234,14 @@ def _called(schedule: Any) -> str:
     return repr({name: value for name, value in given if name not in ("progress", "until")})
 
 
-def _attempt(problem: Marching, factor: float, tried: list[str]) -> Step | Outcome:
+def _attempt(problem: Marching, factor: float, tried: list[str], last: bool) -> Step | Outcome:
+    """Try a step; `last`: no shorter one is to be tried."""
     outcome = problem.attempt(factor)
+    if not outcome.converged and last:
+        crept = problem.attempt_creeping(factor)
+        if crept.converged:
+            crept.history[:0] = outcome.history
+            outcome = crept
     if not outcome.converged:
         tried.append(
             f"{clock_of(problem)} {factor:.6g}: {outcome.reason} after {outcome.iterations} iterations"
@@ -268,7 +277,7 @@ def _equal(problem: Marching, schedule: Schedule, explain: Explain | None) -> It
         check_alone(problem, last)
         factor = schedule.to if k == schedule.number else _part(begin, schedule.to, k / schedule.number)
         tried: list[str] = []
-        step = _attempt(problem, factor, tried)
+        step = _attempt(problem, factor, tried, last=True)
         if isinstance(step, Outcome):
             raise failed(problem, factor, step.history, tried, explain)
         last = step
@@ -305,11 +314,13 @@ def _adaptive(problem: Marching, schedule: Schedule, explain: Explain | None) ->
             left = schedule.to - begin
             # the last step takes what is left, so that none is tiny
             factor = schedule.to if abs(left) <= 1.000001 * abs(size) else begin + size
-            step = _attempt(problem, factor, tried)
+            half = 0.5 * min(size, left, key=abs)
+            shortest = abs(half) < schedule.smallest * abs(first)
+            step = _attempt(problem, factor, tried, shortest)
             if isinstance(step, Step):
                 break
-            size = 0.5 * min(size, left, key=abs)
-            if abs(size) < schedule.smallest * abs(first):
+            size = half
+            if shortest:
                 raise failed(problem, factor, step.history, tried, explain)
         if schedule.controlled:
             size = min(problem.suited(size), largest, key=abs)
