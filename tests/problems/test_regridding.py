@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import math
+from contextlib import nullcontext
 from typing import Any
 
 from mpi4py import MPI
@@ -72,6 +73,43 @@ def test_parts_have_what_their_points_had(dim):
     assert np.all(points.half_length0 <= half[made.rows] * (1 + 1e-12))
     whole = made.number == 1
     np.testing.assert_array_equal(points.half_length0[whole], half[made.rows][whole])
+
+
+def balance(problem: pm.QuasiStatic) -> np.ndarray:
+    """Energies (J) of the body, volumes (m^3) and first moments, over all ranks."""
+    p, found = problem.points, problem.energies()
+    energies = [
+        found["stored"],
+        found["dissipated"],
+        found["residue"],
+        problem.box_record.energy(problem.system),
+    ]
+    sums = np.concatenate([[p.volume0.sum(), p.volume.sum()], p.volume0 @ p.x, p.volume0 @ p.X])
+    return np.concatenate([energies, COMM.allreduce(sums)])
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_energy_stays(dim):
+    """Of bodies that bend, in the plane flow and harden: at points, and in their boxes."""
+    hard = pm.DruckerPrager(ELASTIC, k=40e6, H=1e9, **CONE)
+    grid = pm.Grid.box((0,) * dim, (4, 2, 1)[:dim], 0.5)
+    points = pm.seed(
+        grid, bounds=((0,) * dim, (3, 1.3, 0.7)[:dim]), material=hard if dim == 2 else NEO_HOOKEAN
+    )
+    problem = pm.QuasiStatic(grid, points, regrid=lambda problem: None, reset=1)
+    problem.fix(pm.plane(x=0.0), u=0)
+    problem.body_load(force=(0, 7e6, 0)[:dim] if dim == 2 else (0, 1.0, 0))
+    list(problem.march(2, progress=False))
+    before = balance(problem)
+    assert np.all(before[[0, 3]] > 0.0)
+    assert dim == 3 or before[1] > 1e3
+    with (
+        pytest.warns(pm.TrustWarning, match="flowed before cells become finer") if dim == 2 else nullcontext()
+    ):
+        problem._take_grid(pm.Grid.box((0,) * dim, (4, 2, 1)[:dim], 0.25), late=True)
+    assert problem.regrids[0].split > 0
+    after = balance(problem)
+    np.testing.assert_allclose(after, before, rtol=1e-13, atol=1e-13 * before[0])
 
 
 def test_lineage_over_generations():
@@ -285,6 +323,30 @@ def test_a_function_chooses_grids_and_loads_follow():
     np.testing.assert_allclose(one, other, rtol=0.02)
     stored = problem.energies()
     assert abs(stored["residue"]) < 0.05 * stored["stored"]
+
+
+def test_a_function_of_trials_has_steps_taken_again():
+    """Nothing flows in coarse cells; the grid that there is already changes nothing."""
+    fine = pm.Grid.graded(x=np.linspace(0, 0.05, 6), y=np.linspace(0, 0.1, 51))
+    asked = []
+
+    def resolved(problem: pm.QuasiStatic, trial: Any) -> pm.Grid | None:
+        asked.append((problem.progress.step, bool(COMM.allreduce(int(trial.flowed.any())))))
+        return fine if asked[-1][1] else None
+
+    problem, base = layer(5, resolved, reset=None)
+    first = next(step for step, flows in asked if flows)
+    assert [one.step for one in problem.regrids] == [first]
+    assert [step for step, _ in asked].count(first) == 2  # the trial, and once more
+    whole, held = layer(5, None, fine.lines[1], reset=ResetAt([first]))
+    found, expected = (np.array([p.reaction(b)[0][0], band(p)]) for p, b in ((problem, base), (whole, held)))
+    np.testing.assert_allclose(found, expected, rtol=2e-3)
+
+
+def test_a_function_that_always_returns_its_grid_changes_nothing():
+    problem, *_ = bar(lambda problem: pm.Grid.box((0, -1), (4, 2), 0.5))
+    list(problem.march(3, progress=False))
+    assert problem.regrids == ()
 
 
 def test_planes_of_supports_have_to_stay():

@@ -142,9 +142,11 @@ class LoadedPoints(ProjectedPoints):
         return elastic and self.couple_kernel is None and self.terms.symmetric
 
     def weak_nodes(self) -> np.ndarray:
+        i, own = self.interpolation, self.nodes.owned
         size = np.prod(self.sizes, axis=-1)
-        own = self.nodes.owned
-        weak: np.ndarray = self.node_volumes()[:own] < _WEAK * (size[:own] if size.ndim else size)
+        if not i.grid.equal:
+            size = np.prod(i.basis.extents(i.grid, self.nodes.lattice[:own]), axis=1)
+        weak: np.ndarray = self.node_volumes()[:own] < _WEAK * size
         return weak
 
     def is_large(self) -> bool:

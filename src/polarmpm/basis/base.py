@@ -197,6 +197,11 @@ class Basis(ABC):
         the field's own."""
         return grid.node_position(numbers)
 
+    def extents(self, grid: Grid, numbers: np.ndarray) -> np.ndarray:
+        """Integrals (m), (n, d), of the functions of nodes of lattice numbers (n,) along each axis, as if the
+        grid went on beyond its walls."""
+        return grid.sizes_around(grid.node_position(numbers))
+
     def domains(self, F: np.ndarray, half_length0: np.ndarray) -> np.ndarray:
         """Half lengths (m), (n, d), of the domains over which points are weighted, from their deformation
         gradients (n, 3, 3) and initial half lengths (n, d) (m); asked for where `uses_domains`."""

@@ -48,6 +48,9 @@ class Followed(Basis):
     def positions(self, grid: Grid, numbers: np.ndarray) -> np.ndarray:
         return self._basis.positions(grid, numbers)
 
+    def extents(self, grid: Grid, numbers: np.ndarray) -> np.ndarray:
+        return self._basis.extents(grid, numbers)
+
     def domains(self, F: np.ndarray, half_length0: np.ndarray) -> np.ndarray:
         return self._basis.domains(F, half_length0)
 

@@ -27,6 +27,11 @@ class Splines(Basis):
         knots = (np.clip(index - k, 0, grid.shape) for k in range(self.degree))
         return sum((grid.position(k) for k in knots), np.zeros(index.shape)) / self.degree
 
+    def extents(self, grid: Grid, numbers: np.ndarray) -> np.ndarray:
+        index = grid.node_index(numbers)
+        size: np.ndarray = (grid.position(index + 1) - grid.position(index - self.degree)) / (self.degree + 1)
+        return size
+
     def mirror(self, grid: Grid, axis: int, index: int, side: int, even: bool) -> list[Layer]:
         """On a wall the slope is a multiple of the difference of the first two layers, as knots are repeated
         there: an even field has the same in both. The second derivative of an odd one vanishes where it is

@@ -221,26 +221,37 @@ class FollowBody:
 
 @dataclass(frozen=True)
 class ByFunction:
-    """A script's function of the problem, asked at each reset."""
+    """A script's function: of the problem, asked at each reset; or of the problem and a trial, asked after
+    each step that has converged, before it is taken."""
 
     function: Any
+    of_trials: bool
     splits = True
 
     def check(self, problem: Any) -> None:
         pass
 
     def at_reset(self, problem: Any) -> Grid | None:
-        found = self.function(problem)
-        if found is not None:
-            checks.instance("regrid: what the function returns", found, Grid, "a Grid, or None, is")
-        return found  # type: ignore[no-any-return]
+        return None if self.of_trials else self._other(problem, problem.regridding.now(problem))
 
     def after_trial(self, problem: Any, trial: Trial) -> Grid | None:
-        return None
+        return self._other(problem, problem.grid, trial) if self.of_trials else None
+
+    def _other(self, problem: Any, now: Grid, *more: Trial) -> Grid | None:
+        """What the function returns, unless it is the grid that there is."""
+        found = self.function(problem, *more)
+        if found is None:
+            return None
+        checks.instance("regrid: what the function returns", found, Grid, "a Grid, or None, is")
+        same = found.shape == now.shape and all(
+            bool(np.all(np.abs(a - b) <= 1e-9 * np.diff(b).min()))
+            for a, b in zip(found.lines, now.lines, strict=True)
+        )
+        return None if same else found
 
 
 def make_policy(regrid: Any) -> RegridPolicy | None:
-    """A policy, or a function of the problem that returns a grid or None.
+    """A policy, or a function of the problem, or of the problem and a `Trial`, that returns a grid or None.
 
     Raises:
         InputError: something else.
@@ -249,7 +260,16 @@ def make_policy(regrid: Any) -> RegridPolicy | None:
         found: RegridPolicy | None = regrid
         return found
     what = "AlongBands(h=...), FollowBody(margin=...), a function of the problem, or None is"
-    return ByFunction(checks.function("regrid", regrid, what, takes=("problem",)))
+    function = checks.function("regrid", regrid, what)
+    try:
+        checks.function("regrid", regrid, what, takes=("problem",))
+    except InputError as refused:
+        try:
+            checks.function("regrid", regrid, what, takes=("problem", "trial"))
+        except InputError:
+            raise refused from None
+        return ByFunction(function, of_trials=True)
+    return ByFunction(function, of_trials=False)
 
 
 # arguments --------------------------------------------------------------------------------------------

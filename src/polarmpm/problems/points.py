@@ -103,8 +103,9 @@ class QuasiStatic(Regridded):
         locking: "auto": materials that lock on coarse cells (docs/stability.md) see the mean volume, and
             relative rotation, of a patch of cells instead of their points' own; "always": all do; None: none.
         regrid: a policy of other grids in the course of the run, such as `AlongBands` or `FollowBody`; or a
-            function of the problem that returns a grid, or None, at each reset. Points are split where cells
-            become finer (docs/grids.md). `regrids` tells of each change.
+            function that returns a grid, or None: of the problem at each reset, or of the problem and a
+            `Trial` after each step, which is then taken again. Points are split where cells become finer
+            (docs/grids.md). `regrids` tells of each change.
 
     Raises:
         InputError: an argument is out of range; materials that don't go together.

@@ -21,12 +21,13 @@ from ..bodies.points import Points
 from ..bodies.splitting import Split, check_splittable, parts_for, points_per_cell, split
 from ..bodies.validity import Seal
 from ..conditions.supports import Support
-from ..errors import InputError
+from ..errors import InputError, TrustWarning
 from ..geometry.grid import GradedGrid, Grid
 from ..geometry.planes import Plane, PlaneSpec
 from ..solvers.newton import Outcome
 from ..terms.base import Term
 from ..terms.sites import Sites
+from ..tools.caller import warn
 from ..tools.parallel import errors_on_all_ranks
 from .gridpolicies import RegridPolicy, Trial, make_policy
 from .stages import Staged
@@ -229,23 +230,23 @@ class Regridded(Staged):
         with errors_on_all_ranks(self.comm, "the policy of grids"):
             r.wanted = r.policy.after_trial(self, trial)
         if r.wanted is not None:
-            outcome.converged, outcome.reason = False, "the step is taken again in another grid"
+            outcome.converged = False
+            outcome.reason = f"regrid asks for another grid, {_TIMES} of which have been tried in this step"
 
     # grids ----------------------------------------------------------------------------------------
     def _reset(self) -> LoadedPoints:
         r = self.regridding
         if r.policy is not None:
-            grid = r.wanted
-            if grid is None:
-                grid = r.policy.at_reset(self)
+            again = r.wanted
+            grid = again or r.policy.at_reset(self)
             if grid is not None:
                 r.wanted = None
                 with self.timer("regrid"):
-                    self._take_grid(grid)
+                    self._take_grid(grid, late=again is None)
         return super()._reset()
 
-    def _take_grid(self, grid: Grid) -> None:
-        """Go on with another grid from the last converged state."""
+    def _take_grid(self, grid: Grid, late: bool = False) -> None:
+        """Go on with another grid from the last converged state; `late`: not to take a step again."""
         p, points = self.progress, self.points
         if grid.dim != self.grid.dim:
             raise InputError(f"regrid: the new grid has {grid.dim} dimensions, the body has {self.grid.dim}")
@@ -253,6 +254,8 @@ class Regridded(Staged):
         old, number = self.regridding.now(self), self.comm.allreduce(len(points))
         self._moving.renew(grid, p.factor if p.step else None, self.supports)
         parts = self.regridding.parts(points, old, grid)
+        if late and points.plastic:
+            self._warn_of_history(np.prod(parts, axis=1) > 1)
         made = split(points, parts, grid)
         count = self.comm.allreduce(np.array([np.sum(np.prod(parts, axis=1) > 1), len(points)]))
         self.keep({name: self._of_parts(name, rows, made, before) for name, rows in kept.items()})
@@ -269,6 +272,18 @@ class Regridded(Staged):
         if self.comm.size > 1:
             self._migrate()
         self.regridding.done.append(Regrid(p.step, p.factor, grid.shape, int(count[0]), int(count[1])))
+
+    def _warn_of_history(self, smaller: np.ndarray) -> None:
+        """Points (np,) that come to smaller cells may have flowed in those of before."""
+        flowed: int = self.comm.allreduce(int(np.sum(smaller & (self.points.hardening > 0.0))))
+        with errors_on_all_ranks(self.comm):  # of warnings a script may make errors
+            if flowed and self.comm.rank == 0:
+                warn(
+                    f"regrid: {flowed} point(s) have flowed before cells become finer at them; what larger "
+                    "cells have put into their history stays. AlongBands and functions of (problem, trial) "
+                    "take the step in which points flow again instead (docs/grids.md)",
+                    TrustWarning,
+                )
 
     def _of_parts(self, name: str, rows: np.ndarray, made: Split, before: np.ndarray) -> np.ndarray:
         """What is kept of parts, of rows (np, ...) of the points, which were at `before`."""

@@ -22,6 +22,7 @@ from .linear import LatticeRows, SingularTangent
 
 _COARSEST, _FEW = 8000, 500  # unknowns that are factored: at most, and such as aren't worth a coarser level
 _SHARED = 30_000  # unknowns of weak nodes that every rank factors; else each of its own ones
+_ENCLOSED = 0.33  # share of the next nodes that are weak: a layer behind faces
 _SHIFT = 1e-11  # of the coarsest diagonal
 
 
@@ -51,6 +52,7 @@ class Hierarchy:
         )
         columns = owned + (len(self.halo.numbers) if self.halo else 0)
         self.levels = [Level(rows, columns)]
+        self._index: np.ndarray = lattice.nodes
         self._bring(lattice)
         self._find_weak(lattice)
         self._coarsest: Part | None = None
@@ -81,6 +83,7 @@ class Hierarchy:
             known = np.concatenate(comm.allgather(index))
             index = np.concatenate([index, np.zeros((len(self.halo.numbers), index.shape[1]), np.int64)])
             self.halo.fill(index)
+        self._index = index
         unknowns = len(known) * lattice.block
         most = min(_COARSEST, max(_FEW, unknowns // 4))
         while unknowns > most or comm is not None:
@@ -110,6 +113,11 @@ class Hierarchy:
         if self.halo is not None:
             self.halo.fill(marked)
         cols, (row, _) = level.rows.kept["cols"], level.pairs
+        if not lattice.equal:
+            self._add_enclosed(marked, row, cols)
+            weak = marked[: level.nodes] > 0
+            count = int(weak.sum())
+            total = self._comm.allreduce(count) if self._comm is not None else count
         near = marked[: level.nodes].astype(bool)
         near[row[marked[cols] > 0]] = True
         back = cols[(marked[row] > 0) & (cols < level.nodes)]
@@ -120,6 +128,19 @@ class Hierarchy:
             self._weak = Part(level, self._rows, self._symmetric, self.halo)
         elif count:
             self._weak = Part(level, self._rows, self._symmetric)
+
+    def _add_enclosed(self, marked: np.ndarray, row: np.ndarray, cols: np.ndarray) -> None:
+        """Mark (columns,) nodes of which a third of the next ones are weak, the second layer at faces: there
+        splines of long cells oscillate, which relaxation hardly reduces. Collective."""
+        next_ones = np.all(np.abs(self._index[row] - self._index[cols]) <= 1, axis=1) & (row != cols)
+        a, b = row[next_ones], cols[next_ones]
+        if self.finest.rows.half:  # of one rank
+            a, b = np.concatenate([a, b]), np.concatenate([b, a])
+        own = self.finest.nodes
+        count = np.bincount(a, marked[b], len(marked))[:own]
+        marked[:own] |= count > _ENCLOSED * (3 ** self._index.shape[1] - 1)
+        if self.halo is not None:
+            self.halo.fill(marked)
 
     def renew_weak(self) -> None:
         """Take the weak nodes' part of the rows as it is.

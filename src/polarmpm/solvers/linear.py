@@ -68,6 +68,12 @@ class LatticeRows:
     as_force: np.ndarray
     put: Callable[[], None]
 
+    @property
+    def equal(self) -> bool:
+        """Whether cells have the same size along each axis."""
+        sizes = [np.diff(a) for a in self.lines]
+        return all(bool(np.ptp(h) <= 1e-6 * h[0]) for h in sizes if len(h))
+
 
 @dataclass(frozen=True)
 class Tangent:
