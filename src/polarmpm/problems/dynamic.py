@@ -196,14 +196,13 @@ class Dynamic(Moving, QuasiStatic):
             found = Parts.of(system, p)
             self._pieces = (found.points if len(found.count) > p.bodies else np.zeros(len(p))).astype(float)
             self._several = len(found.count) > p.bodies
-        moved = increments.value[:, :d]
+        moved, body = increments.value[:, :d], p.body if p.bodies > 1 else np.zeros(len(p), dtype=np.int32)
         if self._several:
             most = float(np.abs(moved).max(initial=0.0)) / self.cell_size
             far = self.comm.allreduce(most, op=MPI.MAX) > policy.near
-            body = p.body if p.bodies > 1 else np.zeros(len(p), dtype=np.int32)
             if far and pieces_meet(self.grid, self.comm, p.x, self._pieces.astype(np.int64), body):
                 return True
-        return meets_supports(self.grid, self.comm, self.supports, p.x, p.x - moved)
+        return meets_supports(self.grid, self.comm, self.supports, p.x, p.x - moved, body)
 
     def kept(self) -> dict[str, np.ndarray]:
         return super().kept() | ({} if self._pieces is None else {"piece": self._pieces})
