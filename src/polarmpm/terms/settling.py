@@ -20,6 +20,7 @@ from .base import Term
 
 _ENOUGH = 1e-13  # out-of-balance forces over the sum of the sizes of all
 _POOR = 1e-9  # the same where rounding allows no less
+_EPSILONS = 4.0  # of places, that count as rounding
 _MOST, _SHARES = 60, 20
 _LEFT = 0.5  # of the slope along a correction, with which a share of it is good enough
 _RESISTED = 0.1  # share of the forces that nothing resists, from which on they are followed
@@ -44,6 +45,7 @@ class Settling(Term):
     step: TimeStep | None
     moved: np.ndarray
     free: np.ndarray
+    position: np.ndarray
     active: bool
     frozen: bool
     lever = 1.0
@@ -75,8 +77,8 @@ class Settling(Term):
             if np.all(off <= _ENOUGH * size[self.free]):
                 break
             found = self._along(q, *self._correction(tangent, force), force, pushing)
-            better = np.linalg.norm(found[1] * self._weights) < np.linalg.norm(force * self._weights)
-            if not better and np.all(off <= _POOR * size[self.free]):
+            less = np.linalg.norm(found[1] * self._weights) < _LEFT * np.linalg.norm(force * self._weights)
+            if not less and np.all(off <= _POOR * size[self.free] + self._rounding()[self.free]):
                 self._sums(q, pushing)
                 break
             q, force, tangent, size = found
@@ -93,6 +95,12 @@ class Settling(Term):
         return np.where(
             self.free, np.repeat([1.0, 1.0 / self.lever], [self.dim, motions(self.dim) - self.dim]), 0.0
         )
+
+    def _rounding(self) -> np.ndarray:
+        """Forces (k,) that rounding of places makes: what springs have of it."""
+        reach = float(np.abs(self.position).max()) + self.lever
+        force = _EPSILONS * np.finfo(float).eps * self.stiffness * reach
+        return force * np.repeat([1.0, self.lever], [self.dim, motions(self.dim) - self.dim])
 
     def _inverse(self, tangent: np.ndarray) -> np.ndarray:
         """Of the derivative, of the free unknowns; zero for those that nothing resists."""
