@@ -25,6 +25,7 @@ _MOST, _SHARES = 60, 20
 _LEFT = 0.5  # of the slope along a correction, with which a share of it is good enough
 _RESISTED = 0.1  # share of the forces that nothing resists, from which on they are followed
 _GROWTH = 4.0
+_FAR = 1e3  # times the lever: where a body that nothing resists has gone away
 _NULL = 1e-13  # stiffness over the largest one that counts as none
 
 Sums = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -83,12 +84,13 @@ class Settling(Term):
                 break
             q, force, tangent, size = found
         else:
-            raise LocalFailure(
-                f"{self.name}: there is no place at which the forces on it are in balance"
-                + ("" if np.any(size) and self.step else "; does anything hold it?")
-            )
+            raise self._unbalanced()
         self._settled = x, tangent
         self._reactions = np.where(self.free, 0.0, force)
+
+    def _unbalanced(self) -> LocalFailure:
+        hint = "" if self.step else "; does anything hold it?"
+        return LocalFailure(f"{self.name}: there is no place at which the forces on it are in balance{hint}")
 
     @property
     def _weights(self) -> np.ndarray:
@@ -157,6 +159,8 @@ class Settling(Term):
                 high, of_high = share, slope
             if high is None:
                 share *= _GROWTH
+                if share * float(np.abs(self._weights * step).max()) > _FAR * self.lever:
+                    raise self._unbalanced()
                 continue
             between = of_low / (of_low - of_high)
             share = low + (high - low) * min(max(between, 0.1), 0.9)
