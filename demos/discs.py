@@ -8,7 +8,7 @@ ones.
 
 `--contact nodes`: one body of points, as usual in this benchmark. The discs meet through the nodes that they
 share, so they feel each other before they touch, by less on finer cells, and stick while they share nodes;
-the grid has to be reset at each step, or they would be glued (`--reset 1`).
+the grid is reset at each step while they are near, or they would be glued.
 """
 
 import math
@@ -42,7 +42,7 @@ def build(cell, args):
     points = disc(MIDDLES[0])
     points.join(disc(MIDDLES[1]), apart=apart)
     first = points.where(lambda x: x.sum(axis=1) < 1.0)
-    reset = args.reset if args.reset else None
+    reset = args.reset or (None if apart else pm.InMotion())
     problem = pm.Dynamic(
         grid, points, density=DENSITY, rho_inf=args.rho_inf, basis=args.basis, reset=reset, locking=None
     )

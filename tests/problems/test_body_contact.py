@@ -259,3 +259,25 @@ def test_mistakes_are_named(folder):
     inside.contact()
     with pytest.raises(pm.InputError, match="inside of each other"):
         inside.attempt(1.0)
+
+
+def test_supports_of_one_body():
+    """Nodes of the lower body alone are held where both have some."""
+    problem = blocks(basis="mpm", locking=None)
+    held = lambda x: np.abs(x[:, 1] - 0.6) < 0.21  # noqa: E731
+    problem.fix(held, body=0, u=0)
+    problem.fix(lambda x: x[:, 1] > 1.1, body=1, ux=0, uy=-0.02)
+    problem.contact()
+    before = problem.points.x.copy()
+    list(problem.march(1, progress=False))
+    moved = np.abs(problem.points.x - before)
+    of = problem.points.body
+    near = before[:, 1] > 0.41
+    assert np.all(moved[(of == 0) & near] < 1e-12)
+    assert problem.comm.allreduce(moved[of == 1].max(initial=0.0), MPI.MAX) > 0.01
+    for bad, body in (("body = 2", 2), ("body = True", True), ("body = 'a'", "a")):
+        with pytest.raises(pm.InputError, match=f"fix: {bad}"):
+            problem.fix(held, body=body, u=0)
+    alone = pm.QuasiStatic(problem.grid, pm.seed(problem.grid, bounds=((0, 0), (1, 1)), material=NEO_HOOKEAN))
+    with pytest.raises(pm.InputError, match="one body only"):
+        alone.fix(held, body=0, u=0)

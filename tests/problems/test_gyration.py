@@ -85,17 +85,17 @@ def test_a_rigid_body_turns_like_an_asymmetric_top(rho_inf):
     body = pm.RigidBody((0, 0, 0), mass=1.0, inertia=J, spin=SPIN)
     body.attach(Layout(3, 0), COMM)
     momentum, energy = body.momenta, body.kinetic
-    for k in range(400):
-        body.integrate(TimeStep(0.01, rho_inf))
-        body.set_factor(0.01 * (k + 1))
+    for k in range(200):
+        body.integrate(TimeStep(0.02, rho_inf))
+        body.set_factor(0.02 * (k + 1))
         body.settle(np.zeros(1), [])
-        body.end_at(0.01 * (k + 1))
+        body.end_at(0.02 * (k + 1))
         body.finished()
     assert np.allclose(body.momenta, momentum, rtol=0, atol=1e-12)
     assert body.kinetic == pytest.approx(energy, rel=1e-12)
     exact = euler(J, 4.0)
     assert exact[1] < 0.0
-    assert np.allclose(body.rotation.T @ body.spin, exact, atol=5e-3)
+    assert np.allclose(body.rotation.T @ body.spin, exact, atol=1e-2)
 
 
 @pytest.mark.parametrize(

@@ -20,11 +20,11 @@ def bed(h=0.1, young=1e5, nu=0.3):
     return box, pm.seed(box, material=material, bounds=((0.0, 0.0), (1.0, 0.3)))
 
 
-def dropped(rho_inf=1.0):
+def dropped(rho_inf=1.0, mass=40.0):
     """A heavy disc that hits a bed in free flight, beside its middle, with a spin."""
     grid, points = bed()
     problem = pm.Dynamic(grid, points, density=1000.0, rho_inf=rho_inf)
-    centre, radius, mass = (0.45, 0.43), 0.1, 40.0
+    centre, radius = (0.45, 0.43), 0.1
     ball = pm.RigidBody(
         centre, mass=mass, inertia=0.5 * mass * radius**2, velocity=(0.5, -2.0), spin=3.0, name="ball"
     )
@@ -52,6 +52,9 @@ def test_a_ball_that_is_dropped_keeps_all_momenta(folder):
     assert np.allclose(turned, turning, atol=1e-9 * abs(turning[0]))
     lost = problem.energies()
     assert abs(lost["residue"]) < 2e-3 * 0.5 * 40.0 * 4.25
+    other, _ = dropped(mass=41.0)
+    with pytest.raises(pm.InputError, match="mass is 40"):
+        pm.load_restart(other, folder / "a.h5")
     again, same = dropped()
     pm.load_restart(again, folder / "a.h5")
     for _ in again.march(0.06, steps=8, progress=False):
@@ -193,3 +196,62 @@ def test_more_that_is_refused():
         problem.obstacle(ball_shape, body=pm.RigidBody((0.5, 0.5, 0.0), mass=1.0, inertia=1.0))
     with pytest.raises(pm.InputError, match=re.escape("velocity")):
         pm.QuasiStatic(grid, points).obstacle(ball_shape, body=pm.RigidBody((0.5, 0.5), velocity=(1, 0)))
+
+
+def pressed(scale=1.0, **options):
+    """A static bed, on metres or other lengths."""
+    box = pm.Grid.box((-0.2 * scale, 0.0), (1.2 * scale, 0.6 * scale), 0.1 * scale, comm=COMM)
+    material = pm.NeoHookean.from_engineering(E=1e5 / scale**2, nu=0.3)
+    points = pm.seed(box, material=material, bounds=((0.0, 0.0), (1.0 * scale, 0.3 * scale)))
+    problem = pm.QuasiStatic(box, points, **options)
+    problem.fix(pm.plane(y=0), u=0)
+    return problem
+
+
+BALL = pm.Sphere((0.5, 0.5), 0.2)
+
+
+def test_what_is_held_moves_like_an_obstacle():
+    one, other = pressed(), pressed()
+    ball = pm.RigidBody((0.5, 0.5), held={"ux": 0, "uy": -0.02, "w": 0.1})
+    held = one.obstacle(BALL, friction=0.5, body=ball)
+    options = {"motion": (0, -0.02), "rotation": 0.1, "about": (0.5, 0.5)}
+    led = other.obstacle(BALL, friction=0.5, **options)
+    for problem in (one, other):
+        list(problem.march(2, progress=False))
+    assert np.allclose(held.force, led.force, rtol=1e-9)
+    assert np.allclose(held.moment, led.moment, rtol=1e-9)
+    assert ball.turn == pytest.approx(0.1, rel=1e-14)
+    found = [ball.reaction[k] for k in ("ux", "uy", "w")]
+    force, arm = -np.asarray(held.force), np.array([0.5, 0.48])
+    moment = -held.moment[0] - (arm[0] * force[1] - arm[1] * force[0])
+    assert np.allclose(found, [-force[0], -force[1], -moment], rtol=1e-9)
+
+
+@pytest.mark.parametrize("solver", ["auto", "multigrid"])
+def test_metres_or_millimetres(solver):
+    found = []
+    for scale in (1.0, 1e3):
+        problem, middle = pressed(scale, solver=solver), (0.5 * scale, 0.5 * scale)
+        ball = pm.RigidBody(middle, force=(30 / scale, -300 / scale), held=["w"])
+        problem.obstacle(pm.Sphere(middle, 0.2 * scale), friction=0.9, body=ball)
+        list(problem.march(2, progress=False))
+        found.append(ball.displacement / scale)
+    assert np.allclose(*found, rtol=1e-7)
+
+
+def test_a_body_of_two_discs_that_share_the_load():
+    problem = pressed()
+    pair = pm.RigidBody((0.5, 0.35), force=(0, -300.0), held=["ux"])
+    discs = [problem.obstacle(pm.Sphere((x, 0.4), 0.1), body=pair, gap=1e-5) for x in (0.3, 0.7)]
+    list(problem.march(2, progress=False))
+    assert np.allclose([disc.force[1] for disc in discs], -150.0, rtol=1e-7)
+    assert abs(pair.turn) < 1e-9
+    assert max(disc.penetration for disc in discs) < 1e-5
+
+
+def test_nothing_holds_it():
+    problem = pressed()
+    problem.obstacle(BALL, body=pm.RigidBody((0.5, 0.5), force=(100.0, -10.0)))
+    with pytest.raises(pm.NotConverged, match="does anything hold it"):
+        list(problem.march(1, progress=False))

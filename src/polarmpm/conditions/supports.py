@@ -55,6 +55,7 @@ class Support:
         mirror: what it says of slopes; None: nothing.
         on_facets: it holds slopes on facets of finite elements.
         swollen: it has been told that it holds much more of the body than at first.
+        body: number of the body whose nodes it holds; None: those of all.
     """
 
     name: str
@@ -66,6 +67,7 @@ class Support:
     mirror: Mirror | None = None
     on_facets: bool = False
     swollen: bool = False
+    body: int | None = None
 
     def __repr__(self) -> str:
         prescribed = dict.fromkeys(a.name.split(", ")[-1] for a, _ in self.columns.values())
@@ -77,7 +79,11 @@ class Support:
 
     def mask(self, nodes: Positioned) -> np.ndarray:
         """Which nodes are meant, (n,) bool."""
-        return checks.mask(f"{self.name}: the predicate", self.where(nodes.position.copy()), len(nodes))
+        found = checks.mask(f"{self.name}: the predicate", self.where(nodes.position.copy()), len(nodes))
+        if self.body is None:
+            return found
+        of_body: np.ndarray = found & (nodes.body == self.body)  # type: ignore[attr-defined]
+        return of_body
 
 
 def make_support(

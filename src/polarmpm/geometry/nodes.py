@@ -37,6 +37,12 @@ class ActiveNodes:
     total: int
     positions: Callable[[np.ndarray], np.ndarray] | None = None
 
+    @property
+    def body(self) -> np.ndarray:
+        """Number of the body that a node belongs to, (n,)."""
+        found: np.ndarray = self.lattice // self.grid.numbers
+        return found
+
     @classmethod
     def build(
         cls,

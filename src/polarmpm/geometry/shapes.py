@@ -229,7 +229,9 @@ class Polygon(Shape):
                 f"Polygon: corners = {checks.shown(corners)}: two that follow each other are the same"
             )
         _check_sides(x, sides)
-        area = np.sum(_cross(x, np.roll(x, -1, axis=0)))
+        area = np.sum(_cross(x - x[0], np.roll(x, -1, axis=0) - x[0]))
+        if not abs(area) > 1e-12 * np.ptp(x, axis=0).max() ** 2:
+            raise checks.refuse("Polygon: corners", corners, "they lie on a line")
         self.corners = x if area > 0 else x[::-1].copy()
         self.hollow = checks.flag("Polygon: hollow", hollow)
 

@@ -23,6 +23,7 @@ from ..problems.base import Problem
 from ..problems.elements import QuasiStaticFEM
 from ..problems.motion import Moving
 from ..terms.base import Term
+from ..terms.rigid import RigidBody
 from ..terms.surfaceterms import SurfaceCondition
 from ..tools import checks
 from ..tools.parallel import known_anywhere, raise_on_all_ranks, values_by_number
@@ -102,6 +103,9 @@ def _terms(terms: Sequence[Term]) -> dict[str, Any]:
         numbers = {**_public(term), **_public(getattr(term, "penalty", None))}
         if isinstance(term, SurfaceCondition):
             numbers["surface points"] = len(term.surface)
+        if isinstance(term, RigidBody):
+            inertia = [] if term.inertia is None else term.inertia.ravel().tolist()
+            numbers |= {"mass": term.mass, "inertia": inertia, "held": list(term.reaction)}
         kind, state = type(term).__qualname__, bool(term.state())
         out[f"terms[{k}]"] = {"name": term.name, "class": kind, **numbers, "state": state}
     return out

@@ -19,7 +19,7 @@ from ..conditions.loads import point_loads
 from ..conditions.prescribed import Prescribed
 from ..conditions.proportional import check_loads, check_supports
 from ..conditions.supports import Support
-from ..errors import InputError
+from ..errors import InputError, LocalFailure
 from ..geometry.nodes import Nodes
 from ..solvers import arclength
 from ..solvers.arclength import ArcSchedule, Path
@@ -355,7 +355,12 @@ class Problem(Results):
             with system.terms.as_they_are():
                 before = system.working_loads()
         self._put_loads(system, factor)
-        return StepStart(system.x.copy(), before, system.working_loads())
+        try:
+            new = system.working_loads()
+        except LocalFailure:  # there are none; the iterations will say so
+            with system.terms.as_they_are():
+                new = system.working_loads()
+        return StepStart(system.x.copy(), before, new)
 
     def _finish(self, system: NodalSystem, start: StepStart, outcome: Outcome, factor: float) -> None:
         """Make an acceptable solution the body's state, or put back what was there."""

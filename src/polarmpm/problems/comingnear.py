@@ -21,13 +21,19 @@ _APART = 4  # cells within which pieces may share nodes
 
 
 def meets_supports(
-    grid: Grid, comm: MPI.Comm, supports: Sequence[Support], x: np.ndarray, before: np.ndarray
+    grid: Grid,
+    comm: MPI.Comm,
+    supports: Sequence[Support],
+    x: np.ndarray,
+    before: np.ndarray,
+    body: np.ndarray,
 ) -> bool:
     """Whether points have come into cells with nodes that supports hold, other than those of the cells in
     which they were at the last reset. Collective.
 
     Args:
         x, before: positions of this rank's points (np, d), and those then (m).
+        body: number of the body of each (np,).
     """
     found = False
     with errors_on_all_ranks(comm, "supports"):
@@ -36,8 +42,9 @@ def meets_supports(
             went = np.flatnonzero(np.any(now != then, axis=1))
             index = now[went, None] + box_indices((2,) * grid.dim)
             new = np.any((index < then[went, None]) | (index > then[went, None] + 1), axis=2)
-            numbers = np.unique(grid.node_number(index[new]))
-            places = _Places(grid.node_position(numbers))
+            of = np.broadcast_to(body[went, None], new.shape)[new]
+            numbers = np.unique(grid.node_number(grid.of_bodies(index[new], of)))
+            places = _Places(grid.node_position(numbers), numbers // grid.numbers)
             found = bool(len(places)) and any(bool(np.any(s.mask(places))) for s in supports)
     return bool(comm.allreduce(found, op=MPI.LOR))
 
@@ -45,8 +52,8 @@ def meets_supports(
 class _Places:
     """Positions as supports ask for them."""
 
-    def __init__(self, position: np.ndarray):
-        self.position = position
+    def __init__(self, position: np.ndarray, body: np.ndarray):
+        self.position, self.body = position, body
 
     def __len__(self) -> int:
         return len(self.position)

@@ -122,6 +122,7 @@ class Conditions(Keeping, Whole, Turns):
         augment: bool = False,
         normal: Any = None,
         counts: str | None = None,
+        body: int | None = None,
         **components: Any,
     ) -> Support | SurfaceSupport:
         """Prescribe displacements and rotations, of nodes or on a surface.
@@ -150,6 +151,7 @@ class Conditions(Keeping, Whole, Turns):
             augment: with "penalty": keep the springs' forces after each converged step and let the springs
                 start anew, so that what they give way under a load that stays vanishes over steps.
             normal: displacement along a surface's undeformed normals (m): rollers. Not beside displacements.
+            body: number of one of several bodies of points (`points.body`), whose nodes alone are held.
 
         Returns:
             The support, for `reaction` and `release`. Of a surface, `support.gap` (n,) tells by how much (m)
@@ -162,6 +164,7 @@ class Conditions(Keeping, Whole, Turns):
         """
         self._check_outside("fix")
         check_counts("fix", counts)
+        body = self._number_of_body(body)
         springs = {"stiffness": stiffness, "rotation_stiffness": rotation_stiffness, "normal": normal}
         where = self._named(where) if method is None else self._surface_of(self._named(where))
         if isinstance(where, Surface):
@@ -171,7 +174,16 @@ class Conditions(Keeping, Whole, Turns):
         given += ["augment"] * checks.flag("fix: augment", augment)
         if given:
             raise InputError(f"fix: {given[0]} belongs to springs on a Surface; where = {shown(where)}")
-        return self._fix_nodes(where, components, counts)
+        return self._fix_nodes(where, components, counts, body=body)
+
+    def _number_of_body(self, body: int | None) -> int | None:
+        """Of those that there are, what a user gives as `body`."""
+        if body is None:
+            return None
+        if self.holds_on_facets or self.points.bodies == 1:
+            raise checks.refuse("fix: body", body, "there is one body only; leave it out")
+        most = self.points.bodies - 1
+        return checks.whole("fix: body", body, least=0, most=most, allowed=f"0 to {most}")
 
     @collective("symmetry", compare=True)
     def symmetry(self, where: PlaneSpec) -> Support:
@@ -212,6 +224,7 @@ class Conditions(Keeping, Whole, Turns):
         components: dict[str, Any],
         counts: str | None,
         even: dict[int, bool] | None = None,
+        body: int | None = None,
     ) -> Support:
         """`even`: of a plane of symmetry, which columns are even across it."""
         self.check_open()
@@ -221,6 +234,7 @@ class Conditions(Keeping, Whole, Turns):
         else:
             predicate, label = self._place(self._beside(where))
             label = f"symmetry, {label}"
+        label += "" if body is None else f", body {body}"
         total = not self.progress.step if counts is None else counts == "total"
         number = self.given.next("support")
         support = make_support(predicate, label, components, self.layout, number, total, bool(even))
@@ -230,6 +244,9 @@ class Conditions(Keeping, Whole, Turns):
                 f"{support.name}: counts = 'total': in space single components of a rotation have no total; "
                 "give theta, or counts='from now'"
             )
+        support.body = body
+        if even and body is not None:
+            raise checks.refuse("fix: body", body, "slopes are held of all bodies; leave it out")
         if even:
             if total and self.progress.step:
                 raise InputError(f"{support.name}: counts = 'total': a slope has no total in mid-run")

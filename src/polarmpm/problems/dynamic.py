@@ -10,6 +10,7 @@ import numpy as np
 
 from ..assembly.loadedpoints import LoadedPoints
 from ..assembly.parts import Parts
+from ..assembly.smoothing import projected
 from ..basis.base import Basis
 from ..bodies.elements import Elements
 from ..bodies.points import Points
@@ -50,6 +51,9 @@ class Dynamic(Moving, QuasiStatic):
         viscosity: stress of a strain rate, over that of the same strain (s): the part that is proportional to
             the stiffness, of the elastic moduli. For bodies that hardly turn in a step: rotations count to
             its second order only, so that it slows down what spins fast.
+        filtered: at each reset of the grid let go what velocities, spins and their rates have that the new
+            nodes can't move: take their least-squares projection, by mass. Momenta stay; the energy counts as
+            `damped`.
         basis, reset, ghost, rebalance, controls, solver, boxes, locking: as of `QuasiStatic`. Resets aren't
             balanced: the forces that a balanced one carries along would stay while the motion goes on. With
             "bspline" and boxes=False a body that spins needs a `GhostPenalty` of 1e-3 of its moduli.
@@ -78,6 +82,7 @@ class Dynamic(Moving, QuasiStatic):
         basis: str | Basis = "bspline",
         reset: int | ResetPolicy | None = _IN_MOTION,
         ghost: str | GhostPenalty | None = None,
+        filtered: bool = False,
         rebalance: float | None = 1.1,
         controls: Controls | None = None,
         solver: str = "auto",
@@ -85,6 +90,7 @@ class Dynamic(Moving, QuasiStatic):
         locking: str | None = "auto",
         regrid: RegridPolicy | None = None,
     ):
+        self.filtered = checks.flag("filtered", filtered)
         super().__init__(
             grid,
             points,
@@ -102,6 +108,8 @@ class Dynamic(Moving, QuasiStatic):
         if self.layout.rotations == 3:
             self._rotation_limit = 0.0  # in space rotations count from the beginning of each step
         self._set_motion(density, microinertia, rho_inf, drag, viscosity)
+        if self.filtered and self._has_tensors:
+            raise checks.refuse("filtered", filtered, "there is none where microinertia is a tensor")
 
     @classmethod
     def of(
@@ -163,6 +171,23 @@ class Dynamic(Moving, QuasiStatic):
         ):
             self._with_boxes(s.rebase_rotations)
 
+    def _prepare(self) -> Any:
+        again = self._system is not None and self.progress.reset_due
+        system = super()._prepare()
+        if again and self.filtered:
+            self._filter(system)
+        return system
+
+    def _filter(self, system: LoadedPoints) -> None:
+        """Project velocities and accelerations. Collective."""
+        before, p, d, r = self._kinetic(), self.points, self.layout.dim, self.layout.rotations
+        mass = system.inertia.mass if system.inertia is not None else self._masses()
+        mass = np.where(mass > 0.0, mass, 1e-9 * mass[:, :1])  # of spins without inertia
+        v, a = (projected(system, mass, rates) for rates in self._rates())
+        p.velocity, p.acceleration = v[:, :d].copy(), a[:, :d].copy()
+        p.spin, p.spin_rate = (np.pad(w[:, d:], ((0, 0), (3 - r, 0))) for w in (v, a))
+        self.progress.damped_work += before - self._kinetic()
+
     def _comes_near(self, system: LoadedPoints, increments: Increments) -> bool:
         policy, p, d = self.policy, self.points, self.layout.dim
         if not isinstance(policy, InMotion):
@@ -171,14 +196,13 @@ class Dynamic(Moving, QuasiStatic):
             found = Parts.of(system, p)
             self._pieces = (found.points if len(found.count) > p.bodies else np.zeros(len(p))).astype(float)
             self._several = len(found.count) > p.bodies
-        moved = increments.value[:, :d]
+        moved, body = increments.value[:, :d], p.body if p.bodies > 1 else np.zeros(len(p), dtype=np.int32)
         if self._several:
             most = float(np.abs(moved).max(initial=0.0)) / self.cell_size
             far = self.comm.allreduce(most, op=MPI.MAX) > policy.near
-            body = p.body if p.bodies > 1 else np.zeros(len(p), dtype=np.int32)
             if far and pieces_meet(self.grid, self.comm, p.x, self._pieces.astype(np.int64), body):
                 return True
-        return meets_supports(self.grid, self.comm, self.supports, p.x, p.x - moved)
+        return meets_supports(self.grid, self.comm, self.supports, p.x, p.x - moved, body)
 
     def kept(self) -> dict[str, np.ndarray]:
         return super().kept() | ({} if self._pieces is None else {"piece": self._pieces})

@@ -162,8 +162,8 @@ class RigidBody(Settling):
     def _tensor(self) -> np.ndarray:
         """Moment of inertia (1, 1), or the tensor in space as it is turned now (3, 3)."""
         turns = motions(self.dim) - self.dim
-        if self.inertia is None:
-            return np.zeros((turns, turns))
+        if self.inertia is None:  # for the spin
+            return np.eye(turns)
         if self.dim == 2:
             return self.inertia
         turned: np.ndarray = self.rotation @ self.inertia @ self.rotation.T
@@ -209,6 +209,8 @@ class RigidBody(Settling):
             force[:d] = self.mass * step.acceleration * q[:d] - past
             size[:d] = np.abs(past) + np.abs(force[:d])
             tangent[range(d), range(d)] = self.mass * step.acceleration
+        if self.inertia is None:
+            return force, tangent, size
         past = step.history(self.momenta, self.rates)
         moment, slope = self._summed(q[d:] / step.theta)
         force[d:] = step.acceleration * step.theta * moment - past
@@ -294,8 +296,6 @@ class RigidBody(Settling):
     @property
     def spin(self) -> np.ndarray:
         """(1,) in the plane, (3,) in space (rad/s)."""
-        if self.inertia is None:
-            return np.zeros_like(self.momenta)
         found: np.ndarray = np.linalg.solve(self._tensor(), self.momenta)
         return found
 
@@ -323,13 +323,15 @@ class RigidBody(Settling):
         arm, p = self.position - point, self.momentum
         if self.dim == 2:
             arm, p = (np.append(v, 0.0) for v in (arm, p))
-        found: np.ndarray = self.momenta + np.cross(arm, p)[-len(self.momenta) :]
+        own = 0.0 if self.inertia is None else self.momenta
+        found: np.ndarray = own + np.cross(arm, p)[-len(self.momenta) :]
         return found
 
     @property
     def kinetic(self) -> float:
         """Energy of its motion (J)."""
-        return 0.5 * float(self.momentum @ self.velocity + self.momenta @ self.spin)
+        turning = 0.0 if self.inertia is None else self.momenta @ self.spin
+        return 0.5 * float(self.momentum @ self.velocity + turning)
 
     def as_dict(self) -> dict[str, Any]:
         """Columns of a table."""

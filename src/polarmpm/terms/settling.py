@@ -20,10 +20,12 @@ from .base import Term
 
 _ENOUGH = 1e-13  # out-of-balance forces over the sum of the sizes of all
 _POOR = 1e-9  # the same where rounding allows no less
+_EPSILONS = 4.0  # of places, that count as rounding
 _MOST, _SHARES = 60, 20
 _LEFT = 0.5  # of the slope along a correction, with which a share of it is good enough
 _RESISTED = 0.1  # share of the forces that nothing resists, from which on they are followed
 _GROWTH = 4.0
+_FAR = 1e3  # times the lever: where a body that nothing resists has gone away
 _NULL = 1e-13  # stiffness over the largest one that counts as none
 
 Sums = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -44,6 +46,7 @@ class Settling(Term):
     step: TimeStep | None
     moved: np.ndarray
     free: np.ndarray
+    position: np.ndarray
     active: bool
     frozen: bool
     lever = 1.0
@@ -75,24 +78,31 @@ class Settling(Term):
             if np.all(off <= _ENOUGH * size[self.free]):
                 break
             found = self._along(q, *self._correction(tangent, force), force, pushing)
-            better = np.linalg.norm(found[1] * self._weights) < np.linalg.norm(force * self._weights)
-            if not better and np.all(off <= _POOR * size[self.free]):
+            less = np.linalg.norm(found[1] * self._weights) < _LEFT * np.linalg.norm(force * self._weights)
+            if not less and np.all(off <= _POOR * size[self.free] + self._rounding()[self.free]):
                 self._sums(q, pushing)
                 break
             q, force, tangent, size = found
         else:
-            raise LocalFailure(
-                f"{self.name}: there is no place at which the forces on it are in balance"
-                + ("" if np.any(size) and self.step else "; does anything hold it?")
-            )
+            raise self._unbalanced()
         self._settled = x, tangent
         self._reactions = np.where(self.free, 0.0, force)
+
+    def _unbalanced(self) -> LocalFailure:
+        hint = "" if self.step else "; does anything hold it?"
+        return LocalFailure(f"{self.name}: there is no place at which the forces on it are in balance{hint}")
 
     @property
     def _weights(self) -> np.ndarray:
         return np.where(
             self.free, np.repeat([1.0, 1.0 / self.lever], [self.dim, motions(self.dim) - self.dim]), 0.0
         )
+
+    def _rounding(self) -> np.ndarray:
+        """Forces (k,) that rounding of places makes: what springs have of it."""
+        reach = float(np.abs(self.position).max()) + self.lever
+        force = _EPSILONS * np.finfo(float).eps * self.stiffness * reach
+        return force * np.repeat([1.0, self.lever], [self.dim, motions(self.dim) - self.dim])
 
     def _inverse(self, tangent: np.ndarray) -> np.ndarray:
         """Of the derivative, of the free unknowns; zero for those that nothing resists."""
@@ -149,6 +159,8 @@ class Settling(Term):
                 high, of_high = share, slope
             if high is None:
                 share *= _GROWTH
+                if share * float(np.abs(self._weights * step).max()) > _FAR * self.lever:
+                    raise self._unbalanced()
                 continue
             between = of_low / (of_low - of_high)
             share = low + (high - low) * min(max(between, 0.1), 0.9)
