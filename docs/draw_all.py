@@ -59,6 +59,7 @@ FIGURES: dict[str, tuple[str, str]] = {
         )
     },
     "trust": ("benchmarks/trust.py --redraw --output {kept}", "trust"),
+    "cost": ("benchmarks/cost.py --redraw --output {kept}", "cost"),
     "iterative": ("benchmarks/iterative.py --redraw --output {kept}", "iterative"),
     "peer_kratos": ("benchmarks/peer_kratos.py --redraw", ""),
     **{

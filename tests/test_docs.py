@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+import json
 import re
 from pathlib import Path
 
@@ -71,6 +73,19 @@ def test_the_counts_of_accidents_are_those_of_the_last_run():
     page = (ROOT / "docs" / "stability.md").read_text()
     table = page.split("<!-- operation -->")[1].split("<!-- end -->")[0]
     assert table.strip() == (ROOT / "benchmarks" / "results" / "operation.md").read_text().strip()
+
+
+def test_costs_are_those_of_the_last_run():
+    """docs/cost.md and the README say what benchmarks/cost.py has measured."""
+    spec = importlib.util.spec_from_file_location("cost", ROOT / "benchmarks" / "cost.py")
+    assert spec is not None
+    assert spec.loader is not None
+    cost = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(cost)
+    rows = json.loads((ROOT / "benchmarks" / "results" / "cost.json").read_text())
+    for file, said in (("docs/cost.md", cost.table(rows)), ("README.md", cost.readme(rows))):
+        quoted = (ROOT / file).read_text().split("<!-- cost -->")[1].split("<!-- end -->")[0]
+        assert quoted.strip() == said.strip(), file
 
 
 def test_every_page_is_listed_in_the_readme():

@@ -56,9 +56,9 @@ class SummedElements(OnPattern, ElementSystem):
             self._of_loads = [LoadTangent(v.tangent, self._mesh, self._fixed) for v in self._varying]
             shared = (self.pattern.values, self.pattern.diagonal) if self.pattern.shared else None
             matrix, plastic = self.pattern.petsc_matrix(), not forms.symmetric
-            self.solver = make_solver(
-                solver, Tangent(matrix, symmetric, weakly(self.near_null_space), plastic, large, shared)
-            )
+            rows, space = self.pattern.rows(matrix) if shared else None, weakly(self.near_null_space)
+            tangent = Tangent(matrix, symmetric, space, plastic, large, shared, rows=rows)
+            self.solver = make_solver(solver, tangent)
             self._dispose = dispose_with(
                 self, self.comm, _Together([self.solver.destroy, *(t.destroy for t in self._of_loads)])
             )

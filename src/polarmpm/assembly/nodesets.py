@@ -42,7 +42,8 @@ def _sorted(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     of them differ from the one before."""
     n = len(columns[0])
     new = np.ones(n, dtype=bool)
-    key, numbers = np.zeros(n, dtype=np.int64), 1
+    key: np.ndarray = np.zeros(n, dtype=np.int64)
+    numbers = 1
     for column in columns if n else ():
         low, high = int(column.min()), int(column.max())
         if high == low:

@@ -79,7 +79,8 @@ class PointSystem(OnPattern, LoadedPoints):
             space = weakly(self.near_null_space)
             rows = self.pattern, self.nodes, matrix, weakly(self.weak_nodes), self.as_force
             lattice = partial(on_lattice, *rows)
-            tangent = Tangent(matrix, symmetric, space, plastic, large, shared, lattice)
+            rows_here = pattern.rows(matrix) if shared else None
+            tangent = Tangent(matrix, symmetric, space, plastic, large, shared, lattice, rows_here)
             self.solver = make_solver(solver, tangent)
             self._dispose = dispose_with(self, self.comm, self.solver.destroy)
         self._few = interpolation.points.total < self.nodes.total

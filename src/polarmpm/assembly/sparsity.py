@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 from petsc4py import PETSc
 
@@ -14,6 +14,7 @@ import numpy as np
 from ..geometry.grid import box_indices
 from ..geometry.nodes import ActiveNodes, Nodes
 from ..kernels import native
+from ..solvers.linear import Rows
 from ..tools.parallel import Route
 from .patches import Patches
 
@@ -76,6 +77,10 @@ class Pattern:
         _use_arrays(matrix, kind, rows)
         matrix.setAttr("rows", rows)  # to live as long
         return matrix
+
+    def rows(self, matrix: PETSc.Mat) -> Rows:
+        """What they are on one rank; `matrix`: that `petsc_matrix` has made."""
+        return Rows(self.block, self.indptr, self.indices, self.values, partial(self.put, matrix))
 
     @property
     def shared(self) -> bool:
@@ -171,7 +176,7 @@ def build(
         native.library().polarmpm_couple_nodes(ctypes.byref(batch), reach, mark)
     for patch in patches:
         patch.couple(reach, mark)
-    reached = mark.any(axis=1)
+    reached: np.ndarray = np.any(mark, axis=1)
     mark[: nodes.owned, codes // 2] = 1  # nodes of a term that is gone have no more than themselves
     alone = nodes.comm.size == 1  # then numbers ascend with the lattice's
     if symmetric and alone:

@@ -349,19 +349,10 @@ class NodalSystem(ABC):
             with np.errstate(over="ignore", invalid="ignore"):  # divergence shows in the measures
                 balance = self.on_free(self.residual)
         # |f_ext + f_rct|: at supports the reaction makes it the internal force
-        native.library().polarmpm_measures(
-            self.nodes.owned,
-            self.layout.block,
-            self.layout.dim,
-            self.residual,
-            balance,
-            prescribed.fixed.view(np.uint8),
-            np.ascontiguousarray(self.external),
-            last,
-            self.x,
-            self.as_force,
-            sums,
-        )
+        sizes, external = (self.layout.block, self.layout.dim), np.ascontiguousarray(self.external)
+        forces = self.residual, balance, prescribed.fixed.view(np.uint8), external
+        measure = native.library().polarmpm_measures
+        measure(self.nodes.owned, *sizes, *forces, last, self.x, self.as_force, sums)
         sums[2] = abs(sums[2])
         reduce_in_place(self.comm, sums[:4])
         first, second, work, done, most = sums.tolist()

@@ -339,9 +339,8 @@ class Grid:
 
     def inside(self, x: np.ndarray) -> np.ndarray:
         """Which points (n, d) lie in the box, its boundary included."""
-        xi, mask = self.local(x), np.ones(len(x), dtype=bool)
-        for axis, number in enumerate(self.shape):
-            along = xi[:, axis]
+        mask = np.ones(len(x), dtype=bool)
+        for along, number in zip(self.local(x).T, self.shape, strict=True):
             mask &= (along >= -_SLACK) & (along <= number + _SLACK)
         return mask
 

@@ -553,6 +553,7 @@ void polarmpm_mirror(const Matrix *M, int32_t nb, int64_t pairs, const int32_t *
 #include "_patches.h"
 #include "_moments.h"
 #include "_measures.h"
+#include "_band.h"
 #include "_return.h"
 #include "_lattice.h"
 

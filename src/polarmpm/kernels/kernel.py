@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -54,7 +55,7 @@ class Kernel:
 
 def _width(columns: np.ndarray) -> int:
     """Numbers in a row, also where there are no rows."""
-    return int(np.prod(columns.shape[1:]))
+    return math.prod(columns.shape[1:])
 
 
 @dataclass

@@ -81,6 +81,11 @@ class Declared:
             TypeError: it is of another kind or dtype.
             ValueError: an array is not contiguous, or a number is out of range.
         """
+        if type(value) is np.ndarray and self.pointer:
+            if value.dtype == self.dtype and value.flags.c_contiguous:
+                return
+        elif type(value) is int and self._holds(value):
+            return
         what = f"{self.owner}.{self.name}"
         if self.pointer and isinstance(value, np.ndarray):
             if value.dtype != self.dtype:
@@ -93,6 +98,12 @@ class Declared:
             raise TypeError(f"{what} = {value!r}: a number is needed")
         elif self.kind != "double" and not self.pointer:
             self._check_whole(value, what)
+
+    def _holds(self, value: int) -> bool:
+        """Whether it is a number that is large enough for a whole one."""
+        if self.pointer or self.kind not in _NUMBERS:
+            return False
+        return self.kind == "double" or self._limits[0] <= value <= self._limits[1]
 
     def _check_whole(self, value: Any, what: str) -> None:
         if value is None and self.kind == _ADDRESS:

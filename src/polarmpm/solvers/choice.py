@@ -37,6 +37,7 @@ def _direct(tangent: Tangent) -> LinearSolver:
         tangent.far_from_symmetric,
         stored=tangent.stored,
         compact=tangent.large,
+        rows=tangent.rows,
     )
 
 

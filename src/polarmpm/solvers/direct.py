@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from typing import Any
 
 from petsc4py import PETSc
 
 import numpy as np
 
-from .linear import ACCURACY, SingularTangent
+from .band import Band
+from .linear import ACCURACY, Rows, SingularTangent
 
 # Relative shift of the factored matrix' diagonal. A node set seen by a single point has fewer constraints
 # than unknowns, and its tangent is exactly singular; slivers of points' domains in a cell come close to that.
@@ -29,7 +31,8 @@ _SMALL, _SMALL_COMPACT = 5500, 1500
 
 
 class DirectSolver:
-    """MUMPS, with as little work as the tangent's symmetry allows.
+    """Factors, with as little work as the tangent allows: where the order of its rows is good, as of slender
+    bodies and in the plane, `Band`; else, and where that fails, MUMPS.
 
     * symmetric and small: CHOLMOD, while the tangent is definite.
     * symmetric: Cholesky-like on the upper triangle (no pivoting, fastest); when that fails, as it may far
@@ -48,6 +51,7 @@ class DirectSolver:
         memory: int = 0,
         stored: tuple[np.ndarray, np.ndarray] | None = None,
         compact: bool = False,
+        rows: Rows | None = None,
     ):
         """Take over a matrix, whose entries may change before each `factor`.
 
@@ -58,13 +62,13 @@ class DirectSolver:
             stored: the entries that the matrix uses, and where those of the diagonal are; None: it has
                 its own.
             compact: the body has many nodes in a layer.
+            rows: of the matrix, on one rank; None: they aren't at hand.
         """
         self.matrix, self.symmetric, self.comm = matrix, symmetric, matrix.comm.tompi4py()
         self._blocked = matrix.getType() in ("seqbaij", "mpibaij")
         # what is factored: the matrix itself for a while, or a copy, made when the matrix has its entries
         self._alone, self._stored = symmetric and not self._blocked, stored
         self._shifted: Any = matrix if self._alone else None
-        self.solution, self.rhs = self.matrix.createVecs()
         self._solver: PETSc.KSP | None = None
         self._memory = memory
         self._conjugate: PETSc.KSP | None = None  # gradients, for tangents that a factor isn't of
@@ -75,7 +79,33 @@ class DirectSolver:
         small = matrix.size[0] <= (_SMALL_COMPACT if compact else _SMALL)
         if symmetric and self.comm.size == 1 and small and not blocked:
             self._methods = ["small", *self._methods]
+        self._band: Band | None = None
+        if rows is not None:
+            self._band = Band(rows, symmetric)
+            if self._band.pays:
+                self._methods = ["band", *(m for m in self._methods if m != "small")]
+            else:
+                self._band = None
         self._method = self._methods[0]
+
+    @cached_property
+    def _vectors(self) -> tuple[PETSc.Vec, PETSc.Vec]:
+        """PETSc's solution and right-hand side."""
+        solution, right = self.matrix.createVecs()
+        return solution, right
+
+    @property
+    def solution(self) -> PETSc.Vec:
+        return self._vectors[0]
+
+    @property
+    def rhs(self) -> PETSc.Vec:
+        return self._vectors[1]
+
+    @property
+    def in_place(self) -> bool:
+        """Whether entries are taken from the rows, and the matrix needs none."""
+        return self._method == "band"
 
     # factors --------------------------------------------------------------------------------------
     def _create(self) -> PETSc.KSP:
@@ -151,11 +181,26 @@ class DirectSolver:
         Raises:
             SingularTangent: the matrix is singular or has entries that are not finite.
         """
+        if self._try_band():
+            return
         if not np.isfinite(self.matrix.norm()):
             raise SingularTangent("the tangent has entries that are not finite")
         self._old = self._kept and self._solver is not None
         if not self._old:
             self._factor()
+
+    def _try_band(self) -> bool:
+        """Factor the rows where their order is good. Where that fails others go on until the next reset."""
+        band = self._band if self._method == "band" else None
+        if band is None or band.factor():
+            return band is not None
+        self._leave_band(band)
+        return False
+
+    def _leave_band(self, band: Band) -> None:
+        self._band, self._method = None, self._methods[1]
+        del self._methods[0]
+        band.rows.put()
 
     def _factor(self) -> None:
         self._kept = self._old = False
@@ -207,6 +252,12 @@ class DirectSolver:
         Raises:
             SingularTangent: no method gave a solution.
         """
+        if self._band is not None:
+            found = self._band.solve(rhs)
+            if found is not None:
+                return found
+            self._leave_band(self._band)
+            self.factor()
         self.rhs.array[:] = rhs
         if self._old:
             if self._solve_with_old(accuracy):
@@ -247,6 +298,11 @@ class DirectSolver:
         Raises:
             SingularTangent: there is no solution with the factor at hand.
         """
+        if self._band is not None:
+            found = self._band.solve(rhs)
+            if found is None:
+                raise SingularTangent("the linear system could not be solved")
+            return found
         if self._solver is None:
             raise SingularTangent("there is no factor")
         ksp, self.rhs.array[:] = self._solver, rhs
@@ -264,6 +320,8 @@ class DirectSolver:
         Raises:
             SingularTangent: there is none.
         """
+        if self._band is not None:
+            return self._band.apply(np.ascontiguousarray(rhs))
         if self._solver is None:
             raise SingularTangent("there is no factor")
         self.rhs.array[:] = rhs
@@ -279,7 +337,7 @@ class DirectSolver:
     def destroy(self) -> None:
         """Release PETSc's objects."""
         self._release_solver()
-        self._stored = None
-        for thing in (None if self._alone else self._shifted, self.matrix, self.rhs, self.solution):
+        self._stored = self._band = None
+        for thing in (None if self._alone else self._shifted, self.matrix, *vars(self).get("_vectors", ())):
             if thing is not None:
                 thing.destroy()

@@ -76,6 +76,24 @@ class LatticeRows:
 
 
 @dataclass(frozen=True)
+class Rows:
+    """The rows of a tangent on one rank, whose pattern is symmetric.
+
+    Attributes:
+        block: unknowns of a node.
+        indptr, indices: scalar rows, in symmetric tangents of the upper triangle.
+        values: the entries.
+        put: gives PETSc's matrix the entries.
+    """
+
+    block: int
+    indptr: np.ndarray
+    indices: np.ndarray
+    values: np.ndarray
+    put: Callable[[], None]
+
+
+@dataclass(frozen=True)
 class Tangent:
     """A matrix whose entries change, while its pattern stays.
 
@@ -88,6 +106,7 @@ class Tangent:
         near_null_space: what the matrix hardly resists, as it is now. Collective.
         stored: the entries that the matrix uses, and where those of the diagonal are; None: it has its own.
         lattice: its rows, where nodes stand on a lattice; None: they don't. Collective.
+        rows: its rows, on one rank; None: they aren't at hand.
     """
 
     matrix: PETSc.Mat
@@ -97,6 +116,7 @@ class Tangent:
     large: bool = False
     stored: tuple[np.ndarray, np.ndarray] | None = None
     lattice: Callable[[], LatticeRows] | None = None
+    rows: Rows | None = None
 
 
 class LinearSolver(Protocol):

@@ -5,10 +5,9 @@ from __future__ import annotations
 import os
 import resource
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -23,7 +22,7 @@ from ..kernels import native
 from ..problems.base import Problem
 from ..problems.elements import QuasiStaticFEM
 from ..tools import checks
-from ..tools.timing import Timer
+from ..tools.timing import Phase, Timer
 from .discretisations import Case, Discretisation, Row
 
 # phases of `Problem.timer` that aren't part of a method's cost
@@ -186,11 +185,9 @@ class _Counter(Timer):
         super().__init__()
         self.calls: dict[str, int] = {}
 
-    @contextmanager
-    def __call__(self, phase: str) -> Iterator[None]:
+    def __call__(self, phase: str) -> Phase:
         self.calls[phase] = self.calls.get(phase, 0) + 1
-        with super().__call__(phase):
-            yield
+        return super().__call__(phase)
 
 
 def _load_code(problem: Problem) -> None:

@@ -1,0 +1,194 @@
+/* Factors of small matrices whose unknowns, in a good order, are coupled to near ones only, as those of slender bodies; a
+ * part of _native.c. Matrices have a symmetric pattern, and rows (`block` for a node) in compressed storage, whose upper
+ * triangle is enough where they are symmetric. Rows of the factor's upper triangle U, and columns of its lower one L, go from
+ * the diagonal to the last entry that the factor has; of symmetric matrices L is the transpose of U, and isn't stored. There
+ * is no pivoting: who solves looks at what is left. */
+#ifndef POLARMPM_BAND_H
+#define POLARMPM_BAND_H
+
+#include "_points.h"
+
+/* Visit nodes, neighbours of visited ones next, from `first` on; returns how many are in `order` then. */
+static int64_t spread_from(int64_t first, const int64_t *start, const int32_t *near, int64_t count, int32_t *order,
+                           uint8_t *seen)
+{
+    int64_t at = count;
+    order[count++] = (int32_t)first, seen[first] = 1;
+    for (; at < count; ++at)
+        for (int64_t k = start[order[at]]; k < start[order[at] + 1]; ++k)
+            if (!seen[near[k]]) seen[near[k]] = 1, order[count++] = near[k];
+    return count;
+}
+
+/* An order of nodes in which neighbours are near each other (E. Cuthill, J. McKee 1969; reversed), and where the factor's rows begin,
+ * begin[n + 1]. Returns nonzero without memory. */
+int polarmpm_band_order(int64_t nodes, int32_t block, const int64_t *indptr, const int32_t *indices, int32_t *position,
+                        int64_t *begin)
+{
+    const int64_t n = nodes * block;
+    int64_t *start = calloc(nodes + 2, sizeof(int64_t)), count = 0, total = 0;
+    int32_t *order = malloc(sizeof(int32_t) * (nodes + 1)), *last = malloc(sizeof(int32_t) * (nodes + 1));
+    uint8_t *seen = calloc(nodes + 1, 1);
+    int32_t *near = malloc(sizeof(int32_t) * (2 * (indptr[n] / block) + 2));
+    if (!start || !order || !last || !seen || !near) total = -1;
+    for (int pass = 0; pass < 2 && !total; ++pass) {  /* numbers of neighbours, then the neighbours */
+        for (int64_t i = 0; i < nodes; ++i)
+            for (int64_t k = indptr[i * block]; k < indptr[i * block + 1]; k += block) {
+                const int64_t j = indices[k] / block;
+                if (j <= i) continue;
+                if (!pass) ++start[i + 2], ++start[j + 2];
+                else near[start[i + 1]++] = (int32_t)j, near[start[j + 1]++] = (int32_t)i;
+            }
+        for (int64_t i = 2; !pass && i < nodes + 2; ++i) start[i] += start[i - 1];
+    }
+    for (int64_t i = 0; i < nodes && !total; ++i) {
+        if (seen[i]) continue;
+        int64_t first = i;
+        for (int k = 0; k < 2; ++k) {  /* twice to the far end */
+            const int64_t end = spread_from(first, start, near, count, order, seen);
+            first = order[end - 1];
+            for (int64_t q = count; q < end; ++q) seen[order[q]] = 0;
+        }
+        count = spread_from(first, start, near, count, order, seen);
+    }
+    for (int64_t q = 0; q < nodes && !total; ++q) position[order[q]] = (int32_t)(nodes - 1 - q);
+    if (!total) {
+        for (int64_t q = 0; q < nodes; ++q) {
+            const int64_t i = order[nodes - 1 - q];  /* the node at place q */
+            last[q] = (int32_t)(q && last[q - 1] > q ? last[q - 1] : q);
+            for (int64_t k = start[i]; k < start[i + 1]; ++k)
+                if (position[near[k]] > last[q]) last[q] = position[near[k]];
+        }
+        for (int64_t q = 0; q < nodes; ++q)
+            for (int c = 0; c < block; ++c) {
+                begin[q * block + c] = total;
+                total += (last[q] + 1) * (int64_t)block - (q * block + c);
+            }
+        begin[n] = total;
+    }
+    free(start), free(order), free(last), free(seen), free(near);
+    return total < 0;
+}
+
+/* Where the entries of scalar rows stand in the factor, U and behind it, of matrices that aren't symmetric, L. */
+void polarmpm_band_places(int64_t n, int32_t block, int32_t symmetric, const int64_t *indptr, const int32_t *indices,
+                          const int32_t *position, const int64_t *begin, int64_t *place)
+{
+    for (int64_t i = 0; i < n; ++i)
+        for (int64_t k = indptr[i]; k < indptr[i + 1]; ++k) {
+            const int64_t p = (int64_t)position[i / block] * block + i % block;
+            const int64_t q = (int64_t)position[indices[k] / block] * block + indices[k] % block;
+            place[k] = p <= q ? begin[p] + q - p : (symmetric ? 0 : begin[n]) + begin[q] + p - q;
+        }
+}
+
+/* Take the products of R columns of L and rows of U, from i on, off one of the triangles behind them: rows of `row` times
+ * factors out of `by`. */
+INLINE void take_off(const int R, int64_t i, const int64_t *begin, int64_t length, const double *by, const double *row,
+                     double *out)
+{
+    const double *b[3], *from[3];
+    for (int r = 0; r < R; ++r) from[r] = row + begin[i + r] + R - r, b[r] = by + begin[i + r] + R - r;  /* column i + R */
+    for (int64_t j = 0; j < length; ++j) {
+        double *restrict to = out + begin[i + R + j] - j, f[3];
+        for (int r = 0; r < R; ++r) f[r] = b[r][j];
+        for (int64_t k = j; k < length; ++k) {
+            double sum = to[k];
+            for (int r = 0; r < R; ++r) sum -= f[r] * from[r][k];
+            to[k] = sum;
+        }
+    }
+}
+
+/* Complete row i of U, and column i of L; their diagonal becomes what a solution is multiplied by. Returns nonzero where there
+ * is no pivot. */
+INLINE int finish_row(int64_t i, const int64_t *begin, double *U, double *L)
+{
+    double *row = U + begin[i], *column = L ? L + begin[i] : row;
+    const int64_t length = begin[i + 1] - begin[i];
+    const double pivot = row[0];
+    if (!(fabs(pivot) < INFINITY) || pivot == 0.0 || (!L && pivot < 0.0)) return 1;
+    const double inverse = 1.0 / (L ? pivot : sqrt(pivot));
+    row[0] = inverse;
+    for (int64_t k = 1; k < length; ++k) column[k] *= inverse;
+    if (L) column[0] = 1.0;
+    return 0;
+}
+
+/* Factors of a matrix whose diagonal is larger by a share `shift`: Cholesky's where it is symmetric, else L U, L behind U.
+ * Returns nonzero where it isn't definite, or a pivot is zero. */
+FAST int polarmpm_band_factor(int64_t n, int32_t block, int32_t symmetric, const int64_t *begin, int64_t entries,
+                              const int64_t *place, const double *values, double shift, double *factor)
+{
+    double *U = factor, *L = symmetric ? NULL : factor + begin[n];
+    memset(factor, 0, sizeof(double) * begin[n] * (symmetric ? 1 : 2));
+    for (int64_t k = 0; k < entries; ++k) factor[place[k]] = values[k];
+    for (int64_t i = 0; i < n; ++i) U[begin[i]] *= 1.0 + shift;
+    for (int64_t node = 0; node < n; node += block)
+        for (int c = 0; c < block;) {  /* rows of a node end at the same column */
+            const int64_t i = node + c, length = begin[i + 1] - begin[i];
+            const int R = block - c < 3 ? block - c : 3;
+            for (int r = 0; r < R; ++r) {
+                if (finish_row(i + r, begin, U, L)) return 1;
+                const double *row = U + begin[i + r], *column = L ? L + begin[i + r] : row;
+                for (int s = r + 1; s < R; ++s) {
+                    double *restrict to = U + begin[i + s];
+                    for (int64_t k = 0; k < length - s; ++k) to[k] -= column[s - r] * row[s - r + k];
+                    if (!L) continue;
+                    to = L + begin[i + s];
+                    for (int64_t k = 1; k < length - s; ++k) to[k] -= row[s - r] * column[s - r + k];
+                }
+            }
+            for (int t = 0; t < (L ? 2 : 1); ++t) {
+                const double *by = t || !L ? U : L, *row = t ? L : U;
+                double *out = t ? L : U;
+                if (R == 3) take_off(3, i, begin, length - 3, by, row, out);
+                else if (R == 2) take_off(2, i, begin, length - 2, by, row, out);
+                else take_off(1, i, begin, length - 1, by, row, out);
+            }
+            c += R;
+        }
+    return 0;
+}
+
+/* Solution of a system by its factors; `work`: n numbers. */
+FAST void polarmpm_band_solve(int64_t n, int32_t block, int32_t symmetric, const int32_t *position, const int64_t *begin,
+                              const double *factor, const double *right, double *work, double *out)
+{
+    const double *U = factor, *L = symmetric ? U : factor + begin[n];
+    for (int64_t i = 0; i < n; ++i) work[(int64_t)position[i / block] * block + i % block] = right[i];
+    for (int64_t i = 0; i < n; ++i) {
+        const double *column = L + begin[i], value = work[i] *= column[0];
+        double *restrict behind = work + i;
+        for (int64_t k = 1; k < begin[i + 1] - begin[i]; ++k) behind[k] -= column[k] * value;
+    }
+    for (int64_t i = n - 1; i >= 0; --i) {
+        const double *row = U + begin[i], *behind = work + i;
+        const int64_t length = begin[i + 1] - begin[i];
+        double sum[4] = {behind[0]};
+        int64_t k = 1;
+        for (; k + 3 < length; k += 4)
+            for (int q = 0; q < 4; ++q) sum[q] -= row[k + q] * behind[k + q];
+        for (; k < length; ++k) sum[0] -= row[k] * behind[k];
+        work[i] = ((sum[0] + sum[1]) + (sum[2] + sum[3])) * row[0];
+    }
+    for (int64_t i = 0; i < n; ++i) out[i] = work[(int64_t)position[i / block] * block + i % block];
+}
+
+/* What is left of a right-hand side: right - A x. */
+void polarmpm_band_rest(int64_t n, int32_t symmetric, const int64_t *indptr, const int32_t *indices, const double *values,
+                        const double *x, const double *right, double *out)
+{
+    memcpy(out, right, sizeof(double) * n);
+    for (int64_t i = 0; i < n; ++i) {
+        double sum = 0.0;
+        for (int64_t k = indptr[i]; k < indptr[i + 1]; ++k) {
+            const int64_t j = indices[k];
+            sum += values[k] * x[j];
+            if (symmetric && j != i) out[j] -= values[k] * x[i];
+        }
+        out[i] -= sum;
+    }
+}
+
+#endif
