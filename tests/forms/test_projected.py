@@ -66,7 +66,7 @@ class Case:
 @pytest.mark.parametrize("rotation", [False, True])
 @pytest.mark.parametrize("name", list(ELASTIC))
 def test_derivatives(name, dim, rotation):
-    if rotation and (name != "micropolar" or dim == 3):
+    if (rotation and (name != "micropolar" or dim == 3)) or (name, dim) == ("Hencky", 3):
         pytest.skip("no relative rotation, or a minute to compile")
     case = Case(ELASTIC[name], dim, rotation)
     m, nz, inputs = case.m, case.nz, case.inputs(case.y)

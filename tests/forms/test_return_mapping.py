@@ -104,7 +104,7 @@ CASES = {
     "classical": cone(NEO_HOOKEAN),
     "classical-cylinder": cylinder(NEO_HOOKEAN, H=100.0),
 }
-SPACE = ("cone", "no-couples", "general", "classical")
+SPACE = ("cone", "no-couples", "classical")
 PLANE = [pytest.param(2, name, id=f"{name}-2d") for name in CASES]
 BOTH = PLANE + [pytest.param(3, name, id=f"{name}-3d", marks=pytest.mark.slow) for name in SPACE]
 
