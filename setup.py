@@ -6,8 +6,8 @@ from importlib.util import find_spec
 import setuptools
 from setuptools import Extension, setup
 
-# setuptools knows SPDX expressions from 77 on, and asks packaging, which may be an older one; Debian 12's 66 would
-# refuse one in pyproject.toml.
+# setuptools knows SPDX expressions from 77 on, and asks packaging, which may be an older one; Debian 12's 66
+# would refuse one in pyproject.toml.
 try:
     NEW = int(setuptools.__version__.split(".")[0]) >= 77 and find_spec("packaging.licenses") is not None
 except ImportError:
