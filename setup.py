@@ -24,8 +24,8 @@ setup(
             "polarmpm.kernels._native",
             sources=["src/polarmpm/kernels/_native.c"],
             depends=glob("src/polarmpm/kernels/_*.h"),
-            # Python's own flags hold -fwrapv, with which the loops' addresses cost a fifth of a residual, and -g,
-            # with which compiling takes a third longer
+            # Python's own flags hold -fwrapv, with which the loops' addresses cost a fifth of a residual, and
+            # -g, with which compiling takes a third longer
             extra_compile_args=["-O3", "-std=gnu11", "-fno-math-errno", "-fno-wrapv", "-g0"],
         )
     ],
