@@ -129,10 +129,11 @@ def draw(solved, file):
             label = f"cells of {row['cell'] * 1e3:g} mm"
             axes[0].plot(time, kinetic, color=f"C{k}", label=f"kinetic, {label}")
             axes[0].plot(time, stored, color=f"C{k}", ls="--", label=f"stored, {label}")
-        axes[0].axvline(TOUCHING, color="0.6", lw=1)
+        axes[0].axvline(TOUCHING, color="0.6", lw=1, label="they meet")
         axes[0].set_xlabel("time (s)")
-        axes[0].set_ylabel("energy over the first one")
-        axes[0].legend(fontsize=8)
+        axes[0].set_ylabel("energy over the first one (-)")
+        if MPI.COMM_WORLD.rank == 0:
+            plot.legend_below(figure, axes[:1])
     points = solved[-1][2].points
     plot.plot_points(points, np.linalg.norm(points.velocity, axis=1), axes[1], label="speed (m/s)")
     plot.save(figure, file, comm=MPI.COMM_WORLD)

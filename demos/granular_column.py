@@ -153,8 +153,9 @@ def draw(solved, file):
 
     figure, axes = plot.subplots(1, 3, figsize=plot.fitted(15, 3.8))
     problem = solved[-1][1]
-    plot.plot_points(problem.points, problem.points.hardening, axes[0], label="plastic strain (-)")
-    curves = {f"{row['cell'] * 1e3:g} mm": (path[0], path[1]) for row, _, path in solved}
+    strain = problem.points.hardening
+    plot.plot_points(problem.points, strain, axes[0], label="plastic strain (-)", domains=True)
+    curves = {f"cells of {row['cell'] * 1e3:g} mm": (path[0], path[1]) for row, _, path in solved}
     places = np.linspace(0.005, 0.6, 120)
     lines = {row["cell"]: surface(one, row["cell"], places) for row, one, _ in solved}
     if axes[1] is not None:
@@ -163,8 +164,13 @@ def draw(solved, file):
         axes[1].plot(*SURFACE.T, "ko", mfc="none", label="experiment")
         axes[1].set_xlabel("x (m)")
         axes[1].set_ylabel("y (m)")
-        axes[1].legend(fontsize=8)
+        axes[1].grid(color="0.88", linewidth=0.6)
     plot.load_displacement(curves, axes[2], xlabel="time (s)", ylabel="front (m)")
+    if MPI.COMM_WORLD.rank == 0:
+        for line in axes[2].get_lines():
+            line.set(marker="", label=f"_{line.get_label()}")  # as beside
+        axes[2].get_legend().remove()
+        plot.legend_below(figure, axes[1:2])
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 
 
