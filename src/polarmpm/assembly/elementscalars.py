@@ -82,10 +82,9 @@ class QuadraturePoints:
             for p in forms.parts
         ]
 
-    def kernel_inputs(self, batch: PointBatch, x: np.ndarray) -> np.ndarray:
-        """Inputs (n, form.inputs) of the residual's kernel at nodal increments x (nodes, block)."""
-        k = self._rows[id(batch.batch)]
-        return self._forms.kernel_inputs(k, self._forms.unknowns(k, x))
+    def unknowns(self, batch: PointBatch, x: np.ndarray) -> np.ndarray:
+        """z (n, nz) of a material's points at nodal increments x (nodes, block)."""
+        return self._forms.unknowns(self._rows[id(batch.batch)], x)
 
     @property
     def reference(self) -> Points:

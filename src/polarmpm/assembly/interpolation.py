@@ -209,11 +209,15 @@ class Interpolation:
         """Inputs (n, form.inputs) of the residual's kernel at nodal increments x (nodes, block)."""
         form, b = batch.form, batch.batch
         nz, ns = form.layout.unknowns, form.packed_size
-        out = np.empty((len(batch.rows), form.inputs))
-        z = np.empty((len(batch.rows), nz))
-        _gather(b, x, 1, z, None)
+        out, z = np.empty((len(batch.rows), form.inputs)), self.unknowns(batch, x)
         out[:, :nz], out[:, nz : nz + ns], out[:, nz + ns :] = z, b.kept["state"], b.kept["param"]
         return out
+
+    def unknowns(self, batch: PointBatch, x: np.ndarray) -> np.ndarray:
+        """z (n, nz) of a batch's points in the frame of its kernels, at nodal increments x (nodes, block)."""
+        z = np.empty((len(batch.rows), batch.form.layout.unknowns))
+        _gather(batch.batch, x, 1, z, None)
+        return z
 
     # between nodes and points ---------------------------------------------------------------------
     def gather(self, x: np.ndarray) -> Increments:

@@ -12,6 +12,7 @@ g b^T + b h^T are added to the tangent:
 from __future__ import annotations
 
 import ctypes
+from functools import cached_property
 
 import numpy as np
 
@@ -65,6 +66,12 @@ class Patches:
         found: np.ndarray = np.add.reduceat(values[self._order], self._starts, axis=0)
         return found
 
+    @cached_property
+    def _weighted(self) -> np.ndarray:
+        """V0 phi_a (n, functions)."""
+        found: np.ndarray = self.volume[:, None] * self.values
+        return found
+
     def _functions(self, places: np.ndarray, linear: bool) -> np.ndarray:
         """phi (n, 1 or 1 + d) at the points; zero where the points are too few for one."""
         n, d = places.shape
@@ -85,7 +92,7 @@ class Patches:
     def moments(self, values: np.ndarray, functions: np.ndarray | None = None) -> np.ndarray:
         """sum V0 phi_a f_c over each patch (patches, functions, c) of values (n, c); with other functions at
         the points (n, functions) if they are given."""
-        weighted = self.volume[:, None] * (self.values if functions is None else functions)
+        weighted = self._weighted if functions is None else self.volume[:, None] * functions
         return self.sums(weighted[:, :, None] * values[:, None, :])
 
     def at_points(self, moments: np.ndarray, functions: np.ndarray | None = None) -> np.ndarray:
@@ -106,7 +113,7 @@ class Patches:
 
     def products(self, matrices: np.ndarray) -> np.ndarray:
         """sum V0 phi_a phi_b M_cd over each patch, (patches, modes, modes), of matrices (n, c, c)."""
-        weighted = self.volume[:, None, None] * self.values[:, :, None] * self.values[:, None]
+        weighted = self._weighted[:, :, None] * self.values[:, None]
         found = self.sums(weighted[:, :, None, :, None] * matrices[:, None, :, None, :])
         modes = self.modes
         return found.reshape(self.count, modes, modes)

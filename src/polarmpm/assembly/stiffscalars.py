@@ -153,10 +153,8 @@ class StiffScalars:
 
     def place(self, x: np.ndarray, boxes: PointBoxes | None) -> Mean:
         """Put t at nodal values x (nodes, block) into the state; e and e_z at the points."""
-        nz = self.form.layout.unknowns
         if boxes is None:
-            self._z, self._zk = self._interpolation.kernel_inputs(self._batch, x)[:, :nz].copy(), None
-            self._both = None
+            self._z, self._zk, self._both = self._interpolation.unknowns(self._batch, x), None, None
         else:
             self._z, self._zk, self._both = boxes.gather(x)
             self._value_slots = [] if self._both is None else boxes.value_slots
@@ -271,7 +269,7 @@ class StiffScalars:
 
     def values(self, x: np.ndarray) -> np.ndarray:
         """e (n, scalars) at the points at nodal values x (nodes, block)."""
-        z = self._interpolation.kernel_inputs(self._batch, x)[:, : self.form.layout.unknowns].copy()
+        z = self._interpolation.unknowns(self._batch, x)
         found: np.ndarray = self.kernels.measure(*self._inputs(z))[:, : self.form.scalars]
         return found if self._turn is None else np.einsum("pij,pj->pi", self._turn, found)
 
