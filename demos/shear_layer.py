@@ -26,7 +26,6 @@ WIDTH, HEIGHT, SHIFT = 0.01, 0.1, 0.02  # m
 LAM, MU = 4e9, 4e9  # Pa
 YOUNG = MU * (3 * LAM + 2 * MU) / (LAM + MU)
 STRENGTH, FRICTION, DILATANCY = 100e6, math.radians(8.6), math.radians(2)  # Pa, rad, rad
-AT_ONCE = "from the start"  # of a grid that is as fine as the one beside it has become
 GRIDS = {"micropolar": ("9x1", "19x2", "39x4"), "classical": ("9x5", "19x10", "39x20")}  # rows x columns
 
 
@@ -208,7 +207,7 @@ def main(argv=None):
             solved[g, length] = solve(g, length, args, folder)
             if args.regrid is not None:
                 lines = solved[g, length][0].grid.lines[1]
-                solved[f"{g} {AT_ONCE}", length] = solve(g, length, args, folder, lines)
+                solved[f"{g} from the start", length] = solve(g, length, args, folder, lines)
     draw(solved, args, folder / "shear_layer.png")
     result = {"grids": [f"{g}, {length * 1e3:g} mm" for g, length in solved]} | summary(solved)
     last = list(solved.values())[-1][0]
@@ -252,7 +251,7 @@ def draw(solved, args, file):
     )
     curves, profiles = {}, {}
     for (g, length), (problem, path) in solved.items():
-        label = f"{g}, {length * 1e3:g} mm" if len(args.length) > 1 else named(g)
+        label = f"{g}, {length * 1e3:g} mm" if len(args.length) > 1 else g
         y, chi, _ = profile(problem.points, problem.points.hardening)
         curves[label] = (path[:, 0] * 1e3, path[:, 1] / 1e3)
         profiles[label] = (chi, y * 1e3)
@@ -261,17 +260,12 @@ def draw(solved, args, file):
     for ax in axes[:2] if MPI.COMM_WORLD.rank == 0 else []:
         for line in ax.get_lines():
             line.set_marker("")
-            if line.get_label().endswith(AT_ONCE):
+            if line.get_label().endswith("from the start"):
                 line.set_linestyle("--")
         ax.legend(frameon=False)
     for k, (label, value) in enumerate(views.items()):
         draw_slices(shown, value, label, axes[2 + k * len(shown) :])
     plot.save(figure, file, comm=MPI.COMM_WORLD)
-
-
-def named(grid):
-    """Of a grid in figures, where there is little room."""
-    return AT_ONCE if grid.endswith(AT_ONCE) else grid
 
 
 def draw_slices(problems, value, label, axes):
@@ -293,7 +287,7 @@ def draw_slices(problems, value, label, axes):
             plot.plot_mesh(problem.elements, values[g], ax, at="points", edges=False, **options)
         else:
             plot.plot_points(problem.points, values[g], ax, **options)
-        ax.set(title=named(g), xlabel="x (mm)" if g == last else "", ylabel="", yticks=[])
+        ax.set(title=g, xlabel="x (mm)" if g == last else "", ylabel="", yticks=[])
 
 
 if __name__ == "__main__":

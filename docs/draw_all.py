@@ -36,11 +36,6 @@ FIGURES: dict[str, tuple[str, str]] = {
         "demos/shear_layer.py --basis bspline --zone 0.0114 --weakness 0.02 --output {folder}",
         "shear_layer",
     ),
-    "shear_layer_regrid": (
-        "demos/shear_layer.py --regrid 0.5e-3 --basis bspline --grids 25x1 --length 2e-3 --zone 4e-3 "
-        "--points-per-cell 2 --steps 40 --to 0.5 --output {folder}",
-        "shear_layer",
-    ),
     "shear_layer_lengths": (
         "demos/shear_layer.py --basis bspline --zone 0.0114 --weakness 0.02 --grids 39x4 "
         "--length 2.5e-3 5e-3 10e-3 --output {folder}",

@@ -223,7 +223,7 @@ class FollowBody:
         return None
 
 
-@dataclass(frozen=True)
+@dataclass
 class ByFunction:
     """A script's function: of the problem, asked at each reset; or of the problem and a trial, asked after
     each step that has converged, before it is taken."""
