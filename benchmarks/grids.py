@@ -33,19 +33,26 @@ def unknowns(problem):
 
 
 # footing ----------------------------------------------------------------------------------------------
-def footing(cells, lines=None, steps=20):
-    """A rough strip footing on soil of 5 x 5: the load over c and the effective half width."""
-    scene = demo("strip_footing")
-    grid = pm.Grid.box((0, 0), (5, 5), 1 / cells) if lines is None else pm.Grid.graded(**lines)
-    points = pm.seed(grid, material=scene.soil(), points_per_cell=2)
-    problem = pm.QuasiStatic(grid, points, reset=None)
-    for x in (0.0, 5.0):
+def footing(cells, lines=None, steps=20, length=None, size=(5, 5), **options):
+    """A rough strip footing on soil of 5 x 5: the load over c and the effective half width. `length`: of a
+    micropolar soil."""
+    soil = demo("strip_footing").soil()
+    if length:
+        elastic = pm.MicropolarElastic.bounded_stiffness(
+            lam=soil.elastic.lam, mu=soil.elastic.mu, kappa=soil.elastic.mu / 10, l_b=length
+        )
+        soil = pm.VonMises(elastic, k=soil.k, l_p=length)
+    grid = pm.Grid.box((0, 0), size, 1 / cells) if lines is None else pm.Grid.graded(**lines)
+    points = pm.seed(grid, material=soil, points_per_cell=2)
+    problem = pm.QuasiStatic(grid, points, **{"reset": None, **options})
+    width, depth = grid.upper
+    for x in (0.0, width):
         problem.fix(pm.plane(x=x), ux=0)
     problem.fix(pm.plane(y=0.0), u=0)
-    held = problem.fix(lambda x: (x[:, 0] < 1 + 1e-6) & (x[:, 1] > 5 - 1e-6), ux=0, uy=-0.02)
+    held = problem.fix(lambda x: (x[:, 0] < 1 + 1e-6) & (x[:, 1] > depth - 1e-6), ux=0, uy=-0.02)
     list(problem.march(steps, adaptive=True, progress=False))
     x = problem.system.nodes.position
-    top = x[np.abs(x[:, 1] - 5) < 1e-6, 0]
+    top = x[np.abs(x[:, 1] - depth) < 1e-6, 0]
     width = 0.5 * (top[top < 1 + 1e-6].max() + top[top > 1 + 1e-6].min())
     return problem, -float(problem.reaction(held).force[1]) / width
 
@@ -151,6 +158,47 @@ def bodies(number):
     return found
 
 
+# re-gridding ------------------------------------------------------------------------------------------
+def regridded():
+    """Footings on soil of 4 x 2 whose grid changes, against the last grid from the start, reset as often."""
+    found = []
+    fine = pm.Grid.box((0, 0), (4, 2), 1 / 16)
+
+    def once(problem, trial):
+        return fine if problem.comm.allreduce(int(trial.flowed.any())) else None
+
+    def late(problem):
+        return fine if problem.progress.step == 3 else None
+
+    for name, cells, options in (
+        ("micropolar, along bands", 4, {"length": 0.2, "regrid": pm.AlongBands(h=1 / 8), "steps": 10}),
+        ("von Mises, function of trials", 8, {"regrid": once}),
+        ("von Mises, function after step 3", 8, {"regrid": late, "reset": 1}),
+    ):
+        scene = {"size": (4, 2), **options}
+        problem, load = footing(cells, **scene)
+        lines = dict(zip("xy", problem.grid.lines, strict=True))
+        reset = scene.pop("reset", None) or AfterSteps(one.step for one in problem.regrids)
+        del scene["regrid"]
+        _, expected = footing(cells, lines, **scene, reset=reset)
+        changes = [one.step for one in problem.regrids]
+        found.append({"scene": "footing", "grid": name, "unknowns": unknowns(problem), "changes": changes})
+        found[-1] |= {"value": load, "error": load / expected - 1}
+        show(found[-1])
+    return found
+
+
+class AfterSteps:
+    """Resets after some steps."""
+
+    def __init__(self, steps):
+        self.steps, self.number = set(steps), 0
+
+    def due(self, steps, gradient, comm):
+        self.number += 1
+        return self.number in self.steps
+
+
 # --------------------------------------------------------------------------------------------------------
 def compared(scene, rows):
     """Rows beside the one on equal cells."""
@@ -181,6 +229,7 @@ PARTS = {
     "footing": lambda args: footings(8 if args.quick else 16),
     "hole": lambda args: holes(8 if args.quick else 16),
     "layer": lambda args: layers(4),
+    "regrid": lambda args: regridded(),
     "bodies": lambda args: bodies(10 if args.quick else 60),
 }
 
