@@ -78,6 +78,22 @@ def cantilever(basis: str, *, restart: Any = None, **options: Any) -> pm.QuasiSt
     return problem
 
 
+def test_bodies_at_any_height():
+    """The deflection of a cantilever of splines hardly depends on how it lies on lines of 1:4."""
+    x, y = (np.concatenate([[0.0], np.cumsum(4.0 ** (np.arange(n) / (n - 1)))]) for n in (14, 10))
+    found = []
+    for low in (0.11, 0.31, 0.47, 0.82, 1.13, 1.27):
+        grid = pm.Grid.graded(x=5.2 * x / x[-1], y=2.5 * y / y[-1])
+        points = pm.seed(grid, material=NEO_HOOKEAN, bounds=((0.0, low), (4.0, low + 1.0)))
+        problem = pm.QuasiStatic(grid, points)
+        problem.fix(pm.plane(x=0.0), u=0)
+        problem.body_load(force=(0.0, -0.05))
+        list(problem.march(1, progress=False))
+        sums = COMM.allreduce(np.array([points.volume0 @ points.displacement[:, 1], points.volume0.sum()]))
+        found.append(sums[0] / sums[1])
+    assert np.ptp(found) < 0.005 * abs(np.mean(found))
+
+
 @pytest.mark.parametrize("basis", ["bspline", "gimpm"])
 def test_halves_of_symmetric_bodies(basis):
     """With lines that are mirrored at the plane of symmetry, the half is the whole body."""

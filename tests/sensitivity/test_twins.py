@@ -279,6 +279,12 @@ def under_way(p: dict[str, float]) -> Any:
         (under_way, BEAM, {}, "has taken 1 step"),
         (partial(scenes.cantilever, basis="mpm", assembly="projection"), BEAM, {}, "assembly = 'projection'"),
         (partial(scenes.elements, assembly="dolfinx"), SOIL, {}, "assembly = 'native'"),
+        (
+            partial(scenes.cantilever, regrid=lambda problem, trial: None),
+            BEAM,
+            {},
+            "regrid: runs whose steps",
+        ),
     ],
 )
 def test_what_is_refused(build, values, options, message):

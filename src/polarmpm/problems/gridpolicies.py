@@ -43,9 +43,11 @@ class RegridPolicy(Protocol):
 
     Attributes:
         splits: its cells may be smaller than those of before, so that points are split.
+        repeats: it may have steps taken again.
     """
 
     splits: bool
+    repeats: bool
 
     def check(self, problem: Any) -> None:
         """Raise InputError for a problem that it can't be used in."""
@@ -85,6 +87,7 @@ class AlongBands:
     growth: float = GROWTH
     keep: Mapping[str, Sequence[float]] = field(default_factory=dict)
     splits = True
+    repeats = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "h", checks.number("h", self.h, above=0.0))
@@ -172,6 +175,7 @@ class FollowBody:
     axes: str | None = None
     growth: float = GROWTH
     keep: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    repeats = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "margin", checks.number("margin", self.margin, above=0.0))
@@ -219,23 +223,23 @@ class FollowBody:
         return None
 
 
-@dataclass(frozen=True)
+@dataclass
 class ByFunction:
     """A script's function: of the problem, asked at each reset; or of the problem and a trial, asked after
     each step that has converged, before it is taken."""
 
     function: Any
-    of_trials: bool
+    repeats: bool
     splits = True
 
     def check(self, problem: Any) -> None:
         pass
 
     def at_reset(self, problem: Any) -> Grid | None:
-        return None if self.of_trials else self._other(problem, problem.regridding.now(problem))
+        return None if self.repeats else self._other(problem, problem.regridding.now(problem))
 
     def after_trial(self, problem: Any, trial: Trial) -> Grid | None:
-        return self._other(problem, problem.grid, trial) if self.of_trials else None
+        return self._other(problem, problem.grid, trial) if self.repeats else None
 
     def _other(self, problem: Any, now: Grid, *more: Trial) -> Grid | None:
         """What the function returns, unless it is the grid that there is."""
@@ -268,8 +272,8 @@ def make_policy(regrid: Any) -> RegridPolicy | None:
             checks.function("regrid", regrid, what, takes=("problem", "trial"))
         except InputError:
             raise refused from None
-        return ByFunction(function, of_trials=True)
-    return ByFunction(function, of_trials=False)
+        return ByFunction(function, repeats=True)
+    return ByFunction(function, repeats=False)
 
 
 # arguments --------------------------------------------------------------------------------------------

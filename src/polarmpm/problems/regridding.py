@@ -80,6 +80,11 @@ class Regridding:
         """Whether points may be split."""
         return self.policy is not None and bool(self.policy.splits)
 
+    @property
+    def repeats(self) -> bool:
+        """Whether steps may be taken again."""
+        return self.policy is not None and bool(getattr(self.policy, "repeats", True))
+
     def begin(self, problem: Any) -> None:
         """Check the problem as it is made. Collective."""
         if self.policy is None:

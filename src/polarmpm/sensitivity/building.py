@@ -107,6 +107,11 @@ def check_problem(problem: Any) -> None:
             raise InputError(
                 f"assembly = {problem.assembly!r}: runs are differentiated with assembly 'direct'"
             )
+        if problem.regridding.repeats:
+            raise InputError(
+                "regrid: runs whose steps may be taken again in another grid aren't differentiated; let a "
+                "first run end, and give its lines (problem.grid.lines) from the start"
+            )
     elif not isinstance(problem.forms, NativeElementForms):
         raise InputError(
             "elements of assembly 'dolfinx', which those with second gradients take, aren't differentiated; "
