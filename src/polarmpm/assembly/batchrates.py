@@ -3,14 +3,13 @@
 A point's forces are the product of its weighting functions and of what its stresses do work on. Where nodal
 values, the point's state, the material's numbers and, since points have moved by a reset, the weighting
 functions and boxes change too, the product rule gives the change of the forces: the kernels' derivatives
-(`forms.directional`) with the functions as they are, and stresses as they are with the functions' changes, one
-direction of the lattice after the other. Gradients are those in the lattice's axes until the kernels' frames
-(the first entries of the state) turn them, as these have changes of their own.
+(`forms.directional`) with the functions as they are, and stresses as they are with the functions'
+changes, one direction of the lattice after the other. Gradients are those in the lattice's axes until the
+kernels' frames (the first entries of the state) turn them, as these have changes of their own.
 """
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -22,108 +21,17 @@ from ..forms.initialstress import InitialKernels
 from ..forms.projected import ProjectedForm
 from ..kernels import native
 from ..kernels.kernel import Kernel
-from ..kinematics.layout import Layout
-from .interpolation import Interpolation, PointBatch, _gather
+from .interpolation import Interpolation
 from .patches import Patches
+from .pointfunctions import Functions, framed
 from .stiffscalars import Mean
 
 if TYPE_CHECKING:
     from ..forms.returnmapping import ReturnMapping, Yielding
 
 
-class Functions:
-    """Weighting functions of a batch's points, by which nodal values are gathered and forces spread.
-
-    Args:
-        nodes: how many there are.
-        axes: half axes (n, d, d) of the points' boxes; None: there are none.
-        weights: in the place of the batch's own.
-    """
-
-    def __init__(
-        self, batch: PointBatch, nodes: int, axes: np.ndarray | None, weights: np.ndarray | None = None
-    ):
-        b, n, d = batch.batch, len(batch.rows), batch.batch.dim
-        self.layout, self._nodes, self._own = batch.form.layout, nodes, native.Batch()
-        for name, _ in native.Batch._fields_:
-            setattr(self._own, name, getattr(b, name))
-        self._own.kept.update(b.kept)
-        still = np.zeros_like(b.kept["state"])
-        still[:, : d * d] = np.eye(d).ravel()
-        native.fill(self._own, state=still)
-        if weights is not None:
-            native.fill(self._own, weights=np.ascontiguousarray(weights))
-        self._kernels, self._boxes = native.PointKernels(), axes is not None
-        if axes is not None:
-            lean = np.ascontiguousarray(axes) if self.layout.rotations else None
-            native.fill(self._kernels, box_axes=np.ascontiguousarray(axes), box_lean=lean)
-        group = np.repeat(np.arange(b.ngroups), np.diff(b.kept["offsets"]))
-        self._sums = native.Patches()  # one patch of all nodes
-        native.fill(
-            self._sums,
-            npatches=1,
-            functions=1,
-            scalars=1,
-            modes=1,
-            offsets=np.array([0, nodes], dtype=np.int64),
-            nodes=np.arange(nodes, dtype=np.int32),
-            patch=np.zeros(n, dtype=np.int32),
-            map_of=np.ascontiguousarray(b.kept["node_offsets"][group], dtype=np.int64),
-            maps=np.ascontiguousarray(b.kept["nodes"], dtype=np.int32),
-            values=np.ones((n, 1)),
-        )
-
-    def gather(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        """z (n, nz), and its derivatives along the half axes (n, d, nz), of nodal values (nodes, block)."""
-        n, nz = self._own.npoints, self.layout.unknowns
-        z = np.empty((n, nz))
-        if not self._boxes:
-            _gather(self._own, x, 0, z, None)
-            return z, None
-        zk = np.empty((n, self.layout.dim, nz))
-        gather = native.library().polarmpm_gather_boxes
-        if gather(ctypes.byref(self._own), ctypes.byref(self._kernels), x, z, zk, None):
-            raise MemoryError("no memory for the points' boxes")
-        return z, zk
-
-    def values(self, x: np.ndarray) -> np.ndarray:
-        """Values (n, block) at the points."""
-        n = self._own.npoints
-        z, value = np.empty((n, self.layout.unknowns)), np.empty((n, self.layout.block))
-        _gather(self._own, x, 0, z, value)
-        return value
-
-    def spread(self, work: np.ndarray, sides: np.ndarray | None) -> np.ndarray:
-        """Forces (nodes, block) on this rank's nodes of what does work on z (n, nz), per volume, and on its
-        derivatives along the half axes (n, d, nz)."""
-        out = np.zeros(self._nodes * self.layout.block)
-        own = ctypes.byref(self._own), ctypes.byref(self._kernels), ctypes.byref(self._sums)
-        flat = None if sides is None else np.ascontiguousarray(sides)
-        if native.library().polarmpm_patch_vectors(*own, np.ascontiguousarray(work), flat, None, out):
-            raise MemoryError("no memory for the sums over material points")
-        return np.ascontiguousarray(out.reshape(self.layout.block, self._nodes).T)
-
-    def loads(self, values: np.ndarray) -> np.ndarray:
-        """Forces (nodes, block) of point values (n, block)."""
-        out = np.zeros((self._nodes, values.shape[1]))
-        given = np.ascontiguousarray(values)
-        native.library().polarmpm_spread(ctypes.byref(self._own), given, values.shape[1], out)
-        return out
-
-
 def _turned(turn: np.ndarray | None, values: np.ndarray) -> np.ndarray:
     return values if turn is None else np.einsum("nij,nj->ni", turn, values)
-
-
-def framed(layout: Layout, a: np.ndarray, frames: np.ndarray, *, values: bool = True) -> np.ndarray:
-    """Gradients among unknowns (n, ..., nz) times frames (n, d, d); without values these are zero."""
-    out, d = a.copy() if values else np.zeros_like(a), layout.dim
-    frames = frames.reshape(len(frames), *[1] * (a.ndim - 2), d, d)
-    for name in ("displacement", "rotation")[: 1 + bool(layout.rotations)]:
-        at = layout.where(name, 1)
-        rows = a[..., at].reshape(*a.shape[:-1], (at.stop - at.start) // d, d)
-        out[..., at] = (rows @ frames).reshape(*a.shape[:-1], at.stop - at.start)
-    return out
 
 
 @dataclass
@@ -131,7 +39,8 @@ class At:
     """A batch's points at some nodal values.
 
     Attributes:
-        g, gk: unknowns and their derivatives along the half axes, in the lattice's axes; z, zk: in the frames.
+        g, gk: unknowns and their derivatives along the half axes, in the lattice's axes; z, zk: in
+            the frames.
         state: (n, packed size), with projected scalars and conjugates as they are in equilibrium.
         work, sides: what does work on z and zk, per volume.
         measure: the stiff scalars e and e_z; by_t: their conjugates L_t (n, m); moments: of e and of these
@@ -331,17 +240,18 @@ class BatchRates:
         """Of z and zk, where nodal values x change by dx (None: they stay)."""
         dg, dgk = np.zeros_like(at.g), None if at.gk is None else np.zeros_like(at.gk)
         parts = [] if dx is None else [self.functions.gather(dx)]
-        parts += [f.gather(x) for f in (change.functions if change is not None else ())]
+        still = change is None or not np.any(x)
+        parts += [f.gather(x) for f in (change.functions if change is not None and not still else ())]
         for g, gk in parts:
             dg += g
             if dgk is not None and gk is not None:
                 dgk += gk
-        if change is not None and change.axes is not None and dgk is not None:
+        if change is not None and change.axes is not None and dgk is not None and not still:
             dgk = dgk + change.axes.gather(x)[1]
         frames, layout = self.frames(at.state), self.layout
         dz = framed(layout, dg, frames)
         dzk = None if dgk is None else framed(layout, dgk, frames)
-        if change is not None:
+        if change is not None and not still:
             turned = self.frames(change.state)
             dz += framed(layout, at.g, turned, values=False)
             if dzk is not None and at.gk is not None:
@@ -351,24 +261,46 @@ class BatchRates:
     def forces(self, at: At, x: np.ndarray, dx: np.ndarray | None, change: Change | None) -> np.ndarray:
         """Changes of the forces (nodes, block) on this rank's nodes; `change.given` gets those of the state
         and of what yields."""
-        layout, frames = self.layout, np.swapaxes(self.frames(at.state), 1, 2)
         dz, dzk = self.change_of_unknowns(at, x, dx, change)
-        dwork, dsides = self.respond(at, dz, dzk, change)
+        return self._spread_change(at, self.respond(at, dz, dzk, change), (at.work, at.sides), change)
+
+    def forces_of_initial(self, at: At, packed: np.ndarray, change: Change) -> np.ndarray:
+        """Changes of the forces (nodes, block) of packed initial stresses alone, at no increments."""
+        assert self.initial is not None
+        d, still = self.layout.dim**2, np.zeros_like(at.z)
+        frames, turned = at.state[:, :d], change.state[:, :d]
+        moved = np.zeros_like(packed) if change.initial is None else change.initial
+        work = self.initial[0].residual(still, frames, packed)
+        dwork = self.initial[1].residual(still, still, frames, turned, packed, moved)
+        return self._spread_change(at, (dwork, None), (work, None), change)
+
+    def _spread_change(
+        self,
+        at: At,
+        changes: tuple[np.ndarray, np.ndarray | None],
+        values: tuple[np.ndarray, np.ndarray | None],
+        change: Change | None,
+    ) -> np.ndarray:
+        """Changes of forces (nodes, block), of what does work on z and zk, in the frames, and its changes."""
+        layout, frames = self.layout, np.swapaxes(self.frames(at.state), 1, 2)
+        (dwork, dsides), (work, sides) = changes, values
         raw = framed(layout, dwork, frames)
-        sides = None if dsides is None else framed(layout, dsides, frames)
+        raw_sides = None if dsides is None else framed(layout, dsides, frames)
         if change is None:
-            return self.functions.spread(raw, sides)
+            return self.functions.spread(raw, raw_sides)
         turned = np.swapaxes(self.frames(change.state), 1, 2)
-        raw += framed(layout, at.work, turned, values=False)
-        if sides is not None and at.sides is not None:
-            sides += framed(layout, at.sides, turned, values=False)
-        out = self.functions.spread(raw, sides)
-        work = framed(layout, at.work, frames)
-        of_sides = None if at.sides is None else framed(layout, at.sides, frames)
+        raw += framed(layout, work, turned, values=False)
+        if raw_sides is not None and sides is not None:
+            raw_sides += framed(layout, sides, turned, values=False)
+        out = self.functions.spread(raw, raw_sides)
+        if not change.functions:
+            return out
+        work = framed(layout, work, frames)
+        sides = None if sides is None else framed(layout, sides, frames)
         for functions in change.functions:
-            out += functions.spread(work, of_sides)
-        if change.axes is not None and of_sides is not None:
-            out += change.axes.spread(np.zeros_like(work), of_sides)
+            out += functions.spread(work, sides)
+        if change.axes is not None and sides is not None:
+            out += change.axes.spread(np.zeros_like(work), sides)
         return out
 
     def respond(

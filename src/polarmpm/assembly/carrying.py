@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..kinematics.layout import Layout
 from ..solvers.linear import SingularTangent
 from .loadedpoints import LoadedPoints
 from .system import NodalSystem
@@ -34,6 +35,7 @@ class Moduli:
 
     Attributes:
         blocks: no residual, then a with a small shift: (n, nz (1 + nz)).
+        shift: of the diagonal (n, nz).
     """
 
     def __init__(self, system: LoadedPoints, k: int):
@@ -49,10 +51,8 @@ class Moduli:
         a, upper = self._matrices, np.triu_indices(nz)
         a[:, upper[0], upper[1]] = a[:, upper[1], upper[0]] = (of_material - geometric)[:, nz:]
         diagonal = np.einsum("nii->ni", a)
-        self._shift = _SOFTEST * np.abs(diagonal)
-        of_gradient = layout.where("displacement", 1)
-        self._shift[:, of_gradient] = self._shift[:, of_gradient].mean(axis=1, keepdims=True)
-        diagonal += self._shift
+        self.shift = shift_of(layout, diagonal)
+        diagonal += self.shift
 
     @property
     def _matrices(self) -> np.ndarray:
@@ -88,7 +88,15 @@ class Moduli:
 
     def times(self, z: np.ndarray) -> np.ndarray:
         """Stresses a z (n, b, d) of z (n, nz)."""
-        return self.stresses(np.einsum("nij,nj->ni", self._matrices, z) - self._shift * z)
+        return self.stresses(np.einsum("nij,nj->ni", self._matrices, z) - self.shift * z)
+
+
+def shift_of(layout: Layout, diagonal: np.ndarray) -> np.ndarray:
+    """What is added to the diagonal (n, nz) of moduli, so that nothing is without stiffness."""
+    shift: np.ndarray = _SOFTEST * np.abs(diagonal)
+    of_gradient = layout.where("displacement", 1)
+    shift[:, of_gradient] = shift[:, of_gradient].mean(axis=1, keepdims=True)
+    return shift
 
 
 # resets -----------------------------------------------------------------------------------------------

@@ -87,6 +87,7 @@ class Patches:
             along = np.einsum("ni,nia->na", away, axes[self.patch]) * scale[self.patch]
             out[:, 1:] = along / np.sqrt(volume[self.patch])[:, None]
             self._slopes = axes * (scale / np.sqrt(volume)[:, None])[:, None]  # of the functions by places
+            self._principal = variance, axes, share, away
         return np.ascontiguousarray(out)
 
     def moments(self, values: np.ndarray, functions: np.ndarray | None = None) -> np.ndarray:
@@ -107,9 +108,24 @@ class Patches:
         points' places change by so much (n, d)."""
         if self.values.shape[1] == 1 or not len(places):
             return np.zeros_like(self.values)
+        variance, axes, share, away = self._principal
         out = np.zeros_like(self.values)
         out[:, 1:] = np.einsum("ni,nia->na", places, self._slopes[self.patch])
-        return out - self.at_points(self.moments(out))
+        # where the body is flat there is no function along an axis, and the others turn with it
+        left_out = ~np.any(self._slopes, axis=1, keepdims=True)
+        if np.any(left_out):
+            moved = places - self.sums(share[:, None] * places)[self.patch]
+            half = self.sums(share[:, None, None] * moved[:, :, None] * away[:, None])
+            change = np.swapaxes(axes, 1, 2) @ (half + np.swapaxes(half, 1, 2)) @ axes
+            apart = variance[:, None, :] - variance[:, :, None]
+            turned = np.where(
+                np.swapaxes(left_out, 1, 2) & ~left_out, change / np.where(apart == 0.0, 1.0, apart), 0.0
+            )
+            size = np.linalg.norm(self._slopes, axis=1)
+            slopes = (axes @ turned) * size[:, None]
+            out[:, 1:] += np.einsum("ni,nia->na", away, slopes[self.patch])
+        out -= self.at_points(self.moments(out))
+        return out
 
     def products(self, matrices: np.ndarray) -> np.ndarray:
         """sum V0 phi_a phi_b M_cd over each patch, (patches, modes, modes), of matrices (n, c, c)."""

@@ -1,8 +1,9 @@
-"""Derivatives of balanced resets: of the initial stresses and forces that a reset carries (`assembly.carrying`).
+"""Derivatives of balanced resets: of the initial stresses and forces that they carry (`assembly.carrying`).
 
 Each of the motions w of which initial stresses are made solves K w = -r, so that its derivative solves
 K dw = -(dr + dK w), with the factor that the reset has left: dK is the change of the material part of the
-tangents, and of the weighting functions, times w.
+tangents, and of the weighting functions, times w. That of the shift that keeps the tangents regular is left
+out: what it does is less than rounding.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from ..assembly.batchrates import At, BatchRates, Change, framed
+from ..assembly.batchrates import At, BatchRates, Change
 from ..assembly.carrying import Moduli, closing_at
+from ..assembly.pointfunctions import framed
 from ..forms.directional import FormAlong, InitialAlong
 from ..forms.projected import ProjectedForm
 from .differences import along
@@ -42,7 +44,7 @@ class CarriedModuli:
 
     def plain(self, z: np.ndarray) -> np.ndarray:
         """The same without the shift."""
-        found: np.ndarray = self._moduli.work(z) - self._moduli._shift * z
+        found: np.ndarray = self._moduli.work(z) - self._moduli.shift * z
         return found
 
     def stresses(self, work: np.ndarray, frames: np.ndarray) -> np.ndarray:
@@ -62,19 +64,21 @@ class CarriedModuli:
         frames, turned = self.batch.frames(state), self.batch.frames(dstate)
 
         def packed(work: np.ndarray, frames: np.ndarray) -> np.ndarray:
-            return self.form.pack(self.stresses(work, frames), frames)
+            found: np.ndarray = self.form.pack(self.stresses(work, frames), frames)
+            return found
 
         stress = packed(self._rows, frames)
         dstress = along(packed, [self._rows, frames], [rows, turned])
         geometric = self.initial.moduli(still, z, state[:, :d], dstate[:, :d], stress, dstress)
-        return of_material - geometric
+        found: np.ndarray = of_material - geometric
+        return found
 
 
 def closing_change(
     system: Any, forces: np.ndarray, change: np.ndarray, moved: np.ndarray, volumes: np.ndarray
 ) -> np.ndarray:
-    """Changes of the forces (nodes, block) that close carried ones, which change by so much while nodes move (nodes,
-    d) and the body's shares change (nodes,). Collective."""
+    """Changes of the forces (nodes, block) that close carried ones, which change by so much while nodes move
+    (nodes, d) and the body's shares change (nodes,). Collective."""
     at = [system.positions(), system.node_volumes(), forces]
 
     def close(*given: np.ndarray) -> np.ndarray:
@@ -106,8 +110,8 @@ class Carried:
                 self.moduli.append(CarriedModuli(system, k, batch, own, batch.initial[1]))
 
     def rates(self, changes: list[Change], external: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Changes of the carried forces (nodes, block) where initial stresses stay zero, and where they change
-        with all else: then those of the packed stresses are put into `changes`.
+        """Changes of the carried forces (nodes, block) where initial stresses stay zero, and where they
+        change with all else: then those of the packed stresses are put into `changes`.
 
         Args:
             external: changes of the loads' forces (nodes, block).
@@ -117,16 +121,15 @@ class Carried:
         left = [system.on_free(run.forces(self.at, self._x, None, changes) - external)]
         stress = [np.zeros(0)] * len(self.at)
         dstress = list(stress)
-        at = [At(**vars(a)) for a in self.at]
         for w in system.carried_by:
-            more = np.zeros_like(w)
+            more, of_stress = np.zeros_like(w), np.zeros_like(w)
             parts = list(zip(run.batches, self.moduli, self.at, changes, strict=True))
             found = [self._first(*part, w, more) for part in parts]
             system.nodes.add_to_owners(more)
             more[: system.owned] += shift * w[: system.owned]
             dw = -run.precondition(left[-1] + system.on_free(more))
             for k, (batch, moduli, here, change) in enumerate(parts):
-                z, work, dwork = found[k]
+                work, dwork = found[k]
                 frames, turned = batch.frames(here.state), batch.frames(change.state)
                 dz = framed(batch.layout, batch.functions.gather(dw)[0], frames)
                 dwork = dwork + moduli.plain(dz)
@@ -136,14 +139,16 @@ class Carried:
                 stress[k] = s if first else stress[k] + s
                 dstress[k] = ds if first else dstress[k] + ds
                 pack = moduli.form.pack
-                at[k] = At(**vars(here))
-                batch.take_initial(at[k], np.ascontiguousarray(pack(stress[k], frames)))
                 change.initial = along(pack, [stress[k], frames], [dstress[k], turned])
-            left.append(system.on_free(run.forces(at, self._x, None, changes) - external))
+                packed = np.ascontiguousarray(pack(stress[k], frames))
+                of_stress += batch.forces_of_initial(here, packed, change)
+            system.nodes.add_to_owners(of_stress)
+            left.append(left[0] + system.on_free(of_stress))
         return left[0], left[-1]
 
     def _shift_change(self, changes: list[Change]) -> Any:
-        """Of what has been added to the matrix' diagonal (owned nodes, block): a share of the largest entries."""
+        """Of what has been added to the matrix' diagonal (owned nodes, block), a share of the largest
+        entries."""
         system = self.run.system
         shift = system.moduli_shift
         if not self.moduli or shift.share is None or shift.most is None:
@@ -165,9 +170,9 @@ class Carried:
 
     def _first(
         self, batch: BatchRates, moduli: CarriedModuli, at: At, change: Change, w: np.ndarray, out: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """z of a motion w, what it does work on without the shift, and the change of this while w stays; that
-        of the forces is added to `out` (nodes, block)."""
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What a motion w does work on without the shift, and the change of this while w stays; that of the
+        forces is added to `out` (nodes, block)."""
         layout, frames, turned = batch.layout, batch.frames(at.state), batch.frames(change.state)
         g = batch.functions.gather(w)[0]
         z = framed(layout, g, frames)
@@ -180,4 +185,4 @@ class Carried:
         out += batch.functions.spread(raw, None)
         for functions in change.functions:
             out += functions.spread(framed(layout, work, back), None)
-        return z, moduli.plain(z), bent + moduli.plain(dz)
+        return moduli.plain(z), bent + moduli.plain(dz)

@@ -1,6 +1,6 @@
 """Derivatives of short smooth functions in a direction, by differences far from rounding.
 
-For what is no kernel and has no UFL: packing a state, tables of weighting functions, plastic states of tensors.
+For what is no kernel and has no UFL: packing a state, tables of weighting functions, plastic states.
 """
 
 from __future__ import annotations
@@ -42,4 +42,5 @@ def along(
         found: np.ndarray = function(*(a + steps * h * c for a, c in zip(at, change, strict=True)))
         return found
 
-    return (8.0 * (moved(1) - moved(-1)) - (moved(2) - moved(-2))) / (12.0 * h)
+    slope: np.ndarray = (8.0 * (moved(1) - moved(-1)) - (moved(2) - moved(-2))) / (12.0 * h)
+    return slope

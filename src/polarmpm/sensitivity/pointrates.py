@@ -9,9 +9,10 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..assembly.batchrates import At, BatchRates, Change, Functions
+from ..assembly.batchrates import At, BatchRates, Change
 from ..assembly.bodyweights import patches_of_bodies
 from ..assembly.interpolation import Interpolation
+from ..assembly.pointfunctions import Functions
 from ..forms.directional import MotionAlong
 from ..forms.projected import ProjectedForm
 from ..kinematics import rotations
@@ -166,10 +167,17 @@ class PointRates:
         F = kernels.moved(at.z, at.state, numbers[0]).reshape(n, 3, 3)
         q, dq = reference.q[rows], self.before["q"][rows]
         turned = along(lambda q: F @ rotations.to_tensor(q), [q], [dq])
-        return dF @ rotations.to_tensor(q) + turned
+        changed: np.ndarray = dF @ rotations.to_tensor(q) + turned
+        return changed
 
     def flow(
-        self, batch: BatchRates, at: At, change: Change, reference: Any, mapping: Any, done: dict[str, np.ndarray]
+        self,
+        batch: BatchRates,
+        at: At,
+        change: Change,
+        reference: Any,
+        mapping: Any,
+        done: dict[str, np.ndarray],
     ) -> None:
         """Of the plastic state of a batch's points that have yielded, when all else has been moved."""
         y, points = at.yielding, self.problem.points
@@ -177,7 +185,9 @@ class PointRates:
             return
         rows, form, X = batch.batch.rows[y.rows], mapping.form, change.given["X"]
 
-        def flowed(X: np.ndarray, base: np.ndarray, q: np.ndarray, F: np.ndarray, w: np.ndarray) -> np.ndarray:
+        def flowed(
+            X: np.ndarray, base: np.ndarray, q: np.ndarray, F: np.ndarray, w: np.ndarray
+        ) -> np.ndarray:
             found = mapping.flowed(X, base, q, F, w)
             return np.stack([a for a in found if a is not None], axis=1)
 
@@ -188,4 +198,3 @@ class PointRates:
         if found.shape[1] > 1:
             done["plastic_wryness"][rows] = found[:, 1]
         done["hardening"][rows] = X[:, form.hardening_column]
-

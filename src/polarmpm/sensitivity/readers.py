@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -18,14 +18,27 @@ from ..materials.base import parameter_values
 from ..problems.reactions import Equilibrium
 from ..terms.ghost import Ghost
 from .leading import Lead, Leader
-from .pointrates import STATE
+from .pointrates import STATE, PointRates
 from .twins import distribute
-
-if TYPE_CHECKING:
-    from .tangents import Tangent
 
 STEP = 1e-5  # of ln m
 _CLOSE = 1e-6  # of an observable, relative: what the mean of the two may be off the run's
+
+
+class Rates(Protocol):
+    """Derivatives of a step by the logarithm of a parameter.
+
+    Attributes:
+        points: of their state.
+        increments, residual, loads: of nodes (nodes, block).
+        factor: of the load factor.
+    """
+
+    points: PointRates
+    increments: np.ndarray
+    residual: np.ndarray
+    loads: np.ndarray
+    factor: float
 
 
 class Reader:
@@ -63,7 +76,7 @@ class Reader:
     def _check_grid(self, grid: Any, leading: Any) -> None:
         for axis in range(grid.dim):
             lines = [np.array([g.plane(axis, i) for i in range(g.shape[axis] + 1)]) for g in (grid, leading)]
-            if not np.array_equal(*lines):
+            if not np.array_equal(lines[0], lines[1]):
                 raise InputError(
                     f'{self.name}: the grid\'s lines move with it (fix on a moving plane); method="exact" '
                     'doesn\'t carry that, take method="twins"'
@@ -80,7 +93,9 @@ class Reader:
         assert before is not None
         self._before = now
         moved, layout = now - before, self._lead.run.problem.layout
-        if layout.rotations == 3 and self._lead.run.problem.comm.allreduce(int(np.any(moved[:, layout.dim :]))):
+        if layout.rotations == 3 and self._lead.run.problem.comm.allreduce(
+            int(np.any(moved[:, layout.dim :]))
+        ):
             raise InputError(
                 f'{self.name}: prescribed rotations in space change with it; method="exact" doesn\'t carry '
                 'that, take method="twins"'
@@ -101,11 +116,13 @@ class Reader:
             return None
         larger, smaller = scales[0][0], scales[1][0]
         mean = 0.5 * (larger + smaller)
-        out: np.ndarray = np.where(mean != 0.0, self._difference(larger, smaller) / np.where(mean, mean, 1), 0)
+        out: np.ndarray = np.where(
+            mean != 0.0, self._difference(larger, smaller) / np.where(mean, mean, 1), 0
+        )
         return out
 
     # observables ------------------------------------------------------------------------------------------
-    def read(self, tangent: Tangent) -> None:
+    def read(self, tangent: Rates) -> None:
         """Put in the run's state after a step and its changes. Collective."""
         run = self._lead.run.problem
         for sign, (problem, _) in zip((STEP, -STEP), self._pair, strict=True):
@@ -125,8 +142,8 @@ class Reader:
             problem._equilibrium = self._equilibrium(problem, run._equilibrium, tangent, sign)
             problem.steps.append(replace(run.steps[-1], factor=problem.progress.factor))
 
-    def _equilibrium(self, problem: Any, e: Equilibrium, tangent: Tangent, sign: float) -> Equilibrium:
-        run, d = self._lead.run.problem, tangent.run.x.shape[1]
+    def _equilibrium(self, problem: Any, e: Equilibrium, tangent: Rates, sign: float) -> Equilibrium:
+        run = self._lead.run.problem
         given = [entry.condition for entry in run.given.entries]
         own = [entry.condition for entry in problem.given.entries]
         supports = tuple(own[given.index(s)] for s in e.supports)
@@ -134,7 +151,7 @@ class Reader:
         if ties is not None:
             residual, changed = ties.shares(residual)
             tied = {k: e.tied[k] + sign * f for k, f in changed.items()}
-        dx, d = tangent._dx, run.layout.dim
+        dx, d = tangent.increments, run.layout.dim
         return replace(
             e,
             supports=supports,
@@ -142,7 +159,7 @@ class Reader:
             tied=tied,
             w=e.w + sign * dx[:, d:],
             position=e.position + sign * dx[:, :d],
-            loads=e.loads + sign * tangent._loads,
+            loads=e.loads + sign * tangent.loads,
             carried=np.full_like(e.carried, np.nan),
             terms=[(name, np.full_like(f, np.nan)) for name, f in e.terms],
         )

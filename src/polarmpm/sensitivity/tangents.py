@@ -1,8 +1,9 @@
 """The tangent-linear run: derivatives that are solved for, beside a run (docs/sensitivity.md).
 
 Where a step of the run has converged, the derivative of its nodal increments solves the linear equation
-K dx = -(dR at the same x), with all that depends on what has been before. Its right-hand side and products with
-K are sums over points of the kernels' derivatives (`assembly.batchrates`); the run's factor preconditions.
+K dx = -(dR at the same x), with all that depends on what has been before. Its right-hand side and products
+with K are sums over points of the kernels' derivatives (`assembly.batchrates`); the run's factor
+preconditions.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ class Linearised:
         self.batches: list[BatchRates] = []
         self.at: list[At] = []
         self.x: np.ndarray = np.zeros((0, 0))
+        self.directions: list[tuple[np.ndarray, np.ndarray]] = []  # of this step, and their products
         self._path: tuple[np.ndarray, np.ndarray] | None = None
         leader.followers.append(self)
 
@@ -94,7 +96,7 @@ class Linearised:
         if self.motion is None:
             self.motion = MotionAlong(problem._compiled.motion, problem.comm)
         self.x, self.loads = system.x.copy(), problem._attempted
-        self._path = None
+        self._path, self.directions = None, []
         self.at = self.points_at(self.x, True)
         self.put_couples(self.at, self.loads[1])
         for tangent in self.tangents:
@@ -138,7 +140,8 @@ class Linearised:
             for batch in self.batches:
                 forces += batch.functions.loads(grown[batch.batch.rows])
             self.system.nodes.add_to_owners(forces)
-            moved, _ = solve(self.system, -forces, self.products, np.zeros_like(forces))
+            start = np.zeros_like(forces)
+            moved, _ = solve(self.system, -forces, self.products, start, self.directions)
             self._path = moved, forces
         return self._path
 
@@ -181,15 +184,16 @@ class Tangent:
     # between two steps ----------------------------------------------------------------------------------
     def reset(self) -> None:
         """The run has reset its grid. Collective."""
-        run, problem = self.run, self.run.problem
+        run = self.run
         interpolation = run.system.interpolation
         self.points.reset()
         self.reader.reset()
         chosen = run.leader.chosen
+        assert chosen is not None
         table = self.points.tables(chosen, interpolation)
-        self._dx = np.zeros_like(run.system.x)
-        self._carried = np.zeros_like(self._dx)
-        self._fixed = np.zeros_like(self._dx)
+        self.increments = np.zeros_like(run.system.x)
+        self._carried = np.zeros_like(self.increments)
+        self._fixed = np.zeros_like(self.increments)
         self._changes = []
         for k, (batch, rates) in enumerate(zip(run.batches, self.reader.numbers, strict=True)):
             patches = None
@@ -202,11 +206,13 @@ class Tangent:
         self._forces_alone: np.ndarray | None = None
         if run.carried is not None:
             found = run.carried.rates(self._changes, self._external(*self._last_loads()))
-            still = np.zeros_like(self._dx)
+            still = np.zeros_like(self.increments)
             self._forces_alone, self._carried = (f + self._closing(f, still) for f in found)
 
     def prepare(self) -> None:
         """A step of the run has converged: the state that it has begun with. Collective."""
+        if not self.run.problem.progress.since_reset:
+            return
         held = self.reader.stabilisation
         for batch, change, s in zip(self.run.batches, self._changes, held, strict=True):
             change.state = self.points.state(batch, self.run.system.interpolation, s)
@@ -222,7 +228,7 @@ class Tangent:
                 of_state.initial = None
         more = self._of_terms() - external - self._carried
         aim = run.forces(run.at, run.x, dx if np.any(dx) else None, self._changes) + more
-        dx, self.check = solve(system, aim, run.products, dx)
+        dx, self.check = solve(system, aim, run.products, dx, run.directions)
         self.factor = 0.0
         if path is not None and not path.stopped:
             along, growth = run.path_of_loads()
@@ -230,7 +236,7 @@ class Tangent:
             dx, external = dx + self.factor * along, external + self.factor * growth
             more = more - self.factor * growth
         self.residual = run.forces(run.at, run.x, dx, self._changes) + more
-        self._dx, self._loads = dx, external
+        self.increments, self.loads = dx, external
         if run.carried is not None:
             before = self._carried
             free = np.where(system.prescribed.fixed, 0.0, before)
@@ -249,18 +255,19 @@ class Tangent:
             here = np.einsum("n,ni,ni->", weight[own], a[own, :d], b[own, :d])
             return float(system.comm.allreduce(float(here)))
 
-        longer = 2.0 * inner(moved, dx - self._dx, volume) + inner(moved, moved, change)
+        longer = 2.0 * inner(moved, dx - self.increments, volume) + inner(moved, moved, change)
         return -longer / (2.0 * inner(moved, along, volume))
 
     def _volumes(self) -> np.ndarray:
         """Of the nodes' shares of the body's volume (nodes,), complete on owned rows. Collective."""
-        run, out = self.run, np.zeros((len(self._dx), 1))
+        run, out = self.run, np.zeros((len(self.increments), 1))
         for batch, change in zip(run.batches, self._changes, strict=True):
             volume = run.problem.points.volume0[batch.batch.rows][:, None]
             for functions in change.functions:
                 out += functions.loads(volume)
         run.system.nodes.add_to_owners(out)
-        return out[:, 0]
+        volumes: np.ndarray = out[:, 0]
+        return volumes
 
     def _closing(self, change: np.ndarray, dx: np.ndarray) -> np.ndarray:
         """Of what closes the carried forces, as these change (nodes, block), and nodes move. Collective."""
@@ -271,10 +278,11 @@ class Tangent:
     def _prescribed(self) -> np.ndarray:
         """Of prescribed increments (nodes, block); zero elsewhere."""
         self._fixed = self._fixed + self.reader.prescribed()
-        return self._fixed.copy()
+        fixed: np.ndarray = self._fixed.copy()
+        return fixed
 
     def _last_loads(self) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
-        """Of the last step at the points, as they are after a reset: forces and couples, and their changes."""
+        """Of the last step at the points, as they are after a reset: forces, couples, and their changes."""
         problem, own = self.run.problem, self.reader.loads()
         if self.factor:
             grown = load_growth(problem)
@@ -282,9 +290,10 @@ class Tangent:
         return problem._converged_loads, own
 
     def _external(self, at_points: Any, changes: Any) -> np.ndarray:
-        """Of the loads' forces (nodes, block), complete on owned rows, of forces and couples at the points and
-        their changes. Collective."""
-        run, out = self.run, np.zeros_like(self.run.system.x)
+        """Of the loads' forces (nodes, block), complete on owned rows, of forces and couples at the points
+        and their changes. Collective."""
+        run = self.run
+        out: np.ndarray = np.zeros_like(run.system.x)
         loads, change = np.hstack(at_points), np.hstack(changes)
         if run.system.couple_kernel is not None:  # what couples do work on changes, too
             d = run.problem.layout.dim
@@ -317,7 +326,7 @@ class Tangent:
         done = {name: rates.copy() for name, rates in points.now.items()}
         parts = list(zip(run.batches, run.at, self._changes, strict=True))
         for batch, at, change in parts:
-            points.move(batch, at, change, (run.x, self._dx), reference, motion, done)
+            points.move(batch, at, change, (run.x, self.increments), reference, motion, done)
         for k, (batch, at, change) in enumerate(parts):
             points.flow(batch, at, change, reference, run.system.mappings[k], done)
         points.now = done
@@ -331,14 +340,19 @@ def load_growth(problem: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def solve(
-    system: NodalSystem, aim: np.ndarray, products: Callable[[np.ndarray], np.ndarray], start: np.ndarray
+    system: NodalSystem,
+    aim: np.ndarray,
+    products: Callable[[np.ndarray], np.ndarray],
+    start: np.ndarray,
+    known: list[tuple[np.ndarray, np.ndarray]],
 ) -> tuple[np.ndarray, float]:
-    """Increments (nodes, block) from `start` on, at which free unknowns have no residual, and what is left over
-    the first: conjugate residuals, with the factor at hand. Collective.
+    """Increments (nodes, block) from `start` on, at which free unknowns have no residual, and what is left
+    over the first: conjugate residuals, with the factor at hand. Collective.
 
     Args:
         aim: residual (nodes, block) at the start.
         products: the matrix times increments.
+        known: directions of earlier solutions with the same matrix, and their products; more are added.
     """
     own = slice(0, system.owned)
 
@@ -347,8 +361,18 @@ def solve(
 
     x, r = start, system.on_free(aim)
     first = size = np.sqrt(dot(r, r))
-    known: list[tuple[np.ndarray, np.ndarray]] = []
-    while first > 0.0 and size > ENOUGH * first and len(known) < _MOST:
+
+    def improve(direction: np.ndarray, image: np.ndarray) -> None:
+        nonlocal x, r
+        share = dot(image, r)
+        x, r = x - share * direction, r - share * image
+
+    for direction, image in known:
+        improve(direction, image)
+    for _ in range(_MOST):
+        before, size = size, np.sqrt(dot(r, r))
+        if not size > ENOUGH * first or (_STALLED * before < size < 1e-8 * first):
+            break
         z = preconditioned(system, r)
         az = system.on_free(products(z))
         for other, image in known:
@@ -358,11 +382,8 @@ def solve(
         if not length > 0.0:
             break
         known.append((z / length, az / length))
-        share = dot(known[-1][1], r)
-        x, r = x - share * known[-1][0], r - share * known[-1][1]
-        before, size = size, np.sqrt(dot(r, r))
-        if size > _STALLED * before and size < 1e-8 * first:
-            break
+        improve(*known[-1])
+    size = np.sqrt(dot(r, r))
     return x, size / first if first > 0.0 else 0.0
 
 

@@ -1,0 +1,187 @@
+"""The tangent-linear run and twins: two ways to the same derivatives, each the other's test."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+import polarmpm as pm
+from polarmpm.sensitivity.differences import along
+from tests.conftest import COMM
+from tests.helpers.ranks import on_ranks, report
+from tests.sensitivity import scenes
+from tests.sensitivity.scenes import BEAM, SOIL, digits, rates
+
+
+def agreement(build: Any, values: dict[str, float], names: list[str], march: Any) -> float:
+    """Digits to which both agree."""
+    exact = rates(build, values, names, march, method="exact")
+    return digits(rates(build, values, names, march), exact)
+
+
+def marches(steps: int) -> Any:
+    return lambda run: run.march(steps=steps)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"basis": "bspline"},
+        {"reset": pm.WhenDistorted(0.1)},
+        {"basis": "bspline", "balanced_reset": False},
+        {"basis": "mpm"},
+        {"basis": "bspline3"},
+        {"basis": "bspline-averaged", "balanced_reset": False},
+        {"basis": "gimpm", "ghost": "light"},
+        {"basis": "gimpm", "balanced_reset": False},
+        {"locking": "always"},
+    ],
+)
+@pytest.mark.filterwarnings("ignore:balanced_reset")
+def test_cantilever(options):
+    assert agreement(partial(scenes.cantilever, **options), BEAM, ["E", "l"], marches(3)) >= 6
+
+
+@pytest.mark.parametrize("options", [{}, {"reset": pm.WhenDistorted(0.2)}])
+def test_flow_under_a_platen(options):
+    """Scalars that are averaged over patches, boxes, points that yield, a grid that follows a platen."""
+    scene = partial(scenes.column, **options)
+    assert agreement(scene, SOIL, ["c", "kappa", "H"], marches(3)) >= 6
+
+
+def test_classical_points():
+    """Loads and what is prescribed depend on parameters, too."""
+
+    def build(p: dict[str, float]) -> Any:
+        grid = pm.Grid.box((0, -3), (6, 3), 1.0)
+        points = pm.seed(
+            grid, bounds=((0, 0.13), (4.7, 1.21)), material=pm.NeoHookean(lam=p["lam"], mu=p["mu"])
+        )
+        problem = pm.QuasiStatic(grid, points, reset=1)
+        root = problem.fix(lambda x: x[:, 0] < 0.1, ux=p["pushed"], uy=0)
+        tip = points.farthest((1, 0))
+        problem.load(tip, force=(0, -p["force"]))
+        problem.load(points.where(lambda x: x[:, 0] > 2), force=lambda t: (t**2 * p["force"], 0))
+        return problem, {
+            "tip": lambda: points.mean_displacement(tip) / p["pushed"],
+            "root": lambda: problem.reaction(root).force,
+            "stress": lambda: points.mean(problem.fields("stress").stress[:, 0]),
+        }
+
+    values = {"lam": 3e5, "mu": 2e5, "pushed": 0.1, "force": 1e3}
+    assert agreement(build, values, list(values), marches(3)) >= 6
+
+
+@pytest.mark.parametrize("options", [{}, {"basis": "mpm"}])
+def test_along_the_path(options):
+    scene, values = partial(scenes.arch, **options), {**BEAM, "l": 0.1}
+    assert agreement(scene, values, ["E", "l"], lambda run: run.march_arc_length(0.2, steps=4)) >= 6
+
+
+@pytest.mark.slow
+def test_couples_in_space():
+    assert agreement(scenes.shaft, BEAM, ["E", "l"], marches(2)) >= 6
+
+
+def test_numbers_that_dont_matter():
+    values = {**BEAM, "unused": 3.0}
+    found = rates(scenes.cantilever, values, ["E", "unused"], marches(2), method="exact")
+    assert np.all(found["tip"]["unused"] == 0.0)
+
+
+@pytest.mark.parametrize("scene", [scenes.cantilever, scenes.column])
+def test_the_run_is_the_same_to_the_last_bit(scene):
+    values = BEAM if scene is scenes.cantilever else SOIL
+    alone, _ = scene(values)
+    expected = [step.history for step in alone.march(2)]
+    with pm.Sensitivity(scene, values, list(values)[:1], method="exact") as run:
+        for step, history in zip(run.march(2), expected, strict=True):
+            if COMM.size == 1:  # else factors aren't the same to the last bit, run by run
+                assert step.history == history
+        for name in ("x", "F", "q", "wryness"):
+            found, once = getattr(run.problem.points, name), getattr(alone.points, name)
+            np.testing.assert_allclose(found, once, rtol=0, atol=0 if COMM.size == 1 else 1e-9)
+
+
+@pytest.mark.mpi
+@pytest.mark.timeout(300)
+def test_two_ranks_whose_points_move():
+    one, two = (on_ranks(ranks, "column", __file__)[0] for ranks in (1, 2))
+    assert two["moved"] > 0
+    for name, found in one["rates"].items():
+        np.testing.assert_allclose(two["rates"][name], found, rtol=0, atol=1e-8 * np.abs(found).max())
+
+
+def test_differences_far_from_rounding():
+    x, dx = np.linspace(0.5, 2.0, 7), np.linspace(-1.0, 3.0, 7)
+    np.testing.assert_allclose(along(np.exp, [x], [dx]), np.exp(x) * dx, rtol=1e-11, atol=1e-11)
+    assert np.all(along(np.exp, [x], [np.zeros(7)]) == 0.0)
+
+
+# what is refused --------------------------------------------------------------------------------
+def of_energies(p: dict[str, float], **options: Any) -> Any:
+    problem, _ = scenes.cantilever(p, **options)
+    return problem, {"work": lambda: sum(problem.energies().values())}
+
+
+@pytest.mark.parametrize(
+    ("build", "values", "message"),
+    [
+        (scenes.elements, SOIL, 'elements aren\'t carried; take method="twins"'),
+        (scenes.held_on_surfaces, BEAM, 'aren\'t carried; take method="twins"'),
+    ],
+)
+def test_what_isnt_carried(build, values, message):
+    with pytest.raises(pm.InputError, match=message):
+        pm.Sensitivity(build, values, method="exact")
+
+
+def test_observables_of_what_isnt_carried():
+    """Never a wrong number."""
+    with (
+        pm.Sensitivity(of_energies, BEAM, ["E"], method="exact") as run,
+        pytest.raises(pm.InputError, match="observables: work depends on what"),
+    ):
+        next(run.march(2))
+
+
+def test_a_platen_whose_way_is_the_parameter():
+    def build(p: dict[str, float]) -> Any:
+        return scenes.column(SOIL, pressed=p["pressed"])
+
+    with (
+        pm.Sensitivity(build, {"pressed": 0.002}, method="exact") as run,
+        pytest.raises(pm.InputError, match="pressed: the grid's lines move with it"),
+    ):
+        list(run.march(2))
+
+
+def test_a_new_base_of_the_rotations():
+    def build(p: dict[str, float]) -> Any:
+        problem, observables = scenes.cantilever(p, reset=None)
+        problem.rotation_limit = 1e-3
+        return problem, observables
+
+    with (
+        pm.Sensitivity(build, BEAM, ["E"], method="exact") as run,
+        pytest.raises(pm.InputError, match="new base"),
+    ):
+        next(run.march(2))
+
+
+def _on_these_ranks(_: str) -> dict[str, Any]:
+    options: dict[str, Any] = {"pressed": 0.004, "rebalance": 1.0001}
+    with pm.Sensitivity(scenes.column, SOIL, ["kappa", "c"], method="exact", **options) as run:
+        points, found = run.problem.points, []
+        first = points.id.copy()
+        for _ in run.march(4):
+            found.append(run.rates["force"])
+        moved = points.comm.allreduce(int(np.setdiff1d(points.id, first).size))
+    return {"moved": moved, "rates": {n: [step[n] for step in found] for n in ("kappa", "c")}}
+
+
+if __name__ == "__main__":
+    report(_on_these_ranks)
