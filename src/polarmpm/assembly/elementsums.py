@@ -100,9 +100,9 @@ class SummedElements(OnPattern, ElementSystem):
         e, functions = self.forms.elements, self._functions
         rows = e.live_nodes.astype(np.int64)
         products = np.einsum("qi,qj->qij", functions, functions).reshape(len(functions), -1)
-        of_cells = mass.T.reshape(-1, len(rows), len(functions)) @ products
+        of_cells = mass.T.reshape(mass.shape[1], len(rows), len(functions)) @ products
         n = rows.shape[1]
-        yield MassSets(rows, self._mesh.block_columns(rows), of_cells.reshape(-1, len(rows), n, n))
+        yield MassSets(rows, self._mesh.block_columns(rows), of_cells.reshape(mass.shape[1], len(rows), n, n))
 
     def assemble(self, tangent: bool, lift: np.ndarray | None = None) -> Assembled:
         internal = np.zeros_like(self.x)
