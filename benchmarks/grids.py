@@ -162,7 +162,7 @@ def bodies(number):
 def regridded():
     """Footings on soil of 4 x 2 whose grid changes, against the last grid from the start, reset as often."""
     found = []
-    fine = pm.Grid.box((0, 0), (4, 2), 1 / 16)
+    fine = pm.Grid.box((0, 0), (4, 2), 1 / 8)
 
     def once(problem, trial):
         return fine if problem.comm.allreduce(int(trial.flowed.any())) else None
@@ -171,9 +171,9 @@ def regridded():
         return fine if problem.progress.step == 3 else None
 
     for name, cells, options in (
-        ("micropolar, along bands", 4, {"length": 0.2, "regrid": pm.AlongBands(h=1 / 8), "steps": 10}),
-        ("von Mises, function of trials", 8, {"regrid": once}),
-        ("von Mises, function after step 3", 8, {"regrid": late, "reset": 1}),
+        ("micropolar, along bands", 4, {"length": 0.2, "regrid": pm.AlongBands(h=1 / 8)}),
+        ("von Mises, function of trials", 4, {"regrid": once}),
+        ("von Mises, function after step 3", 4, {"regrid": late, "reset": 1}),
     ):
         scene = {"size": (4, 2), **options}
         problem, load = footing(cells, **scene)

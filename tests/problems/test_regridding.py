@@ -103,9 +103,8 @@ def test_energy_stays(dim):
     before = balance(problem)
     assert np.all(before[[0, 3]] > 0.0)
     assert dim == 3 or before[1] > 1e3
-    with (
-        pytest.warns(pm.TrustWarning, match="flowed before cells become finer") if dim == 2 else nullcontext()
-    ):
+    told = dim == 2 and COMM.rank == 0
+    with pytest.warns(pm.TrustWarning, match="flowed before cells become finer") if told else nullcontext():
         problem._take_grid(pm.Grid.box((0,) * dim, (4, 2, 1)[:dim], 0.25), late=True)
     assert problem.regrids[0].split > 0
     after = balance(problem)
