@@ -1,10 +1,11 @@
 """Derivatives by parameters (docs/sensitivity.md): how close, how dear, and what they mean across resets.
 
-    python benchmarks/sensitivity.py [--only accuracy|cost|sawtooth] [--quick] [--json FILE]
+    python benchmarks/sensitivity.py [--only accuracy|cost|sawtooth|exact] [--quick] [--json FILE]
 
 Accuracy: digits against differences of fourth order of tight whole runs (the best of four steps, as points
 that pass planes of the grid spoil differences). Cost: CPU time of a twin over that of the run. Sawtooth: how
-far the slope of a tooth is off the trend of ten runs.
+far the slope of a tooth is off the trend of ten runs. Exact: digits to which the tangent-linear run and twins
+agree, and its CPU time for a parameter of several.
 """
 
 import argparse
@@ -268,6 +269,26 @@ def cost(name):
     return {"points": points, "run": alone, "ratio": (both - alone) / 2.0 / alone}
 
 
+def exact(name):
+    """Digits to which both methods agree, and the cost of a parameter of the tangent-linear run."""
+    build, values, march = ACCURACY[name]
+    found, times = {}, {}
+    for method in (None, "exact", "exact", "twins"):  # compiled, and in the cache
+        if method is None:
+            answers(build, values, march)
+            begin = time.process_time()
+            answers(build, values, march)
+            times[method] = time.process_time() - begin
+            continue
+        begin = time.process_time()
+        with pm.Sensitivity(build, values, method=method) as run:
+            steps = [run.rates for _ in march(run)]
+        times[method] = time.process_time() - begin
+        found[method] = {n: {o: np.array([step[o][n] for step in steps]) for o in steps[0]} for n in values}
+    digits = {n: digits_of(found["twins"][n], found["exact"][n]) for n in values}
+    return {"digits": digits, "ratio": (times["exact"] - times[None]) / times[None] / len(values)}
+
+
 def sawtooth(name):
     """Largest distance of the slopes at ten values from the slope of a parabola through the answers."""
     options, tip, rate = SAWTOOTH[name], [], []
@@ -302,6 +323,12 @@ def report(found):
     if "cost" in found:
         rows = [(n, str(c["points"]), f"{c['ratio']:.2f}") for n, c in found["cost"].items()]
         print(table(("run", "points", "a twin, in runs"), rows), "\n")
+    if "exact" in found:
+        rows = []
+        for name, one in found["exact"].items():
+            digits = ", ".join(f"{n} {d:.1f}" for n, d in one["digits"].items())
+            rows.append((name, digits, f"{one['ratio']:.2f}"))
+        print(table(("run", "digits to which both agree", "a parameter, in runs"), rows), "\n")
     if "sawtooth" in found:
         rows = [(n, f"{100 * s['off']:.2g} %") for n, s in found["sawtooth"].items()]
         print(table(("cantilever", "a tooth's slope off the trend, by at most"), rows))
@@ -309,12 +336,13 @@ def report(found):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", choices=("accuracy", "cost", "sawtooth"))
+    parser.add_argument("--only", choices=("accuracy", "cost", "sawtooth", "exact"))
     parser.add_argument("--quick", action="store_true", help="leave out what is in space")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     found = {}
     parts = {"accuracy": (accuracy, ACCURACY), "cost": (cost, COST), "sawtooth": (sawtooth, SAWTOOTH)}
+    parts["exact"] = exact, {name: of for name, of in ACCURACY.items() if "elements" not in name}
     for part, (measure, cases) in parts.items():
         if args.only not in (None, part):
             continue

@@ -169,12 +169,12 @@ def test_a_twin_that_goes_astray_is_replaced(monkeypatch):
     def troubled(pair: Any, step: Any) -> str:
         return take(pair, step) or ("astray" if pair.step > 5e-6 and step.number == 2 else "")
 
-    with pm.Sensitivity(scenes.cantilever, BEAM, ["l"], step=1e-6) as run:
+    with pm.Sensitivity(scenes.cantilever, BEAM, ["l"], step=3e-6) as run:
         expected = [run.rates["root"]["l"] for _ in run.march(3)]
     monkeypatch.setattr(runs, "_take", troubled)
     with pm.Sensitivity(scenes.cantilever, BEAM, ["E", "l"]) as run:
         found = [run.rates["root"]["l"] for _ in run.march(3)]
-        assert run.steps["l"] == pytest.approx(1e-6)
+        assert run.steps["l"] == pytest.approx(3e-6)
     assert found[1:] == pytest.approx(expected[1:], rel=1e-9)
     assert found[0] == pytest.approx(expected[0], rel=1e-5)
 
@@ -274,7 +274,7 @@ def under_way(p: dict[str, float]) -> Any:
         (longer, {"length": 4.5}, {}, "length: .* change with it.*not a geometry"),
         (at_random, {"E": 1.0}, {}, "has to be deterministic"),
         (touching, BEAM, {}, "contact"),
-        (at_an_edge, {"psi": 1.5}, {}, r"psi: twins have 1\.500015 beside 1\.5, and build fails"),
+        (at_an_edge, {"psi": 1.5}, {}, r"psi: twins have 1\.500045 beside 1\.5, and build fails"),
         (in_motion, BEAM, {}, "Dynamic can't be differentiated"),
         (under_way, BEAM, {}, "has taken 1 step"),
         (partial(scenes.cantilever, basis="mpm", assembly="projection"), BEAM, {}, "assembly = 'projection'"),

@@ -143,16 +143,25 @@ class BatchRates:
         return Mean(here, even, odd)
 
     # at some nodal values -----------------------------------------------------------------------------
-    def at(self, x: np.ndarray, state: np.ndarray, kernels: Any, mapping: ReturnMapping | None) -> At:
+    def at(
+        self,
+        x: np.ndarray,
+        state: np.ndarray,
+        kernels: Any,
+        mapping: ReturnMapping | None,
+        *,
+        boxes: bool = True,
+    ) -> At:
         """The points at nodal values x (nodes, block).
 
         Args:
             state: packed, (n, packed size).
             kernels: (residual, residual and tangent).
             mapping: has evaluated them; None: they are elastic.
+            boxes: they count.
         """
         if self.boxes is not None:
-            self.share = self.boxes.share / 6.0
+            self.share = self.boxes.share / 6.0 if boxes else np.zeros_like(self.boxes.share)
         frames, (g, gk) = self.frames(state), self.functions.gather(x)
         z = framed(self.layout, g, frames)
         zk = None if gk is None else framed(self.layout, gk, frames)

@@ -124,6 +124,12 @@ def check_carried(problem: Any) -> None:
     apart = ""
     if not isinstance(problem, QuasiStatic):
         apart = "elements"
+    elif problem.at_rest or problem.balanced_at_rest:
+        apart = "initial stresses"
+    elif problem._changes:
+        apart = "materials that change"
+    elif problem.regridding.policy is not None:
+        apart = "other grids in the course of the run"
     elif problem.points.bodies > 1:
         apart = "several bodies"
     elif problem.layout.axial:

@@ -130,6 +130,8 @@ class Reader:
                 if name in tangent.points.now:
                     now = getattr(run.points, name) + sign * tangent.points.now[name]
                     setattr(problem.points, name, now)
+            if problem.points.plastic:
+                problem.points.dissipation = np.full_like(run.points.dissipation, np.nan)
             problem.progress = replace(
                 run.progress,
                 factor=run.progress.factor + sign * tangent.factor,

@@ -19,7 +19,7 @@ from .tangents import Linearised
 from .twins import Apart, Twin
 
 METHODS = ("twins", "exact")
-_STEPS = {2: 1e-5, 1: 1e-6}  # of ln m, by the number of sides
+_STEPS = {2: 3e-5, 1: 1e-6}  # of ln m, by the number of sides
 _SMALLEST = 1e-9
 
 
@@ -60,7 +60,8 @@ class Sensitivity:
     Beside the run go twins, whose parameters are a little larger or smaller, through its own resets and load
     factors, with its own factors (docs/sensitivity.md). The run itself is the same to the last bit as
     without. Points and elements in statics; not with contact, in dynamics, or with assemblies "projection"
-    and "dolfinx". All calls are collective.
+    and "dolfinx". With method="exact" derivatives are solved for, of points without surfaces. All calls are
+    collective.
 
     Args:
         build: called with a dict of parameters, and `arguments`; returns a problem, with its supports and
@@ -69,10 +70,13 @@ class Sensitivity:
             problem, and other ones the same points or nodes.
         values: parameters by name; any names of the script's own.
         parameters: names of those by which to differentiate; default: all.
-        method: "twins".
+        method: "twins"; or "exact", the tangent-linear run: UFL's derivatives of the points' forms, with
+            more digits. What it doesn't carry (elements, surfaces, several bodies, bodies of revolution,
+            second gradients, rotations that get a new base, observables such as energies) raises an
+            InputError that says so. `sides` and `step` are those of twins.
         sides: 2: twins with a larger and a smaller value; 1: with a larger one only, at half the cost, and
             to fewer digits.
-        step: of ln m between twin and run; default 1e-5, on one side 1e-6. Where it turns out to be too
+        step: of ln m between twin and run; default 3e-5, on one side 1e-6. Where it turns out to be too
             large, smaller ones are taken.
         arguments: of build.
 
@@ -81,12 +85,14 @@ class Sensitivity:
         values: observables of the last step by name, numbers or arrays.
         rates: their derivatives by the parameters themselves: `rates[observable][parameter]`.
         check: by parameter: how much of a twin's imbalance its last step has left, at most 1e-3; derivatives
-            of the step have about so large an error. 0: rounding is reached.
-        steps: of ln m by parameter.
+            of the step have about so large an error. 0: rounding is reached. With "exact": what the linear
+            solution of the last step leaves.
+        steps: of ln m by parameter, of twins.
 
     Raises:
         InputError: an argument isn't so; a parameter by which to differentiate is zero; a build that gives
-            something else, isn't deterministic, or whose points or nodes change with a parameter.
+            something else, isn't deterministic, or whose points or nodes change with a parameter; what
+            method="exact" doesn't carry, then also in the course of a run.
     """
 
     def __init__(

@@ -107,7 +107,8 @@ class Linearised:
         system, out = self.system, []
         for k, batch in enumerate(self.batches):
             mapping = system.mappings[k] if yielding else None
-            at = batch.at(x, batch.batch.batch.kept["state"], system.kernels[k], mapping)
+            state, boxes = batch.batch.batch.kept["state"], system._boxes is not None
+            at = batch.at(x, state, system.kernels[k], mapping, boxes=boxes)
             if system.initial is not None and system.initial._any:
                 self.take_initial(k)
                 batch.take_initial(at, system.initial._packed[k])

@@ -30,7 +30,7 @@ from ..tools.parallel import Route, values_by_number
 from .leading import Along, Lead, Leader, Record
 
 CHORDS, MOST_CHORDS = 2, 25
-ENOUGH = 1e-7  # imbalance after the chord steps over that before, at which there are enough of them
+ENOUGH = 1e-9  # imbalance after the chord steps over that before, at which there are enough of them
 BAR = 1e-3  # the same, above which a twin is no twin
 _ROUNDING, _LEVEL = 0.01, 1.0  # times the level of rounding: what chord steps can't make smaller; may leave
 _STALLED = 0.5  # ratio of imbalances above which another chord step brings nothing
