@@ -164,24 +164,23 @@ class Conditions(Keeping, Whole, Turns):
         """
         self._check_outside("fix")
         check_counts("fix", counts)
-        body = self._number_of_body(body)
+        body = self._number_of_body(body, where)
         springs = {"stiffness": stiffness, "rotation_stiffness": rotation_stiffness, "normal": normal}
         where = self._named(where) if method is None else self._surface_of(self._named(where))
         if isinstance(where, Surface):
             options = {**springs, "method": method, "augment": augment, "counts": counts}
             return surfaces.add_support(self, where, components, **options)
-        given = [name for name, value in {"method": method, **springs}.items() if value is not None]
-        given += ["augment"] * checks.flag("fix: augment", augment)
-        if given:
-            raise InputError(f"fix: {given[0]} belongs to springs on a Surface; where = {shown(where)}")
+        _check_no_springs(where, {"method": method, **springs}, checks.flag("fix: augment", augment))
         return self._fix_nodes(where, components, counts, body=body)
 
-    def _number_of_body(self, body: int | None) -> int | None:
+    def _number_of_body(self, body: int | None, where: Any) -> int | None:
         """Of those that there are, what a user gives as `body`."""
         if body is None:
             return None
         if self.holds_on_facets or self.points.bodies == 1:
             raise checks.refuse("fix: body", body, "there is one body only; leave it out")
+        if isinstance(where, Surface | str):
+            raise checks.refuse("fix: body", body, "a surface is on one body anyway; leave it out")
         most = self.points.bodies - 1
         return checks.whole("fix: body", body, least=0, most=most, allowed=f"0 to {most}")
 
@@ -432,3 +431,10 @@ class Conditions(Keeping, Whole, Turns):
                 f"{spatial[0]}: couples in space turn with the spin; the arc-length method takes forces only"
             )
         return [(load.amplitude, self.points.X[self.points.rows(load.selection)]) for load in loads]
+
+
+def _check_no_springs(where: Any, options: dict[str, Any], augment: bool) -> None:
+    """Raise InputError if something is given that belongs to springs on a surface."""
+    given = [name for name, value in options.items() if value is not None] + ["augment"] * augment
+    if given:
+        raise InputError(f"fix: {given[0]} belongs to springs on a Surface; where = {shown(where)}")
