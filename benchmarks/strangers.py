@@ -1,6 +1,6 @@
 """What somebody gets who takes every default: few points, bodies anywhere in the grid, thin and turned ones.
 
-    python benchmarks/strangers.py [arch strips blocks column invariance measure] [--quick] [--json FILE]
+    python benchmarks/strangers.py [arch strips blocks column invariance measure tents] [--quick] [--json F]
     python benchmarks/strangers.py compare OLD.json NEW.json
 
 - arch: the curved cantilever (P 4.4) and others at random positions in the grid, against the converged
@@ -11,6 +11,7 @@
 - invariance: the same scene moved by cells, turned by a right angle, mirrored, its points in another order,
   in other units: how far do displacements and stresses differ?
 - measure: does the measure of trust warn of wrong answers, and only of them?
+- tents: how rough the strains of elastic bodies are with mpm and gimpm, and how far off their answers.
 
 Runs under older versions of the package too, so that both columns of a comparison come from one script.
 """
@@ -390,6 +391,35 @@ def digits_of(row):
     return records.digits(row["unresolved"], 3) or "not known"
 
 
+def tents(quick=False):
+    """Errors and roughness of elastic bodies by tents."""
+    cases, fine = [], run(scenes.beam_elements).value
+    for thickness in (1.0,) if quick else (4.0, 2.0, 1.0, 0.5):
+        for word, angle in ANGLES.items():
+            cases.append((f"strip {thickness:g}, {word}", partial(scenes.strip, thickness, angle, 3), 1.0, 1))
+    for cell in () if quick else (0.25, 0.5):
+        cases.append((f"AMPLE, {cell:g} m", partial(scenes.beam, cell, 3), fine, 20))
+    for cell in () if quick else (3.0, 12.0):
+        cases.append((f"Cook, nu = 0.3, {cell:g} m", partial(scenes.cook, cell, 3, 0.3), 7.78, 4))
+    return [
+        record(f"{basis}, {name}: {found.value[1]}", Run(**{**vars(found), "value": found.value[0]}), exact)
+        for basis in ("mpm", "gimpm")
+        for name, build, exact, steps in cases
+        for found in [run(partial(by_tents, build, basis), steps)]
+    ]
+
+
+def by_tents(build, basis):
+    """A scene whose problem is made with a basis; reads its answer, and what is said of its trust."""
+    make = scenes.pm.QuasiStatic
+    scenes.pm.QuasiStatic = partial(make, basis=basis)
+    try:
+        problem, read = build()
+    finally:
+        scenes.pm.QuasiStatic = make
+    return problem, lambda: (read(), problem.trust())
+
+
 GROUPS = {
     "arch": arch,
     "strips": strips,
@@ -397,6 +427,7 @@ GROUPS = {
     "column": column,
     "invariance": invariance,
     "measure": measure,
+    "tents": tents,
 }
 
 

@@ -54,3 +54,27 @@ def test_a_run_without_boxes_is_in_doubt_once_and_stays_so():
     record.restore(before)
     assert record.state() == before
     assert "resolved" in bent(COMM).trust()
+
+
+@pytest.mark.parametrize("basis", ["mpm", "gimpm"])
+def test_tents_are_as_much_too_stiff_as_their_strains_are_rough(basis):
+    """And it's told, once, where that is more than a tenth."""
+
+    def beam(cell: float, **options) -> tuple[float, pm.QuasiStatic]:
+        grid = pm.Grid.box((0, -1), (7, 2), cell)
+        points = pm.seed(grid, bounds=((0, 0), (6, 1)), material=NEO_HOOKEAN)
+        problem = pm.QuasiStatic(grid, points, **options)
+        problem.fix(pm.plane(x=0.0), u=0)
+        problem.body_load(force=(0, -1e-3))
+        list(problem.march(2, progress=False))
+        return COMM.allreduce(float(np.abs(points.displacement).max(initial=0.0)), op=MPI.MAX), problem
+
+    exact = beam(0.25)[0]
+    with pytest.warns(pm.TrustWarning, match="too stiff") if COMM.rank == 0 else nullcontext() as told:
+        coarse, problem = beam(1.0, basis=basis)
+    assert COMM.rank or sum(w.category is pm.TrustWarning for w in told) == 1
+    assert problem.box_record.rough == pytest.approx(1.0 - coarse / exact, rel=0.2)
+    assert "in doubt" in problem.trust()
+    fine, problem = beam(0.25, basis=basis)
+    assert problem.box_record.rough == pytest.approx(1.0 - fine / exact, abs=0.02)
+    assert not problem.box_record.in_doubt

@@ -27,6 +27,7 @@ SMALL = 0.05
 MISSED = 0.08  # share that a sum over points without boxes misses: the answer is a tenth off or more
 MISSED_GAUSS = 0.15  # of points of quadrature rules, of which what they stand for is guessed, and too large
 ROUGH = 0.17  # of strain increments of bodies that flow (`doubts.roughness`): the grid's own error
+COARSE = 0.1  # roughness of an elastic body in the first step, by tents: about the answer's error
 HOPELESS = 1.0  # above which the boxes alone hold the body
 SLIGHT = 0.1  # of the largest strain increments of a step: of what is less the roughness means nothing
 _REMEDY = "take more points a cell (points_per_cell), or smaller cells"
@@ -104,6 +105,7 @@ class BoxRecord:
     def _doubt(self, system: LoadedPoints, start: np.ndarray) -> None:
         """Estimate what the share inside the boxes doesn't know: of splines only."""
         if not system.interpolation.basis.fills_boxes:
+            self._look_at_tents(system, start)
             return
         if system.interpolation.boxes is None and not self.largest[1]:
             self._missed = doubts.missed(system)
@@ -117,6 +119,15 @@ class BoxRecord:
                 self._strained = max(self._strained, size)
                 if size > SLIGHT * self._strained:  # or there is little but rounding
                     self._rough = rough
+
+    def _look_at_tents(self, system: LoadedPoints, start: np.ndarray) -> None:
+        """How rough the strains of an elastic body are in its first step in which it is strained: where
+        gradients jump between cells, the jumps tell how stiff the body is made."""
+        if self.points.plastic or self._flowing or system.inertia is not None:
+            return
+        rough, size = doubts.roughness(system, start)
+        if size > doubts.ROUNDING:
+            self._flowing, self._rough = 1, rough
 
     def refusal(self, share: float | None) -> str:
         """Why a solution with such a share is none; empty where it may be one."""
@@ -157,7 +168,12 @@ class BoxRecord:
 
     def _note_rough(self, step: int) -> None:
         """Take note of how rough the strains of a body that flows are."""
-        if self._rough > ROUGH >= self.rough:
+        if not self.points.plastic and self._rough > COARSE >= self.rough:
+            self._warn(
+                f"step {step}: {100 * self._rough:.0f} % of the strains' squares aren't smooth over two cells, "
+                "and the body is about as much too stiff: take smaller cells, or the default basis"
+            )
+        elif self.points.plastic and self._rough > ROUGH >= self.rough:
             self._warn(
                 f"step {step}: the body flows, and {100 * self._rough:.0f} % of its strains' squares aren't "
                 "smooth over two cells: loads may be more than a tenth off; take smaller cells, and compare"
@@ -186,6 +202,9 @@ class BoxRecord:
     def summary(self) -> str:
         """How far the run can be trusted, in a line."""
         share, step = self.largest
+        if not step and self.rough and not self.points.plastic:
+            doubt = "in doubt: take smaller cells" if self.in_doubt else "no more is known of this basis"
+            return f"{100 * self.rough:.2g} % of the strains' squares aren't smooth over two cells: {doubt}"
         if not step:
             return "no measure of trust: points without boxes, or no step yet"
         verdict = "in doubt: " + _REMEDY if self.in_doubt else "resolved to the grid's own error"
@@ -194,6 +213,6 @@ class BoxRecord:
             most = (
                 f"a sum over points without boxes misses about {100 * share:.2g} % of the work (step {step})"
             )
-        if self.rough:
+        if self.rough and self.points.plastic:
             most += f", strains of the flowing body are rough by {100 * self.rough:.2g} %"
         return f"{most}: {verdict}"

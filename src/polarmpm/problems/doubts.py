@@ -11,7 +11,7 @@ from ..geometry.grid import box_indices
 from ..tools.parallel import sums_by_number
 from ..tools.rows import flat
 
-_ROUNDING = 1e-10  # root mean square strain that may be no more than rounding
+ROUNDING = 1e-10  # root mean square strain that may be no more than rounding
 
 
 def strains(system: LoadedPoints, start: np.ndarray) -> np.ndarray:
@@ -40,7 +40,7 @@ def missed(system: LoadedPoints) -> float:
     seen = strains(system, np.zeros_like(system.x))
     sums = [np.einsum("p,plij->", volume, varying**2) / 3.0, np.einsum("p,pij->", volume, seen**2)]
     inside, outside, whole = i.grid.comm.allreduce(np.array([*sums, volume.sum()]))
-    strained = inside + outside > _ROUNDING**2 * whole  # a body that falls or turns freely isn't
+    strained = inside + outside > ROUNDING**2 * whole  # a body that falls or turns freely isn't
     return float(inside / (inside + outside)) if strained else 0.0
 
 
