@@ -120,6 +120,25 @@ def test_differences_far_from_rounding():
     assert np.all(along(np.exp, [x], [np.zeros(7)]) == 0.0)
 
 
+@pytest.mark.parametrize("method", ["twins", "exact"])
+def test_a_reset_that_is_ill_determined(method):
+    """One point a cell: nothing resists some motions, and answers are noise."""
+
+    def build(p: dict[str, float]) -> Any:
+        grid = pm.Grid.box((0, -6), (12, 3), 0.5)
+        points = pm.seed(grid, bounds=((0, 0), (10, 1)), material=scenes.elastic(p), points_per_cell=1)
+        problem = pm.QuasiStatic(grid, points, reset=1)
+        problem.fix(pm.plane(x=0.0), u=0, theta=0)
+        problem.load(points.farthest((1, 0)), force=(0, -2e4))
+        return problem, {"x": lambda: points.mean(points.x)}
+
+    with pm.Sensitivity(build, BEAM, ["E"], method=method) as run:
+        march = run.march(4)
+        next(march)
+        with pytest.raises(pm.NotDifferentiable, match="resisted by nothing"):
+            next(march)
+
+
 # what is refused --------------------------------------------------------------------------------
 def of_energies(p: dict[str, float], **options: Any) -> Any:
     problem, _ = scenes.cantilever(p, **options)

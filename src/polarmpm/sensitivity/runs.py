@@ -21,6 +21,7 @@ from .twins import Apart, Twin
 METHODS = ("twins", "exact")
 _STEPS = {2: 3e-5, 1: 1e-6}  # of ln m, by the number of sides
 _SMALLEST = 1e-9
+_UNRESISTED = 0.01  # of the work of a balanced reset's motion; 1e-8 to 1e-6 in good runs
 
 
 @dataclass
@@ -232,6 +233,15 @@ class Sensitivity:
     def _follow(self, step: Step) -> None:
         """Let the twins take the step that the run has just taken."""
         building.check_kinks(self.problem)
+        share = self._leader.unresisted
+        if share > _UNRESISTED:
+            trouble = (
+                f"{share:.0%} of what the last balanced reset has moved to carry stresses on is resisted by "
+                "nothing, so that these are ill-determined, as with one point a cell; take more points, fewer "
+                "resets, or another basis"
+            )
+            size = self.steps.get(self.names[0], 0.0)
+            raise NotDifferentiable(self.names[0], step.number, step.factor, size, trouble)
         path = self._leader.record.path
         if self._linear is not None:
             self._linear.follow(self.problem)
