@@ -237,8 +237,8 @@ class Sensitivity:
         if share > _UNRESISTED:
             trouble = (
                 f"{share:.0%} of what the last balanced reset has moved to carry stresses on is resisted by "
-                "nothing, so that these are ill-determined, as with one point a cell; take more points, fewer "
-                "resets, or another basis"
+                "nothing, so that these are ill-determined, as with one point a cell; take more points, "
+                "fewer resets, or another basis"
             )
             size = self.steps.get(self.names[0], 0.0)
             raise NotDifferentiable(self.names[0], step.number, step.factor, size, trouble)
