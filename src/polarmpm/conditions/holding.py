@@ -20,13 +20,16 @@ _MORE = 2.0  # times as much of the body as at first that a predicate may hold b
 _LEAST = 0.25  # share of the nodes, and of the volume at one of them, that a support must keep
 
 
-def check_held(prescribed: Prescribed, volume: np.ndarray, step: int) -> None:
+def check_held(prescribed: Prescribed, volume: np.ndarray, step: int, leaves: bool = False) -> None:
     """Raise an error for a support that holds nothing of the body, or hardly anything any more; warn, once,
     of one whose region more of the body has come into. Collective.
+
+    A body in motion may leave its supports (heaps collapse, blocks fly off): its inertia holds what is left.
 
     Args:
         volume: current volume of the body at each node (nodes,), in cells; complete on owned rows.
         step: number of the last converged step.
+        leaves: a support that the body leaves is told once instead.
 
     Raises:
         InputError: a new support at whose nodes there is nothing of the body.
@@ -44,16 +47,21 @@ def check_held(prescribed: Prescribed, volume: np.ndarray, step: int) -> None:
         if not first:
             if support.met is None:
                 raise InputError(_nothing(prescribed, support, weights))
-            raise SupportLost(_lost(support, step, "has left all of its nodes"))
+            if not leaves:
+                raise SupportLost(_lost(support, step, "has left all of its nodes"))
+            _tell_left(comm, support, step, "all of its nodes")
+            continue
         # so many nodes of equal volumes have the same sums: nodes that are hardly reached count little
         now = first**2 / second, second / first
         if support.met is None:
             support.met = now
         share = min(a / b for a, b in zip(now, support.met, strict=True))
         if share < _LEAST:
-            raise SupportLost(
-                _lost(support, step, f"is leaving its nodes; at them there is {share:.0%} of it left")
-            )
+            if not leaves:
+                raise SupportLost(
+                    _lost(support, step, f"is leaving its nodes; at them there is {share:.0%} of it left")
+                )
+            _tell_left(comm, support, step, f"most of its nodes; at them there is {share:.0%} of it left")
         growth = first / (support.met[0] * support.met[1])
         told = support.swollen or isinstance(support.where, Plane) or growth <= _MORE
         if not told:  # the same on all ranks
@@ -61,6 +69,15 @@ def check_held(prescribed: Prescribed, volume: np.ndarray, step: int) -> None:
                 if comm.rank == 0:
                     warn(_more(support, step, growth), TrustWarning)
         support.swollen |= growth > _MORE
+
+
+def _tell_left(comm: MPI.Comm, support: Support, step: int, what: str) -> None:
+    """Warn, once, of a support that a body in motion has left. Collective."""
+    if not support.left:
+        support.left = True
+        with errors_on_all_ranks(comm):
+            if comm.rank == 0:
+                warn(f"{support.name}: by the reset after step {step} the body has left {what}", TrustWarning)
 
 
 def _more(support: Support, step: int, growth: float) -> str:

@@ -55,6 +55,7 @@ class Support:
         mirror: what it says of slopes; None: nothing.
         on_facets: it holds slopes on facets of finite elements.
         swollen: it has been told that it holds much more of the body than at first.
+        left: it has been told that the body has left it.
         body: number of the body whose nodes it holds; None: those of all.
     """
 
@@ -67,6 +68,7 @@ class Support:
     mirror: Mirror | None = None
     on_facets: bool = False
     swollen: bool = False
+    left: bool = False
     body: int | None = None
 
     def __repr__(self) -> str:

@@ -197,7 +197,7 @@ class OnGrid(Problem):
         if not self.grid.equal:
             own = interpolation.nodes.owned
             size = np.prod(self.grid.sizes_around(interpolation.nodes.position[:own]), axis=1)
-        check_held(prescribed, volume / size, self.progress.step)
+        check_held(prescribed, volume / size, self.progress.step, leaves=self.points.moving)
 
     def _held_before(self) -> list[Support] | None:
         """Supports with which the last step has converged: what has come or gone since is to be felt, not
