@@ -71,7 +71,7 @@ def solve(system: NodalSystem, start: np.ndarray, increments: np.ndarray, contro
 _BEGIN, _THICKEST, _THIN = 1.0, 1e3, 1e-8  # viscous stress over the elastic one of the same strain
 _GAIN, _STALLED = 0.1, 8.0  # of out-of-balance forces in a stage; by which it is made stiffer if it fails
 _THINNER = (0.1, 0.1, 0.2, 0.3, 0.5, 0.7)  # the next stage, by iterations of the last one
-_STAGE, _PATIENCE = 8, 10  # iterations of a stage, and of all of them over those of a step
+_STAGE, _PATIENCE = 8, 6  # iterations of a stage, and of all of them over those of a step
 
 
 def creeping(problem: Any, attempt: Callable[[], Outcome]) -> Outcome:
