@@ -170,7 +170,7 @@ class BoxRecord:
         """Take note of how rough the strains of a body that flows are."""
         if not self.points.plastic and self._rough > COARSE >= self.rough:
             self._warn(
-                f"step {step}: {100 * self._rough:.0f} % of the strains' squares aren't smooth over two cells, "
+                f"step {step}: {100 * self._rough:.0f} % of the strains' squares are rough over two cells, "
                 "and the body is about as much too stiff: take smaller cells, or the default basis"
             )
         elif self.points.plastic and self._rough > ROUGH >= self.rough:
