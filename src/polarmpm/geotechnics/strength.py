@@ -162,7 +162,8 @@ class _Steps:
     smallest: float
 
     def __call__(self, problem: Problem) -> Iterable[Step]:
-        return problem.march(self.steps, adaptive=True, smallest=self.smallest, progress=False)
+        # collapse is what is looked for: creep would find the same, with twice the iterations
+        return problem.march(self.steps, adaptive=True, smallest=self.smallest, progress=False, creep=False)
 
 
 class _Search:

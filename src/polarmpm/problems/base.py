@@ -126,6 +126,7 @@ class Problem(Results):
         largest: float | None = None,
         easy: int = 6,
         progress: bool | None = None,
+        creep: bool = True,
     ) -> Iterator[Step]:
         """Raise the load factor in load steps, while it is iterated over; yields every converged step.
 
@@ -140,14 +141,15 @@ class Problem(Results):
             easy: an adaptive step of at most so many iterations lets the next one grow.
             progress: show a progress bar (default: on a terminal and in notebooks); False also leaves the
                 line at the end out, see `report`.
+            creep: follow a plastic body as it creeps where its step can't be cut any more.
 
         Raises:
-            InputError: an argument is out of range; later on: another march has taken steps since, or another
-                problem has taken the body on.
+            InputError: an argument is out of range; another march has taken steps since, or another problem
+                has taken the body on.
             NotConverged: with what was tried and found; the last converged state is intact.
-            PointsOutsideGrid: points have left the grid and it is to be reset for the next step.
+            PointsOutsideGrid: points have left the grid, and it is to be reset.
         """
-        return self._march(Schedule(steps, to, adaptive, smallest, largest, easy, progress))
+        return self._march(Schedule(steps, to, adaptive, smallest, largest, easy, progress, creep=creep))
 
     def _march(self, schedule: Schedule) -> Iterator[Step]:
         return March(self, march, schedule, "adaptive" if schedule.adaptive else "equal")
@@ -434,8 +436,7 @@ class Problem(Results):
         """
         self._check_left()
         last = {} if self._last_x is None else {"last_x": self._last_x}
-        rows = {f"rows.{name}": a for name, a in self.rows.items()}
-        return last | rows | self.term_rows() | self.load_rows()
+        return last | {f"rows.{k}": a for k, a in self.rows.items()} | self.term_rows() | self.load_rows()
 
     def keep(self, rows: dict[str, np.ndarray]) -> None:
         """Put in rows such as those of `kept`."""

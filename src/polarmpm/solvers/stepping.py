@@ -115,6 +115,7 @@ class Schedule:
         easy: a step of at most so many iterations lets the next one grow.
         progress: progress bar; None shows it on a terminal only.
         controlled: adaptive steps are as long as their error allows, see `Marching.suited`.
+        creep: a step that fails for good is followed as the body creeps.
     """
 
     steps: int | None = None
@@ -125,6 +126,7 @@ class Schedule:
     easy: int = 6
     progress: bool | None = None
     controlled: bool = False
+    creep: bool = True
 
     def __post_init__(self) -> None:
         checked: dict[str, Any] = {
@@ -132,6 +134,7 @@ class Schedule:
             "to": checks.number("to", self.to, allowed="a finite load factor"),
             "smallest": checks.number("smallest", self.smallest, **BETWEEN),
             "easy": checks.whole("easy", self.easy, least=0),
+            "creep": checks.flag("creep", self.creep),
         }
         if self.steps is not None:
             checked["steps"] = checks.whole("steps", self.steps, least=1)
@@ -234,10 +237,10 @@ def _called(schedule: Any) -> str:
     return repr({name: value for name, value in given if name not in ("progress", "until")})
 
 
-def _attempt(problem: Marching, factor: float, tried: list[str], last: bool) -> Step | Outcome:
-    """Try a step; `last`: no shorter one is to be tried."""
+def _attempt(problem: Marching, factor: float, tried: list[str], creep: bool) -> Step | Outcome:
+    """Try a step; `creep`: also as the body creeps."""
     outcome = problem.attempt(factor)
-    if not outcome.converged and last:
+    if not outcome.converged and creep:
         crept = problem.attempt_creeping(factor)
         if crept.converged:
             crept.history[:0] = outcome.history
@@ -277,7 +280,7 @@ def _equal(problem: Marching, schedule: Schedule, explain: Explain | None) -> It
         check_alone(problem, last)
         factor = schedule.to if k == schedule.number else _part(begin, schedule.to, k / schedule.number)
         tried: list[str] = []
-        step = _attempt(problem, factor, tried, last=True)
+        step = _attempt(problem, factor, tried, schedule.creep)
         if isinstance(step, Outcome):
             raise failed(problem, factor, step.history, tried, explain)
         last = step
@@ -316,7 +319,7 @@ def _adaptive(problem: Marching, schedule: Schedule, explain: Explain | None) ->
             factor = schedule.to if abs(left) <= 1.000001 * abs(size) else begin + size
             half = 0.5 * min(size, left, key=abs)
             shortest = abs(half) < schedule.smallest * abs(first)
-            step = _attempt(problem, factor, tried, shortest)
+            step = _attempt(problem, factor, tried, shortest and schedule.creep)
             if isinstance(step, Step):
                 break
             size = half
