@@ -132,7 +132,7 @@ def test_what_is_carried_turns_with_the_body(dim, material, basis):
     x = np.zeros_like(system.x)
     x[:, :dim] = system.nodes.position @ (turn - np.eye(dim)).T
     x[:, dim:] = vector[3 - system.layout.rotations :]
-    system.x[:] = x
+    put(system, x)
     assert energy_in_boxes(system) == pytest.approx(before, rel=1e-3 if several else 1e-10)
 
 
