@@ -55,11 +55,13 @@ def carried(points: pm.Points, turning: bool = True, size: float = 1.0) -> None:
     """Let points have variations of what they have seen before a reset."""
     rng, d = np.random.default_rng(6), points.dim
     points.renew_sides(True)
-    points.side_F[:] = size * rng.uniform(-0.05, 0.05, (9, d, d, d))[points.id]
+    points.side_F[:, :, :d, :d] = size * rng.uniform(-0.05, 0.05, (9, d, d, d))[points.id]
     if turning and points.materials[0].micropolar:
         axes = slice(3 - (1 if d == 2 else 3), 3)
         points.side_wryness[:, axes, :d] += size * rng.uniform(-0.3, 0.3, (9, 3, d))[points.id][:, axes]
-        points.side_gradients[:, :, axes] = size * rng.uniform(-0.1, 0.1, (9, d, 3, d))[points.id][:, :, axes]
+        points.side_gradients[:, :, axes, :d] = (
+            size * rng.uniform(-0.1, 0.1, (9, d, 3, d))[points.id][:, :, axes]
+        )
 
 
 def energy_in_boxes(system) -> float:

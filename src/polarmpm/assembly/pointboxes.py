@@ -116,8 +116,7 @@ class PointBoxes:
         `rebase_rotations`.
         """
         r, d, rows = self.layout.rotations, self.layout.dim, self.rows
-        turns, lean, to_frame = None, None, self._to_frame(reference)
-        self._back: np.ndarray | None = np.linalg.inv(to_frame) if r else None
+        turns, lean = None, None
         if r or self.layout.axial:  # there are values in z
             lean = np.linalg.solve(self.batch.frames, np.swapaxes(self._axes, 1, 2))
             lean = np.ascontiguousarray(np.swapaxes(lean, 1, 2))
@@ -128,15 +127,13 @@ class PointBoxes:
             turns[:, :, :r] = (along @ np.swapaxes(rotations.to_tensor(reference.q[rows]), 1, 2))[
                 :, :, 3 - r :
             ]
-            framed = reference.side_gradients[rows] @ to_frame[:, None]
+            framed = reference.side_gradients[rows] @ self._to_frame(reference)[:, None]
             turns[:, :, r:] = framed.reshape(len(rows), d, r * d)
             if not turns.any():
                 turns = None
         frames, tilt = None, None
         if reference.side_F[rows].any():
-            frames = np.ascontiguousarray(
-                reference.side_F[rows] @ to_frame[:, None] if r else reference.side_F[rows]
-            )
+            frames = np.ascontiguousarray(reference.side_F[rows] @ self._to_frame(reference)[:, None])
             tilt = np.ascontiguousarray(np.linalg.inv(self.batch.frames)[:, None] @ frames)
         self._frames, self._varies = frames, frames is not None or turns is not None
         self._arrays |= {"box_turns": turns, "box_lean": lean, "box_frame": frames, "box_tilt": tilt}
@@ -152,8 +149,6 @@ class PointBoxes:
     def _to_frame(self, reference: Reference) -> np.ndarray:
         """F~^-1 T (n, d, d): from gradients in the unloaded body to those in the frame of the state."""
         d = self.layout.dim
-        if not self.layout.rotations:  # the frame is F~
-            return np.eye(d)[None]
         there: np.ndarray = np.linalg.solve(reference.F[self.rows, :d, :d], self.batch.frames)
         return there
 
@@ -168,8 +163,7 @@ class PointBoxes:
         """The odd part (n, d, r, d) of the wryness at the sides, times the points' present rotation; z, zk,
         both: from `gather`."""
         layout, d, r, n = self.layout, self.layout.dim, self.layout.rotations, len(self.rows)
-        assert self._back is not None
-        back = self._back
+        back = np.linalg.inv(self._to_frame(reference))
         turn_back = np.swapaxes(rotations.to_tensor(reference.q[self.rows]), 1, 2)
         turn = rotations.to_tensor(self.points.q[self.rows])
 
@@ -207,14 +201,13 @@ class PointBoxes:
         grown: np.ndarray = zk[:, :, : d * d].reshape(-1, d, d, d)
         if self._frames is not None:
             grown = grown + self._frames
-        p.side_F[rows] = grown if self._back is None else grown @ self._back[:, None]
-        p.side_wryness[rows] = reference.side_wryness[rows]
+        grown = grown @ np.linalg.inv(self._to_frame(reference))[:, None]
+        p.side_F[rows, :, :d, :d] = np.where(lasts[:, None, None, None], grown, 0.0)
         if r:
-            p.side_gradients[rows, :, 3 - r :] = self._side_gradients(reference, z, zk, both)
-        if not np.all(lasts):
-            new = rows[~lasts]
-            p.side_wryness[new] = p.wryness[new]
-            p.side_F[new] = p.side_gradients[new] = 0.0
+            kept = reference.side_wryness[rows]
+            p.side_wryness[rows] = np.where(lasts[:, None, None], kept, p.wryness[rows])
+            odd = self._side_gradients(reference, z, zk, both)
+            p.side_gradients[rows, :, 3 - r :, :d] = np.where(lasts[:, None, None, None], odd, 0.0)
 
     def put(self, kernels: native.PointKernels, kernel: Kernel | None) -> None:
         """Put the boxes into the kernels of the batch; without a kernel of the elastic residual there are z_k

@@ -40,9 +40,9 @@ MOTION_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
 
 # what bodies have whose points integrate over their boxes, after a step
 SIDE_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
-    "side_F": (("d", "d", "d"), float),
+    "side_F": (("d", 3, 3), float),
     "side_wryness": ((3, 3), float),
-    "side_gradients": (("d", 3, "d"), float),
+    "side_gradients": (("d", 3, 3), float),
 }
 
 # what bodies have whose displacements don't count from their initial positions

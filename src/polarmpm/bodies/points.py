@@ -66,10 +66,10 @@ class Points(Several):
             following two only in bodies with plastic materials.
         grad_F: second gradient of the motion H_iJK = d^2 x_i / dX_J dX_K (1/m), (np, 3, 3, 3), symmetric in
             J and K; only in bodies with second-gradient materials, and zero at points of others.
-        side_F: derivatives of F along the half axes of the points' boxes, (np, d, d, d); like the following
+        side_F: derivatives of F along the half axes of the points' boxes, (np, d, 3, 3); like the following
             two only after a step of a problem in which points integrate over their boxes.
         side_wryness: wryness from which on rotations vary within the boxes, tensor.
-        side_gradients: derivatives of the wryness since then along the half axes, times Q, (np, d, 3, d).
+        side_gradients: derivatives of the wryness since then along the half axes, times Q, (np, d, 3, 3).
         counted_from: positions (m) from which displacements count, vector; only after
             `problem.zero_displacements()`, else these are X.
         hardening: accumulated plastic strain chi, scalar.
@@ -283,13 +283,14 @@ class Points(Several):
         return "side_F" in vars(self)
 
     def renew_sides(self, on: bool) -> None:
-        """Begin new arrays of that, without any variation; or forget them."""
+        """Begin new arrays of that with the same numbers, first without any variation; or forget them."""
         n, d = len(self), self.dim
-        for name in SIDE_FIELDS:
-            vars(self).pop(name, None)
+        known = {name: getattr(self, name).copy() for name in SIDE_FIELDS if self.has_sides}
+        for name in known if not on else ():
+            delattr(self, name)
         if on:
-            self.side_F, self.side_gradients = np.zeros((n, d, d, d)), np.zeros((n, d, 3, d))
-            self.side_wryness = self.wryness.copy()
+            none = {"side_F": np.zeros((n, d, 3, 3)), "side_gradients": np.zeros((n, d, 3, 3))}
+            vars(self).update(known or {**none, "side_wryness": self.wryness.copy()})
 
     def set_moving(self) -> None:
         """Give them velocities and accelerations, zero, if they have none."""
@@ -394,7 +395,7 @@ class Points(Several):
         for one, two in ((self, other), (other, self)):
             if "counted_from" in vars(one) and "counted_from" not in vars(two):
                 two.counted_from = two.X.copy()
-            if one.has_sides and not two.has_sides:
+            if one.has_sides:
                 two.renew_sides(True)
         self.add_state()
         other.add_state()

@@ -45,8 +45,8 @@ class Reference:
         """The points' current state, without an initial stress; `block`: unknowns of a node."""
         n, d = len(points), points.dim
         if points.has_sides:
-            sides = points.side_F.copy(), points.side_wryness.copy()
-            turning = points.side_gradients[:, :, 3 - (block - d) :].copy()
+            sides = points.side_F[:, :, :d, :d].copy(), points.side_wryness.copy()
+            turning = points.side_gradients[:, :, 3 - (block - d) :, :d].copy()
         else:
             sides = np.zeros((n, d, d, d)), points.wryness.copy()
             turning = np.zeros((n, d, block - d, d))
