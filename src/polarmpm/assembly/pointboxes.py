@@ -198,7 +198,7 @@ class PointBoxes:
             p.side_F[rows] = p.side_gradients[rows] = 0.0
             return
         z, zk, both = self.gather(x)
-        grown: np.ndarray = zk[:, :, : d * d].reshape(-1, d, d, d)
+        grown = zk[:, :, : d * d].reshape(-1, d, d, d)
         if self._frames is not None:
             grown = grown + self._frames
         grown = grown @ np.linalg.inv(self._to_frame(reference))[:, None]

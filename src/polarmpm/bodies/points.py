@@ -283,7 +283,7 @@ class Points(Several):
         return "side_F" in vars(self)
 
     def renew_sides(self, on: bool) -> None:
-        """Begin new arrays of that with the same numbers, first without any variation; or forget them."""
+        """Begin new arrays of that with the same numbers, by default without any variation; or forget them."""
         n, d = len(self), self.dim
         known = {name: getattr(self, name).copy() for name in SIDE_FIELDS if self.has_sides}
         for name in known if not on else ():
