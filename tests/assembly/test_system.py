@@ -169,7 +169,7 @@ def test_residual_is_the_derivative_of_the_points_energy(dim, material):
 
     def energy(x):
         put(system, x)
-        system.interpolation.update_points(system.interpolation.gather(system.x), motion, system.x)
+        system.interpolation.update_points(system.interpolation.gather(system.x), motion)
         rows = (
             field(points.F, points.q, points.wryness, np.tile(values, (len(points), 1)))
             if len(points)

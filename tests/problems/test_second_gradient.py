@@ -137,7 +137,7 @@ def test_turned_by_two_radians_in_new_grids(dim, turns):
         i = Interpolation(grid, points, basis_of("bspline"), [form])
         before = energies(i) if before is None else before
         x = np.ascontiguousarray(i.nodes.position @ (part[:dim, :dim] - np.eye(dim)).T)
-        i.update_points(i.gather(x), Motion(form.layout, COMM), x)
+        i.update_points(i.gather(x), Motion(form.layout, COMM))
     np.testing.assert_allclose(points.F, whole @ F, atol=1e-13)
     np.testing.assert_allclose(points.grad_F, np.einsum("ij,njkl->nikl", whole, H), atol=1e-13)
     after = energies(Interpolation(grid, points, basis_of("bspline"), [form]))

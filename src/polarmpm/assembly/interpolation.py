@@ -120,10 +120,7 @@ class Interpolation:
         self.reach = int(reduced(grid.comm, max(sides) - 1, MPI.MAX))
         self.boxes: list[PointBoxes] | None = None
         if filled:
-            self.boxes = [
-                PointBoxes(b.batch, b.form.layout, points, b.rows, r, projected=bool(b.form.scalars))
-                for b in self.batches
-            ]
+            self.boxes = [PointBoxes(b.batch, b.form.layout, points, b.rows, r) for b in self.batches]
         self.pack()
 
     def _batch(
@@ -245,14 +242,10 @@ class Interpolation:
         self.nodes.add_to_owners(out)
         return out
 
-    def update_points(self, inc: Increments, motion: Motion, x: np.ndarray) -> None:
-        """Set the points' current state from their increments since the reset, those of the nodes being x
-        (nodes, block)."""
+    def update_points(self, inc: Increments, motion: Motion) -> None:
+        """Set the points' current state from their increments since the reset."""
         self.points.x = self.reference.x + inc.value[:, : self.layout.dim]
         motion.move(self.points, self.reference, inc)
-        self.points.renew_sides(self.boxes is not None)
-        for boxes in self.boxes or ():
-            boxes.put_sides(self.reference, x)
 
 
 def _boxes_of(piece: Piece, grid: Grid, bodies: int) -> tuple[Boxes, ...]:

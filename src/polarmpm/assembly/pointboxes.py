@@ -60,20 +60,12 @@ class PointBoxes:
     Args:
         rows: the batch's points, in their order.
         reference: state at the last reset.
-        projected: the points' stiff scalars are.
     """
 
     def __init__(
-        self,
-        batch: native.Batch,
-        layout: Layout,
-        points: Points,
-        rows: np.ndarray,
-        reference: Reference,
-        projected: bool = False,
+        self, batch: native.Batch, layout: Layout, points: Points, rows: np.ndarray, reference: Reference
     ):
         self.batch, self.layout, self.points, self.rows = batch, layout, points, rows
-        self.projected = projected
         d = layout.dim
         F, self._half_axes0 = reference.F[rows, :d, :d], points.half_axes0[rows]
         axes = np.einsum("pij,pkj->pki", F, self._half_axes0)
@@ -84,7 +76,6 @@ class PointBoxes:
             axes, hoop = axes * shorter[:, :, None], np.ascontiguousarray(hoop * shorter)
         self._axes, self._hoop = np.ascontiguousarray(axes), hoop
         self._arrays: dict[str, np.ndarray | None] = {"box_axes": self._axes, "box_hoop": hoop}
-        self._varies = False  # strains within a box, in the state
 
     @property
     def share(self) -> np.ndarray:
@@ -122,7 +113,7 @@ class PointBoxes:
             lean = np.ascontiguousarray(np.swapaxes(lean, 1, 2))
         if r:
             turns = np.zeros((len(rows), d, r * (1 + d)))
-            grown = (reference.wryness - reference.side_wryness)[rows]
+            grown = (reference.wryness - reference.reset_wryness)[rows]
             along = np.einsum("pij,pkj->pki", grown[:, :, :d], self._half_axes0)
             turns[:, :, :r] = (along @ np.swapaxes(rotations.to_tensor(reference.q[rows]), 1, 2))[
                 :, :, 3 - r :
@@ -131,12 +122,7 @@ class PointBoxes:
             turns[:, :, r:] = framed.reshape(len(rows), d, r * d)
             if not turns.any():
                 turns = None
-        frames, tilt = None, None
-        if reference.side_F[rows].any():
-            frames = np.ascontiguousarray(reference.side_F[rows] @ self._to_frame(reference)[:, None])
-            tilt = np.ascontiguousarray(np.linalg.inv(self.batch.frames)[:, None] @ frames)
-        self._frames, self._varies = frames, frames is not None or turns is not None
-        self._arrays |= {"box_turns": turns, "box_lean": lean, "box_frame": frames, "box_tilt": tilt}
+        self._arrays |= {"box_turns": turns, "box_lean": lean}
         self.pack_shares()
 
     def pack_shares(self) -> None:
@@ -155,14 +141,8 @@ class PointBoxes:
     def rebase_rotations(self, reference: Reference, x: np.ndarray) -> None:
         """Put into the reference state how the wryness at the sides has come to differ from that at the
         points; before the rotations get a new base, at nodal increments x (nodes, block)."""
-        reference.side_gradients[self.rows] = self._side_gradients(reference, *self.gather(x))
-
-    def _side_gradients(
-        self, reference: Reference, z: np.ndarray, zk: np.ndarray, both: np.ndarray | None
-    ) -> np.ndarray:
-        """The odd part (n, d, r, d) of the wryness at the sides, times the points' present rotation; z, zk,
-        both: from `gather`."""
         layout, d, r, n = self.layout, self.layout.dim, self.layout.rotations, len(self.rows)
+        z, zk, both = self.gather(x)
         back = np.linalg.inv(self._to_frame(reference))
         turn_back = np.swapaxes(rotations.to_tensor(reference.q[self.rows]), 1, 2)
         turn = rotations.to_tensor(self.points.q[self.rows])
@@ -175,39 +155,10 @@ class PointBoxes:
             added: np.ndarray = turn_back @ rotations.right_tangent(w) @ gradient
             return added
 
-        out = np.empty((n, d, r, d))
         for k in range(d):
             up, down = (self.side(k, sign, z, zk, both)[0] for sign in (1.0, -1.0))
             odd = 0.5 * (wryness(up) - wryness(down))
-            out[:, k] = (turn @ odd)[:, 3 - r :]
-        return out
-
-    @property
-    def carries(self) -> bool:
-        """Whether resets carry along how the strains vary within a box. Of bodies of revolution, and of
-        points whose stiff scalars are projected, they forget it."""
-        return not self.layout.axial and not self.projected
-
-    def put_sides(self, reference: Reference, x: np.ndarray) -> None:
-        """Put into the points how their deformation varies within their boxes at nodal increments x (nodes,
-        block); points that have flowed begin anew."""
-        p, rows, d, r = self.points, self.rows, self.layout.dim, self.layout.rotations
-        lasts = self.share > FLOWED
-        if not self.carries or not np.any(lasts):
-            p.side_wryness[rows] = p.wryness[rows]
-            p.side_F[rows] = p.side_gradients[rows] = 0.0
-            return
-        z, zk, both = self.gather(x)
-        grown = zk[:, :, : d * d].reshape(-1, d, d, d)
-        if self._frames is not None:
-            grown = grown + self._frames
-        grown = grown @ np.linalg.inv(self._to_frame(reference))[:, None]
-        p.side_F[rows, :, :d, :d] = np.where(lasts[:, None, None, None], grown, 0.0)
-        if r:
-            kept = reference.side_wryness[rows]
-            p.side_wryness[rows] = np.where(lasts[:, None, None], kept, p.wryness[rows])
-            odd = self._side_gradients(reference, z, zk, both)
-            p.side_gradients[rows, :, 3 - r :, :d] = np.where(lasts[:, None, None, None], odd, 0.0)
+            reference.side_gradients[self.rows, k] = (turn @ odd)[:, 3 - r :]
 
     def put(self, kernels: native.PointKernels, kernel: Kernel | None) -> None:
         """Put the boxes into the kernels of the batch; without a kernel of the elastic residual there are z_k
@@ -234,7 +185,7 @@ class PointBoxes:
             lift_only: the matrix has it already: only what prescribed increments add is meant.
         """
         # right after a reset the sides have the moduli of the points, but of rings at other radii
-        whole = self._varies or bool(np.any(x)) or self.layout.axial
+        whole = bool(np.any(x)) or self.layout.axial
         kernels = native.PointKernels()
         native.fill(kernels, kernel=kernel.address, before=before)
         self.put(kernels, None)
@@ -272,9 +223,6 @@ class PointBoxes:
         """z and states (n, ...) on a side of half axis k, of what `gather` gives; what the side counts."""
         state: np.ndarray = self.batch.kept["state"]
         there: np.ndarray = z + sign * zk[:, k]
-        if self._frames is not None:
-            state, at = state.copy(), slice(0, self.layout.dim**2)
-            state[:, at] += sign * self._frames[:, k].reshape(len(state), -1)
         if both is None or self._hoop is None:
             return there, state, 1.0
         state, first = state.copy(), self.layout.state(rotated=False).at_hoop.start + 1
@@ -321,7 +269,7 @@ class PointBoxes:
             )
         here, even = np.empty((n, kernel.outputs)), np.empty((n, kernel.outputs))
         odd = np.empty((n, d, kernel.outputs)) if with_odd else None
-        sizes, given = (n, d, nz, state.shape[1], len(param)), (z, zk, state, self._frames, param)
+        sizes, given = (n, d, nz, state.shape[1], len(param)), (z, zk, state, param)
         if native.library().polarmpm_box_means(
             kernel.address, *sizes, *given, weight, kernel.outputs, here, even, odd
         ):

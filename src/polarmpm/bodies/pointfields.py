@@ -38,13 +38,6 @@ MOTION_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
     "spin_rate": ((3,), float),
 }
 
-# what bodies have whose points integrate over their boxes, after a step
-SIDE_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
-    "side_F": (("d", 3, 3), float),
-    "side_wryness": ((3, 3), float),
-    "side_gradients": (("d", 3, 3), float),
-}
-
 # what bodies have whose displacements don't count from their initial positions
 COUNTED_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {"counted_from": (("d",), float)}
 

@@ -17,10 +17,9 @@ class Reference:
 
     Attributes:
         x, F, q, wryness: as of `Points`.
-        side_F: how F varies along the points' half axes, (np, d, d, d).
-        side_wryness: wryness from which on rotations vary within the points' boxes.
+        reset_wryness: wryness at the last reset.
         side_gradients: derivatives along the points' half axes of the gradients of the rotations before their
-            base, (np, d, r, d): dw/dx~ F~ of what has turned since then.
+            base, (np, d, r, d): dw/dx~ F~ of what has turned since the reset.
         initial_stress: what a balanced reset has added to the stresses, per reference volume, (np, b, d) for
             b unknowns of a node: S0 of a classical material; B0 (Pa) and below it M0 (N/m) of a micropolar
             one (docs/theory.md). In a body with second gradients (np, d, d + m): beside S0 the work T0
@@ -33,8 +32,7 @@ class Reference:
     F: np.ndarray
     q: np.ndarray
     wryness: np.ndarray
-    side_F: np.ndarray
-    side_wryness: np.ndarray
+    reset_wryness: np.ndarray
     side_gradients: np.ndarray
     initial_stress: np.ndarray
     grad_F: np.ndarray
@@ -43,18 +41,14 @@ class Reference:
     @classmethod
     def of(cls, points: Points, block: int) -> Reference:
         """The points' current state, without an initial stress; `block`: unknowns of a node."""
-        n, d = len(points), points.dim
-        if points.has_sides:
-            sides = points.side_F[:, :, :d, :d].copy(), points.side_wryness.copy()
-            turning = points.side_gradients[:, :, 3 - (block - d) :, :d].copy()
-        else:
-            sides = np.zeros((n, d, d, d)), points.wryness.copy()
-            turning = np.zeros((n, d, block - d, d))
-        columns = d + points.second_gradient * d * (d + 1) // 2
+        x, w, n, d = points.x, points.wryness, len(points), points.dim
+        sides, columns = np.zeros((n, d, block - d, d)), d + points.second_gradient * d * (d + 1) // 2
         stress = np.zeros((n, block, columns))
         second = points.grad_F.copy() if points.second_gradient else np.zeros((n, 0))
-        state = points.x.copy(), points.F.copy(), points.q.copy(), points.wryness.copy()
-        return cls(*state, *sides, turning, stress, second, np.zeros((n, 4)))
+        scalars = np.zeros((n, 4))
+        return cls(
+            x.copy(), points.F.copy(), points.q.copy(), w.copy(), w.copy(), sides, stress, second, scalars
+        )
 
     def rebase_rotations(self, points: Points) -> None:
         """Count rotations from the points' current ones on; an initial stress turns with its base."""

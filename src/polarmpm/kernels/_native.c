@@ -162,14 +162,14 @@ INLINE void evaluate(const int dim, const int rot, const int second, const Batch
     if (kernels->box_axes) {
         BoxWork *boxes = &w->boxes;
         find_along(dim, w->in + nz * LANES, boxes);
-        find_zk(dim, rot, second, kernels, w->in, boxes->h, boxes, boxes->zk);
+        find_zk(dim, rot, second, kernels, start, lanes, w->in, boxes->h, boxes, boxes->zk);
         find_arched(dim, rot, second, boxes->h, boxes, boxes->arched);
         const double *before = w->in + (nz + ns + np) * LANES;
-        if (kernels->before) find_zk(dim, rot, second, kernels, before, boxes->h_before, boxes, boxes->before);
+        if (kernels->before) find_zk(dim, rot, second, kernels, start, lanes, before, boxes->h_before, boxes, boxes->before);
         if (kernels->before) find_arched(dim, rot, second, boxes->h_before, boxes, boxes->arched_before);
     }
     if (open || kernels->box_axes) kernels->kernel(w->in, w->out);
-    if (kernels->box_kernel) evaluate_boxes(dim, rot, second, b, kernels, w->in, w->out, &w->boxes);
+    if (kernels->box_kernel) evaluate_boxes(dim, rot, second, b, kernels->box_kernel, w->in, w->out, &w->boxes);
     if (*coupled) kernels->couple(w->cin, w->cout);
     if (kernels->initial) evaluate_initial(dim, rot, second, kernels, start, lanes, w);
 }
@@ -299,7 +299,7 @@ INLINE void assemble(const int dim, const int rot, const int second, const Batch
         int coupled;
         const int lanes = lanes_from(b, start);
         evaluate_sized(b, kernels, x, start, &group, group_of, w, &coupled);
-        if (kernels->box_kernel) collect_sides(dim, rot, second, kernels, &w->boxes);
+        if (kernels->box_kernel) collect_sides(dim, rot, second, &w->boxes);
         for (int l = 0, end; l < lanes; l = end) {
             const int64_t g = group_of[l];
             for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
@@ -361,7 +361,7 @@ INLINE void add_boxes(const int dim, const int rot, const int second, const Batc
     const BoxWork *boxes = &w->boxes;
     const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, sv = w->sv, nz = unknowns_of(dim, rot, second);
     const int outputs = nz + nz * (nz + 1) / 2;
-    for (int q = l; q < end; ++q) side_shapes(dim, rot, second, kernels, nv, sv, w->shapes + (int64_t)q * shapes_of(second) * sv, q, boxes);
+    for (int q = l; q < end; ++q) side_shapes(dim, rot, second, nv, sv, w->shapes + (int64_t)q * shapes_of(second) * sv, q, boxes);
     if (whole)
         add_box_moduli(dim, rot, second, b, kernels, M, w, w->out, w->shapes, -dim / 3.0, 0, 0.0, 1, start, g, l, end);
     for (int k = 0; k < dim; ++k) {
@@ -408,7 +408,7 @@ INLINE void assemble_boxes(const int dim, const int rot, const int second, const
             if (!some) continue;
         }
         evaluate_sized(b, kernels, x, start, &group, group_of, w, &coupled);
-        if (whole) evaluate_sides(dim, rot, second, b, kernels, w->in, &w->boxes);
+        if (whole) evaluate_sides(dim, rot, second, b, kernels->kernel, w->in, &w->boxes);
         for (int l = 0, end; l < lanes; l = end) {
             const int64_t g = group_of[l];
             for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
@@ -455,7 +455,7 @@ INLINE void gather_boxes(const int dim, const int rot, const int second, const B
             gather_curved(dim, rot, nv, sv, w->x, 0, &w->boxes, w->boxes.h);
             for (int k = 0; k < dim * dim; ++k) w->in[(nz + k) * LANES] = b->state[p * b->nstate + k];
             find_along(dim, w->in + nz * LANES, &w->boxes);
-            find_zk(dim, rot, second, kernels, w->in, w->boxes.h, &w->boxes, w->boxes.zk);
+            find_zk(dim, rot, second, kernels, p, 1, w->in, w->boxes.h, &w->boxes, w->boxes.zk);
             for (int i = 0; i < nz; ++i) z[p * nz + i] = w->in[i * LANES];
             for (int i = 0; i < dim * nz; ++i) zk[p * dim * nz + i] = w->boxes.zk[i * LANES];
             find_arched(dim, rot, second, w->boxes.h, &w->boxes, w->boxes.arched);

@@ -174,8 +174,7 @@ class OnGrid(Problem):
         if held is not None:  # before anything is changed
             self._check_held(interpolation, self._prescribed(interpolation.nodes))
         system = self._build(interpolation, supports=held)
-        if self.balanced_reset:
-            p.carried_work += self.box_record.energy(system) - in_boxes
+        p.carried_work -= in_boxes
         p.reset_due, p.since_reset = False, 0
         p.reset_factor = p.rotation_factor = p.factor
         if balanced:

@@ -331,7 +331,7 @@ class QuasiStatic(Regridded):
     def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
         assert self._compiled.motion is not None
         self._size = float(np.abs(increments.gradient).max(initial=0.0))
-        system.interpolation.update_points(increments, self._compiled.motion, system.x)
+        system.interpolation.update_points(increments, self._compiled.motion)
         system.put_projected()
         system.keep_boxes(first=self.progress.since_reset == 0)
         self._conservation.check(system.interpolation, system.x)
