@@ -80,12 +80,11 @@ class DirectSolver:
         if symmetric and self.comm.size == 1 and small and not blocked:
             self._methods = ["small", *self._methods]
         self._band: Band | None = None
+        self._banded = False  # the factor is the band's
         if rows is not None:
-            self._band = Band(rows, symmetric)
-            if self._band.pays:
-                self._methods = ["band", *(m for m in self._methods if m != "small")]
-            else:
-                self._band = None
+            band = Band(rows, symmetric)
+            if band.pays:
+                self._band, self._methods = band, [m for m in self._methods if m != "small"]
         self._method = self._methods[0]
 
     @cached_property
@@ -105,7 +104,7 @@ class DirectSolver:
     @property
     def in_place(self) -> bool:
         """Whether entries are taken from the rows, and the matrix needs none."""
-        return self._method == "band"
+        return self._band is not None
 
     # factors --------------------------------------------------------------------------------------
     def _create(self) -> PETSc.KSP:
@@ -181,26 +180,24 @@ class DirectSolver:
         Raises:
             SingularTangent: the matrix is singular or has entries that are not finite.
         """
-        if self._try_band():
-            return
+        self._banded = self._band is not None and self._band.factor()
+        if not self._banded:
+            self._factor_matrix()
+
+    def _factor_matrix(self) -> None:
+        """Factor PETSc's matrix; of a tangent whose band can't be factored, without what is left from others:
+        a run that is restarted has nothing of them."""
+        if self._band is not None:
+            self._banded = self._kept = False
+            if self._method != self._methods[0]:
+                self._release_solver()
+                self._method = self._methods[0]
+            self._band.rows.put()
         if not np.isfinite(self.matrix.norm()):
             raise SingularTangent("the tangent has entries that are not finite")
         self._old = self._kept and self._solver is not None
         if not self._old:
             self._factor()
-
-    def _try_band(self) -> bool:
-        """Factor the rows where their order is good. Where that fails others go on until the next reset."""
-        band = self._band if self._method == "band" else None
-        if band is None or band.factor():
-            return band is not None
-        self._leave_band(band)
-        return False
-
-    def _leave_band(self, band: Band) -> None:
-        self._band, self._method = None, self._methods[1]
-        del self._methods[0]
-        band.rows.put()
 
     def _factor(self) -> None:
         self._kept = self._old = False
@@ -252,12 +249,11 @@ class DirectSolver:
         Raises:
             SingularTangent: no method gave a solution.
         """
-        if self._band is not None:
+        if self._banded and self._band is not None:
             found = self._band.solve(rhs)
             if found is not None:
                 return found
-            self._leave_band(self._band)
-            self.factor()
+            self._factor_matrix()
         self.rhs.array[:] = rhs
         if self._old:
             if self._solve_with_old(accuracy):
@@ -298,7 +294,7 @@ class DirectSolver:
         Raises:
             SingularTangent: there is no solution with the factor at hand.
         """
-        if self._band is not None:
+        if self._banded and self._band is not None:
             found = self._band.solve(rhs)
             if found is None:
                 raise SingularTangent("the linear system could not be solved")
@@ -320,7 +316,7 @@ class DirectSolver:
         Raises:
             SingularTangent: there is none.
         """
-        if self._band is not None:
+        if self._banded and self._band is not None:
             return self._band.apply(np.ascontiguousarray(rhs))
         if self._solver is None:
             raise SingularTangent("there is no factor")
