@@ -144,10 +144,11 @@ def draw(rows, file):
             values = [row[f"{name}_s"] or np.nan for row in mine]
             axes[0].plot(points, values, style, color=f"C{colour}", label=f"{body}, {name}")
         axes[1].plot(points, [row["memory_mb"] for row in mine], "o-", color=f"C{colour}", label=body)
-        axes[0].plot(points, mine[-1]["step_s"] * points / points[-1], "k--", linewidth=0.6)
+        proportional = {} if colour else {"label": "proportional to the points"}
+        axes[0].plot(points, mine[-1]["step_s"] * points / points[-1], "k--", linewidth=0.6, **proportional)
     for axis, name in zip(axes, ("CPU time of a step (s)", "memory of the process (MB)"), strict=True):
         axis.set(xscale="log", yscale="log", xlabel="material points", ylabel=name)
-        axis.legend()
+    plot.legend_below(figure, axes[:1])
     plot.save(figure, file)
 
 
