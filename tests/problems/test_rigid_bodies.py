@@ -96,6 +96,7 @@ def test_a_footing_settles_and_tilts(elements):
     assert plate.reaction["ux"] == pytest.approx(-plate.contact_force[0], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_weight_on_a_column_swings():
     """With the frequency of a bar with a mass at its end, x tan x = mass of the bar over the mass; the column
     carries the weight before."""
@@ -141,6 +142,7 @@ def least_period(times, values):
     return best[1]
 
 
+@pytest.mark.slow
 def test_a_block_slides_until_friction_has_stopped_it():
     """On an elastic bed, after v^2 / 2 mu g."""
     friction, speed, mass = 0.3, 1.0, 20.0
