@@ -151,8 +151,8 @@ CASES = {
     "sharp prism": (HENCKY, {"phi": 0.0, "psi": 0.0, "edges": "sharp"}),
     "classical": (HENCKY, {}),
     "isochoric": (NEO_HOOKEAN, {"phi": 20.0, "psi": 0.0}),
-    "cut": (HENCKY, {"cut": 8.0}),
-    "prism": (HENCKY, {"phi": 0.0, "psi": 0.0, "cut": 30.0}),
+    "cut": (NEO_HOOKEAN, {"cut": 8.0}),
+    "prism": (NEO_HOOKEAN, {"phi": 0.0, "psi": 0.0, "cut": 30.0}),
     "micropolar": (ELASTIC, {"cut": 12.0}),
     "rounded": (HENCKY, {"tip": 3.0}),
 }
