@@ -28,7 +28,8 @@ _KEPT = ("position", "turns", "velocity", "acceleration", "momenta", "rates", "c
 class RigidBody(Settling):
     """A rigid body that moves freely, pushed by contact with bodies that aren't rigid; give it to
     `problem.obstacle(shape, body=...)`, for several shapes if it has such. In the plane masses, forces and
-    moments are per metre of thickness.
+    moments are per metre of thickness. Its attributes are those of the last converged step, the same on all
+    ranks.
 
     Args:
         centre: of mass, at the beginning (m), (d,).
@@ -44,7 +45,7 @@ class RigidBody(Settling):
             rad; from the beginning on) as values of `fix`. Turns in space can be none only.
         name: for messages and results.
 
-    Attributes are those of the last converged step, the same on all ranks:
+    Attributes:
         centre, displacement: of the centre (m), (d,).
         rotation: tensor (d, d) that has turned it since the beginning; turn: of a body in the plane, the
             angle (rad).
