@@ -87,10 +87,11 @@ def cells_of(body, points):
 def exponents(rows, what):
     """Of a quantity between each size and the one before; None for the first one."""
     pairs = itertools.pairwise(rows)
-    return [None] + [
+    grows = [
         math.log(b[what] / a[what]) / math.log(b["points"] / a["points"]) if a[what] and b[what] else None
         for a, b in pairs
     ]
+    return [None, *grows] if rows else []
 
 
 def of_body(rows, body):

@@ -92,28 +92,39 @@ def roughness(system: LoadedPoints, start: np.ndarray) -> tuple[float, float]:
     """
     i, d = system.interpolation, system.interpolation.layout.dim
     grid, volume, x = i.grid, i.points.volume0, i.reference.x
-    strain = strains(system, start).reshape(len(x), d * d)
+    upper = np.triu_indices(d)
+    strain = strains(system, start)[:, upper[0], upper[1]]
+    times = np.where(upper[0] == upper[1], 1.0, 2.0)
     cells, corners = grid.cells_of(x), box_indices((2,) * d)
-    within = grid.within(x, cells)
-    rows = np.tile(np.arange(len(x)), len(corners))
-    corner = np.repeat(corners, len(x), axis=0)
-    numbers = grid.node_number(cells[rows] + corner)
-    linear = np.hstack([np.ones((len(rows), 1)), within[rows] - corner])
+    linear = np.hstack([np.ones((len(x), 1)), grid.within(x, cells)])
+    _, first, cell = np.unique(grid.cell_number(cells), return_index=True, return_inverse=True)
+    numbers = np.stack([grid.node_number(cells[first] + corner) for corner in corners], axis=1)
     known, at = np.unique(numbers, return_inverse=True)
-    both = np.hstack([linear, strain[rows]])
-    moments = np.empty((len(known), d + 1, both.shape[1]))
+    at = at.reshape(numbers.shape)
+    # over each cell, about its first corner; around a node each cell has another corner there
+    both = [*linear.T, *strain.T]
+    of_cells = np.empty((len(first), d + 1, len(both)))
     for a in range(d + 1):
-        for b in range(both.shape[1]):
-            moments[:, a, b] = np.bincount(at, volume[rows] * linear[:, a] * both[:, b], minlength=len(known))
+        for b, values in enumerate(both):
+            of_cells[:, a, b] = np.bincount(cell, volume * linear[:, a] * values, minlength=len(first))
+    shifts = np.tile(np.eye(d + 1), (len(corners), 1, 1))
+    shifts[:, 1:, 0] = -corners
+    moments = np.zeros((len(known), d + 1, len(both)))
+    for shift, nodes in zip(shifts, at.T, strict=True):
+        shifted = shift @ of_cells
+        shifted[:, :, : d + 1] = shifted[:, :, : d + 1] @ shift.T
+        moments[nodes] += shifted
     shape = moments.shape
     moments = sums_by_number(grid.comm, known, flat(moments)).reshape(shape)
     matrix, right = moments[:, :, : d + 1], moments[:, :, d + 1 :]
     matrix = matrix + 1e-9 * np.trace(matrix, axis1=1, axis2=2)[:, None, None] * np.eye(d + 1)
-    fitted = np.linalg.solve(matrix, right)
-    share = np.prod(np.where(corner > 0, within[rows], 1.0 - within[rows]), axis=1)
-    smooth = np.zeros_like(strain)
-    np.add.at(smooth, rows, share[:, None] * np.einsum("ra,rak->rk", linear, fitted[at]))
-    squares = (np.sum((strain - smooth) ** 2, axis=1), np.sum(strain**2, axis=1), np.ones(len(x)))
+    fitted, smooth = np.linalg.solve(matrix, right), np.zeros_like(strain)
+    for corner, shift, nodes in zip(corners, shifts, at.T, strict=True):
+        share = np.prod(np.where(corner > 0, linear[:, 1:], 1.0 - linear[:, 1:]), axis=1)
+        there = shift.T @ fitted[nodes]
+        for a in range(d + 1):
+            smooth += (share * linear[:, a])[:, None] * there[cell, a]
+    squares = ((strain - smooth) ** 2 @ times, strain**2 @ times, np.ones(len(x)))
     sums = np.array([volume @ of for of in squares])
     grid.comm.Allreduce(MPI.IN_PLACE, sums)
     return float(sums[0] / max(sums[1], np.finfo(float).tiny)), float(np.sqrt(sums[1] / sums[2]))
