@@ -140,6 +140,8 @@ def draw(rows, file):
     figure, axes = plot.subplots(1, 2, figsize=(plot.PAGE, 3.0))
     for colour, body in enumerate(BODIES):
         mine = of_body(rows, body)
+        if not mine:
+            continue
         points = np.array([row["points"] for row in mine])
         for name, style in (("step", "o-"), ("assembly", "^:"), ("factor", "v:"), ("solve", "s:")):
             values = [row[f"{name}_s"] or np.nan for row in mine]
