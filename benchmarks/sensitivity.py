@@ -312,22 +312,20 @@ def table(heads, rows):
     return "\n".join(lines)
 
 
+def listed(one):
+    return ", ".join(f"{name} {digits:.1f}" for name, digits in one["digits"].items())
+
+
 def report(found):
     """The tables of docs/sensitivity.md."""
     if "accuracy" in found:
-        rows = []
-        for name, one in found["accuracy"].items():
-            digits = ", ".join(f"{n} {d:.1f}" for n, d in one["digits"].items())
-            rows.append((name, digits, f"{one['check']:.0e}"))
+        rows = [(n, listed(one), f"{one['check']:.0e}") for n, one in found["accuracy"].items()]
         print(table(("run", "digits", "check"), rows), "\n")
     if "cost" in found:
         rows = [(n, str(c["points"]), f"{c['ratio']:.2f}") for n, c in found["cost"].items()]
         print(table(("run", "points", "a twin, in runs"), rows), "\n")
     if "exact" in found:
-        rows = []
-        for name, one in found["exact"].items():
-            digits = ", ".join(f"{n} {d:.1f}" for n, d in one["digits"].items())
-            rows.append((name, digits, f"{one['ratio']:.2f}"))
+        rows = [(n, listed(one), f"{one['ratio']:.2f}") for n, one in found["exact"].items()]
         print(table(("run", "digits to which both agree", "a parameter, in runs"), rows), "\n")
     if "sawtooth" in found:
         rows = [(n, f"{100 * s['off']:.2g} %") for n, s in found["sawtooth"].items()]

@@ -10,6 +10,7 @@ import numpy as np
 
 import polarmpm as pm
 from tests.helpers.bodies import box
+from tests.helpers.ranks import on_ranks, report
 
 TIGHT = pm.Controls(force_tolerance=1e-12, energy_tolerance=1e-30, max_iterations=40)
 BEAM = {"E": 12.5e6, "n": 0.5, "l": 0.3}
@@ -148,3 +149,31 @@ def digits(found: Any, exact: Any) -> float:
             off = np.abs(found[observable][name] - slope).max() / np.abs(slope).max()
             least = min(least, -np.log10(off + 1e-16))
     return least
+
+
+# ranks ------------------------------------------------------------------------------------------
+MOVING = {"twins": ["mu", "c"], "exact": ["kappa", "c"]}
+
+
+def moving(method: str) -> dict[str, Any]:
+    """Derivatives of a column whose points go to other ranks at resets. Collective."""
+    options: dict[str, Any] = {"method": method, "pressed": 0.004, "rebalance": 1.0001}
+    with pm.Sensitivity(column, SOIL, MOVING[method], **options) as run:
+        points, found = run.problem.points, []
+        first = points.id.copy()
+        for _ in run.march(4):
+            found.append(run.rates["force"])
+        moved = points.comm.allreduce(int(np.setdiff1d(points.id, first).size))
+    return {"moved": moved, "rates": {n: [step[n] for step in found] for n in MOVING[method]}}
+
+
+def assert_two_ranks_agree(method: str, tolerance: float) -> None:
+    """The same derivatives as on one."""
+    one, two = (on_ranks(ranks, method, __file__)[0] for ranks in (1, 2))
+    assert two["moved"] > 0
+    for name, found in one["rates"].items():
+        np.testing.assert_allclose(two["rates"][name], found, rtol=0, atol=tolerance * np.abs(found).max())
+
+
+if __name__ == "__main__":
+    report(moving)

@@ -11,7 +11,6 @@ import pytest
 import polarmpm as pm
 from polarmpm.sensitivity.differences import along
 from tests.conftest import COMM
-from tests.helpers.ranks import on_ranks, report
 from tests.sensitivity import scenes
 from tests.sensitivity.scenes import BEAM, SOIL, digits, rates
 
@@ -107,10 +106,7 @@ def test_the_run_is_the_same_to_the_last_bit(scene):
 @pytest.mark.mpi
 @pytest.mark.timeout(300)
 def test_two_ranks_whose_points_move():
-    one, two = (on_ranks(ranks, "column", __file__)[0] for ranks in (1, 2))
-    assert two["moved"] > 0
-    for name, found in one["rates"].items():
-        np.testing.assert_allclose(two["rates"][name], found, rtol=0, atol=1e-8 * np.abs(found).max())
+    scenes.assert_two_ranks_agree("exact", 1e-8)
 
 
 def test_differences_far_from_rounding():
@@ -187,18 +183,3 @@ def test_a_new_base_of_the_rotations():
         pytest.raises(pm.InputError, match="new base"),
     ):
         next(run.march(2))
-
-
-def _on_these_ranks(_: str) -> dict[str, Any]:
-    options: dict[str, Any] = {"pressed": 0.004, "rebalance": 1.0001}
-    with pm.Sensitivity(scenes.column, SOIL, ["kappa", "c"], method="exact", **options) as run:
-        points, found = run.problem.points, []
-        first = points.id.copy()
-        for _ in run.march(4):
-            found.append(run.rates["force"])
-        moved = points.comm.allreduce(int(np.setdiff1d(points.id, first).size))
-    return {"moved": moved, "rates": {n: [step[n] for step in found] for n in ("kappa", "c")}}
-
-
-if __name__ == "__main__":
-    report(_on_these_ranks)

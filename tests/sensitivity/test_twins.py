@@ -13,7 +13,6 @@ import pytest
 
 import polarmpm as pm
 from tests.conftest import COMM
-from tests.helpers.ranks import on_ranks, report
 from tests.sensitivity import scenes
 from tests.sensitivity.scenes import BEAM, SOIL, differences, digits, rates
 
@@ -203,10 +202,7 @@ def test_resets_that_lose_stresses_are_told_of():
 @pytest.mark.timeout(300)
 def test_two_ranks_whose_points_move():
     """To other ranks at resets; the same derivatives as on one."""
-    one, two = (on_ranks(ranks, "column", __file__)[0] for ranks in (1, 2))
-    assert two["moved"] > 0
-    for name, found in one["rates"].items():
-        np.testing.assert_allclose(two["rates"][name], found, rtol=0, atol=1e-7 * np.abs(found).max())
+    scenes.assert_two_ranks_agree("twins", 1e-7)
 
 
 def test_numbers_that_dont_matter():
@@ -307,17 +303,3 @@ def test_observables_are_numbers():
 
     with pm.Sensitivity(build, BEAM, ["E"]) as run, pytest.raises(pm.InputError, match="observables: name"):
         next(run.march(3))
-
-
-def _on_these_ranks(_: str) -> dict[str, Any]:
-    with pm.Sensitivity(scenes.column, SOIL, ["mu", "c"], pressed=0.004, rebalance=1.0001) as run:
-        points, rates = run.problem.points, []
-        first = points.id.copy()
-        for _ in run.march(4):
-            rates.append(run.rates["force"])
-        moved = points.comm.allreduce(int(np.setdiff1d(points.id, first).size))
-    return {"moved": moved, "rates": {n: [step[n] for step in rates] for n in ("mu", "c")}}
-
-
-if __name__ == "__main__":
-    report(_on_these_ranks)

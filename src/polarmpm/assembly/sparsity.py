@@ -260,15 +260,7 @@ def _alone(
     place[row, code] = column
     values = np.zeros(int(indptr[-1]))
     pattern = Pattern(nodes, block, symmetric, indptr, indices, values, diagonal, native.Matrix())
-    native.fill(
-        pattern.matrix,
-        symmetric=int(symmetric),
-        reach=reach,
-        place=place,
-        row_start=starts,
-        number=nodes.number,
-        values=values,
-    )
+    _bind(pattern, reach, place, starts)
     return pattern
 
 
@@ -320,16 +312,21 @@ def _assemble_pattern(
     apart = np.stack([row[far], col[far]], axis=1)
     order = np.lexsort(apart.T[::-1])
     pattern.crossing, pattern.crossing_columns = apart[order], column[far][order]
+    _bind(pattern, reach, place, starts)
+    return pattern
+
+
+def _bind(pattern: Pattern, reach: int, place: np.ndarray, starts: np.ndarray) -> None:
+    """Tell the compiled sums where a pattern's entries are."""
     native.fill(
         pattern.matrix,
-        symmetric=int(symmetric),
+        symmetric=int(pattern.symmetric),
         reach=reach,
         place=place,
         row_start=starts,
-        number=np.ascontiguousarray(nodes.number, dtype=np.int64),
-        values=values,
+        number=np.ascontiguousarray(pattern.nodes.number, dtype=np.int64),
+        values=pattern.values,
     )
-    return pattern
 
 
 def _scalar_rows(

@@ -21,7 +21,7 @@ from ..tools import checks, compat
 from ..tools.caller import warn
 from ..tools.checks import number, numeric, refuse, vector, whole
 from ..tools.meetings import collective
-from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks
+from ..tools.parallel import errors_on_all_ranks, raise_on_all_ranks, warn_on_one_rank
 from .facets import Facets, FacetSurface
 from .points import Points
 from .regions import Regions, materials_of
@@ -326,10 +326,10 @@ def _warn_of_cracks(body: BodyMesh) -> None:
 def _warn_of_inner_facets(name: str, comm: MPI.Comm, inner: int) -> None:
     """Those between two cells are on no boundary. Collective."""
     inner = comm.allreduce(inner)
-    with errors_on_all_ranks(comm):
-        if inner and comm.rank == 0:
-            warn(
-                f"{name}: some of the group's facets lie inside of the body, between two cells; those on its "
-                "boundary count alone",
-                TrustWarning,
-            )
+    if inner:
+        warn_on_one_rank(
+            comm,
+            f"{name}: some of the group's facets lie inside of the body, between two cells; those on its "
+            "boundary count alone",
+            TrustWarning,
+        )

@@ -10,8 +10,7 @@ import numpy as np
 
 from ..errors import InputError, SupportLost, TrustWarning
 from ..geometry.planes import Plane
-from ..tools.caller import warn
-from ..tools.parallel import errors_on_all_ranks, reduce_in_place, reduced
+from ..tools.parallel import reduce_in_place, reduced, warn_on_one_rank
 from .prescribed import Prescribed
 from .supports import Support
 
@@ -65,9 +64,7 @@ def check_held(prescribed: Prescribed, volume: np.ndarray, step: int, leaves: bo
         growth = first / (support.met[0] * support.met[1])
         told = support.swollen or isinstance(support.where, Plane) or growth <= _MORE
         if not told:  # the same on all ranks
-            with errors_on_all_ranks(comm):  # a script may make errors of warnings
-                if comm.rank == 0:
-                    warn(_more(support, step, growth), TrustWarning)
+            warn_on_one_rank(comm, _more(support, step, growth), TrustWarning)
         support.swollen |= growth > _MORE
 
 
@@ -75,9 +72,8 @@ def _tell_left(comm: MPI.Comm, support: Support, step: int, what: str) -> None:
     """Warn, once, of a support that a body in motion has left. Collective."""
     if not support.left:
         support.left = True
-        with errors_on_all_ranks(comm):
-            if comm.rank == 0:
-                warn(f"{support.name}: by the reset after step {step} the body has left {what}", TrustWarning)
+        text = f"{support.name}: by the reset after step {step} the body has left {what}"
+        warn_on_one_rank(comm, text, TrustWarning)
 
 
 def _more(support: Support, step: int, growth: float) -> str:

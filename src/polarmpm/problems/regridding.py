@@ -27,8 +27,7 @@ from ..geometry.planes import Plane, PlaneSpec
 from ..solvers.newton import Outcome
 from ..terms.base import Term
 from ..terms.sites import Sites
-from ..tools.caller import warn
-from ..tools.parallel import errors_on_all_ranks
+from ..tools.parallel import errors_on_all_ranks, warn_on_one_rank
 from .gridpolicies import RegridPolicy, Trial, make_policy
 from .stages import Staged
 from .whole import Changing
@@ -281,14 +280,14 @@ class Regridded(Staged):
     def _warn_of_history(self, smaller: np.ndarray) -> None:
         """Points (np,) that come to smaller cells may have flowed in those of before."""
         flowed: int = self.comm.allreduce(int(np.sum(smaller & (self.points.hardening > 0.0))))
-        with errors_on_all_ranks(self.comm):  # of warnings a script may make errors
-            if flowed and self.comm.rank == 0:
-                warn(
-                    f"regrid: {flowed} point(s) have flowed before cells become finer at them; what larger "
-                    "cells have put into their history stays. AlongBands and functions of (problem, trial) "
-                    "take the step in which points flow again instead (docs/grids.md)",
-                    TrustWarning,
-                )
+        if flowed:
+            warn_on_one_rank(
+                self.comm,
+                f"regrid: {flowed} point(s) have flowed before cells become finer at them; what larger "
+                "cells have put into their history stays. AlongBands and functions of (problem, trial) "
+                "take the step in which points flow again instead (docs/grids.md)",
+                TrustWarning,
+            )
 
     def _of_parts(self, name: str, rows: np.ndarray, made: Split, before: np.ndarray) -> np.ndarray:
         """What is kept of parts, of rows (np, ...) of the points, which were at `before`."""

@@ -17,9 +17,8 @@ from ..solvers.resetting import Never
 from ..terms.ghost import Ghost
 from ..terms.obstacles import Obstacle
 from ..tools import checks
-from ..tools.caller import warn
 from ..tools.checks import shown
-from ..tools.parallel import errors_on_all_ranks
+from ..tools.parallel import warn_on_one_rank
 from .twins import quiet as quiet
 
 Observables = Mapping[str, Callable[[], Any]]
@@ -159,14 +158,13 @@ def warn_of_resets(problem: Any) -> None:
     """Where resets lose much of the stresses, a derivative isn't what a fit needs. Collective."""
     if not isinstance(problem, QuasiStatic) or problem.balanced_reset or isinstance(problem.policy, Never):
         return
-    with errors_on_all_ranks(problem.comm):  # of warnings a script may make errors
-        if problem.comm.rank == 0:
-            warn(
-                "balanced_reset = False: what resets lose makes answers a sawtooth in the parameters. "
-                "Derivatives are those of its teeth, which may be off the trend by 10 % and more; with the "
-                "default resets by less than 1 % (docs/sensitivity.md)",
-                TrustWarning,
-            )
+    warn_on_one_rank(
+        problem.comm,
+        "balanced_reset = False: what resets lose makes answers a sawtooth in the parameters. Derivatives "
+        "are those of its teeth, which may be off the trend by 10 % and more; with the default resets by "
+        "less than 1 % (docs/sensitivity.md)",
+        TrustWarning,
+    )
 
 
 def check_kinks(problem: Any) -> None:

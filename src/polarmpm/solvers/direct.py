@@ -80,7 +80,7 @@ class DirectSolver:
         if symmetric and self.comm.size == 1 and small and not blocked:
             self._methods = ["small", *self._methods]
         self._band: Band | None = None
-        self._banded = False  # the factor is the band's
+        self._factored: Band | None = None  # what holds the factor, unless that is `_solver`
         if rows is not None:
             band = Band(rows, symmetric)
             if band.pays:
@@ -180,15 +180,15 @@ class DirectSolver:
         Raises:
             SingularTangent: the matrix is singular or has entries that are not finite.
         """
-        self._banded = self._band is not None and self._band.factor()
-        if not self._banded:
+        self._factored = self._band if self._band is not None and self._band.factor() else None
+        if self._factored is None:
             self._factor_matrix()
 
     def _factor_matrix(self) -> None:
         """Factor PETSc's matrix; of a tangent whose band can't be factored, without what is left from others:
         a run that is restarted has nothing of them."""
         if self._band is not None:
-            self._banded = self._kept = False
+            self._factored, self._kept = None, False
             if self._method != self._methods[0]:
                 self._release_solver()
                 self._method = self._methods[0]
@@ -249,8 +249,8 @@ class DirectSolver:
         Raises:
             SingularTangent: no method gave a solution.
         """
-        if self._banded and self._band is not None:
-            found = self._band.solve(rhs)
+        if self._factored is not None:
+            found = self._factored.solve(rhs)
             if found is not None:
                 return found
             self._factor_matrix()
@@ -294,8 +294,8 @@ class DirectSolver:
         Raises:
             SingularTangent: there is no solution with the factor at hand.
         """
-        if self._banded and self._band is not None:
-            found = self._band.solve(rhs)
+        if self._factored is not None:
+            found = self._factored.solve(rhs)
             if found is None:
                 raise SingularTangent("the linear system could not be solved")
             return found
@@ -316,8 +316,8 @@ class DirectSolver:
         Raises:
             SingularTangent: there is none.
         """
-        if self._banded and self._band is not None:
-            return self._band.apply(np.ascontiguousarray(rhs))
+        if self._factored is not None:
+            return self._factored.apply(np.ascontiguousarray(rhs))
         if self._solver is None:
             raise SingularTangent("there is no factor")
         self.rhs.array[:] = rhs
@@ -333,7 +333,7 @@ class DirectSolver:
     def destroy(self) -> None:
         """Release PETSc's objects."""
         self._release_solver()
-        self._stored = self._band = None
+        self._stored = self._band = self._factored = None
         for thing in (None if self._alone else self._shifted, self.matrix, *vars(self).get("_vectors", ())):
             if thing is not None:
                 thing.destroy()

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import InputError
 from .alike import told
+from .caller import warn
 from .meetings import Word, of
 
 _TAG = 7361  # of messages between ranks
@@ -251,3 +252,11 @@ def errors_on_all_ranks(comm: MPI.Comm, what: str = "a function of the script") 
         meetings.inside = outer
     given = "" if answer.alike is None else told(answer.alike)
     meetings.meet(Word(f"{what}, in {outer}" if outer else what, given if error is None else ""), error)
+
+
+def warn_on_one_rank(comm: MPI.Comm, text: str, category: type[Warning]) -> None:
+    """Warn, on rank 0, of what all ranks know; a script that makes errors of warnings gets it on all of them.
+    Collective."""
+    with errors_on_all_ranks(comm):
+        if comm.rank == 0:
+            warn(text, category)
