@@ -11,6 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -73,8 +74,14 @@ class LocalState:
         return ufl.dot(self.Fe_trial, ufl.inv(self.Fe))
 
     def kirchhoff(self) -> tuple[Any, Any]:
-        """tau (Pa) and nu (N/m) at X; nu is None of a classical material."""
-        return self.stress_at(self.Ue, self.Ge)
+        """tau (Pa) and nu (N/m) at X, the same UFL variables in each call; nu is None of a classical material."""
+        return self._kirchhoff
+
+    @cached_property
+    def _kirchhoff(self) -> tuple[Any, Any]:
+        # UFL sorts operands by walking through them: equal stresses that aren't one object cost it minutes
+        tau, nu = self.stress_at(self.Ue, self.Ge)
+        return ufl.variable(tau), None if nu is None else ufl.variable(nu)
 
     def flat(self, tensor: Any) -> list[Any]:
         """A deformation's rows: the entries that X holds."""
@@ -162,8 +169,6 @@ class YieldSurface:
     def directions(self, s: LocalState) -> tuple[Any, Any]:
         """dg/dtau and dg/dnu at X."""
         tau, nu = s.kirchhoff()
-        tau = ufl.variable(tau)
-        nu = None if nu is None else ufl.variable(nu)
         g = self.flow_potential(s.owner, tau, nu, s.chi, s.p)
         return ufl.diff(g, tau), None if nu is None else ufl.diff(g, nu)
 
