@@ -268,4 +268,6 @@ class PointSystem(OnPattern, LoadedPoints):
     def destroy(self) -> None:
         self._dispose()
         self.pattern.release()
-        self.step.boxes = self.box_tangent = None
+        self.step.boxes = None
+        if self.box_tangent is not None:  # where it was summed stays: after an interrupt it is summed again there
+            self.box_tangent.values = None
