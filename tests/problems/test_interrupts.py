@@ -130,7 +130,7 @@ def bar_of_splines() -> pm.QuasiStatic:
 
 @pytest.mark.parametrize("between", ["failed step", "observer"])
 def test_steps_after_one_that_fails_are_those_without(between, folder):
-    """What boxes have added to the last tangent serves in the next step, also where another has failed before."""
+    """What boxes have added to the last tangent serves in the next step, also after one that has failed."""
 
     class Ends(pm.Observer):
         def convergence(self, *_: object) -> None:

@@ -269,5 +269,7 @@ class PointSystem(OnPattern, LoadedPoints):
         self._dispose()
         self.pattern.release()
         self.step.boxes = None
-        if self.box_tangent is not None:  # where it was summed stays: after an interrupt it is summed again there
+        if (
+            self.box_tangent is not None
+        ):  # where it was summed stays: after an interrupt it is summed again there
             self.box_tangent.values = None
