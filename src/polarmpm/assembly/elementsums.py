@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterator, Sequence
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -55,7 +56,7 @@ class SummedElements(OnPattern, ElementSystem):
             self._patched: list[Evaluated | None] = [None] * len(self.projected)
             self._of_loads = [LoadTangent(v.tangent, self._mesh, self._fixed) for v in self._varying]
             shared = (self.pattern.values, self.pattern.diagonal) if self.pattern.shared else None
-            matrix, plastic = self.pattern.petsc_matrix(), not forms.symmetric
+            matrix, plastic = cache(self.pattern.petsc_matrix), not forms.symmetric
             rows, space = self.pattern.rows(matrix) if shared else None, weakly(self.near_null_space)
             tangent = Tangent(matrix, symmetric, space, plastic, large, shared, rows=rows)
             self.solver = make_solver(solver, tangent)

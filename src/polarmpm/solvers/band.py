@@ -35,7 +35,9 @@ class Band:
         if library.polarmpm_band_order(nodes, *layout):
             raise MemoryError("no memory to find an order of the unknowns")
         self.entries = int(self._begin[-1])
-        self._place = self._factor = self._work = np.zeros(0)
+        self._place: np.ndarray = np.zeros(0)
+        self._factor: np.ndarray = self._place
+        self._work: np.ndarray = self._place
 
     @property
     def pays(self) -> bool:
