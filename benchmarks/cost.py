@@ -4,7 +4,8 @@ A block of a micropolar material under its own weight, held below, one load step
 a cell, in the plane 2², standard weighting functions. Each size has a process of its own, one thread, and
 is run twice where it's small; the second run counts. Sizes that aren't asked for stay as they were in the
 file, so that a quiet machine can add the large ones: `--points 1e6 2e6`. Writes JSON, a Markdown table, the
-line of the README, and a figure.
+line of the README, and a figure. `--without-avx512` runs the sizes in turns with a copy of the package that
+is built without these instructions (two minutes), and writes `avx512.json`.
 """
 
 import argparse
@@ -13,8 +14,10 @@ import json
 import math
 import os
 import resource
+import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -71,11 +74,47 @@ def measure(body, cells):
     }
 
 
-def in_a_process(body, cells):
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+def in_a_process(body, cells, **environment):
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", **environment}
     command = [sys.executable, __file__, "--measure", body, str(cells)]
     done = subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE, text=True)
     return json.loads(done.stdout.splitlines()[-1])
+
+
+def older(folder):
+    """A copy of the package as a processor without AVX-512 would have it; the folder to import it from."""
+    package = Path(shutil.copytree(Path(pm.__file__).parent, folder / "polarmpm"))
+    kernels = package / "kernels"
+    for name, line, without in (
+        ("_points.h", '"arch=x86-64-v4", ', ""),
+        ("jit.py", "-march=native", "-march=x86-64-v3"),
+    ):
+        text = (kernels / name).read_text()
+        if text.count(line) != 1:
+            raise SystemExit(f"{name} has {line!r} {text.count(line)} times, not once")
+        (kernels / name).write_text(text.replace(line, without))
+    (library,) = kernels.glob("_native*.so")
+    flags = ["-O3", "-std=gnu11", "-fno-math-errno", "-fno-wrapv", "-fPIC", "-shared"]  # as in setup.py
+    subprocess.run(["gcc", *flags, "_native.c", "-o", library.name, "-lm"], cwd=kernels, check=True)
+    return folder
+
+
+def without_avx512(bodies, sizes, output):
+    """Each size with and without AVX-512 in turns, least of two."""
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = {"PYTHONPATH": str(older(Path(folder)))}
+        for body, points in itertools.product(bodies, sizes):
+            cells, runs = cells_of(body, points), []
+            for environment in ({}, path) * 2:
+                runs.append(in_a_process(body, cells, **environment))
+            having, lacking = (min(runs[k::2], key=lambda row: row["step_s"]) for k in range(2))
+            rows.append({"with": having, "without": lacking})
+            ratio = lacking["step_s"] / having["step_s"]
+            print(f"{body}, {having['points']} points: with AVX-512 {having['step_s']:.3g} s,", end=" ")
+            print(f"without {lacking['step_s']:.3g} s, {ratio:.2f} times", flush=True)
+            output.mkdir(parents=True, exist_ok=True)
+            (output / "avx512.json").write_text(json.dumps(rows, indent=1) + "\n")
 
 
 def cells_of(body, points):
@@ -161,12 +200,18 @@ def main():
     parser.add_argument("--bodies", nargs="+", choices=BODIES, default=list(BODIES), metavar="NAME")
     parser.add_argument("--redraw", action="store_true", help="table and figure from the JSON file")
     parser.add_argument(
+        "--without-avx512", action="store_true", help="these sizes, beside the package without it"
+    )
+    parser.add_argument(
         "--measure", nargs=2, metavar=("BODY", "CELLS"), help="one size, in this process; JSON"
     )
     parser.add_argument("--output", type=Path, default=HERE / "results", metavar="DIR")
     args = parser.parse_args()
     if args.measure:
         print(json.dumps(measure(args.measure[0], int(args.measure[1])), default=float))
+        return
+    if args.without_avx512:
+        without_avx512(args.bodies, args.points, args.output)
         return
     kept = args.output / "cost.json"
     rows = json.loads(kept.read_text()) if kept.exists() else []

@@ -4,7 +4,8 @@ A cube is held below and pulled and sheared above in one load step, once with ea
 multigrid on the lattice, and the algebraic one that meshes have. Then the iterations of one linear solution
 to 1e-8, for lengths of the material from a thousandth of a cell to a hundred cells, for cubes that cut the
 grid at random, for flat cells and graded lines. Each step has a process of its own. `--full` adds a million
-material points (7 GB), `--quick` leaves out the larger cubes.
+material points (7 GB), with standard weighting functions beside the algebraic solver; `--quick` leaves out
+the larger cubes. `--cells 50` has cubes of that size alone, beside the rows that the file has already.
 """
 
 import argparse
@@ -144,7 +145,8 @@ def runs(quick, full):
                 if solver != "direct" or cells <= 16:
                     yield "step", cells, basis, cut, 1.0, solver, 0
         if full:
-            yield "step", 50, basis, cut, 1.0, "multigrid", 0
+            for solver in ("algebraic", "multigrid") if basis == "mpm" else ("multigrid",):
+                yield "step", 50, basis, cut, 1.0, solver, 0
     for length in LENGTHS:
         for basis, cut in (("mpm", ALIGNED), ("mpm", OFF), ("gimpm", OFF), ("mpm", TURNED), ("bspline", OFF)):
             for cells in (8, 12, 16) if quick else (8, 12, 16, 26):
@@ -251,6 +253,18 @@ def read(file):
         return [{k: value(v) for k, v in row.items()} for row in csv.DictReader(lines)]
 
 
+def place(row):
+    """Where a row stands in the tables: as in `runs`."""
+    return (
+        row["kind"] != "step",
+        0 if row["kind"] == "step" else row["length"],
+        list(NAMES).index(row["basis"]),
+        (ALIGNED, OFF, TURNED, FLAT, GRADED).index(row["cut"]),
+        row["cells"],
+        SOLVERS.index(row["solver"]),
+    )
+
+
 def write(rows, folder):
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "iterative.csv").open("w", newline="") as file:
@@ -267,6 +281,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="smaller cubes only")
     parser.add_argument("--full", action="store_true", help="also a million material points")
+    parser.add_argument("--cells", type=int, nargs="+", metavar="N", help="only cubes of these sizes")
     parser.add_argument("--redraw", action="store_true", help="table and figure from the CSV file")
     parser.add_argument("--row", type=json.loads, help=argparse.SUPPRESS)
     parser.add_argument("--output", type=Path, default=HERE / "results", metavar="DIR")
@@ -274,11 +289,15 @@ def main():
     if args.row:
         print(json.dumps(run(*args.row)))
         return
-    rows = read(args.output / "iterative.csv") if args.redraw else []
-    for arguments in [] if args.redraw else runs(args.quick, args.full):
+    rows = read(args.output / "iterative.csv") if args.redraw or args.cells else []
+    if args.cells:
+        rows = [r for r in rows if r["cells"] not in args.cells]
+    for arguments in [] if args.redraw else runs(args.quick, args.full or bool(args.cells)):
+        if args.cells and arguments[1] not in args.cells:
+            continue
         rows.append(in_a_process(*arguments))
         print(*(rows[-1].get(k) for k in COLUMNS if k != "displacement"), flush=True)
-    write(rows, args.output)
+    write(sorted(rows, key=place), args.output)
 
 
 if __name__ == "__main__":

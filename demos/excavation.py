@@ -295,9 +295,11 @@ def draw(result, solved, args, file):
     from polarmpm.plot import figures as plot
 
     names = {0.0: "classical", args.length: f"l = {args.length:g} m"}
-    panels = ["round"] * ("round" in solved) + [*names, "peaks"] * ("square" in solved)
+    panels = ["round"] * ("round" in solved) + ["peaks", *names] * ("square" in solved)  # curves above maps
     rows, columns = (2, 2) if len(panels) > 3 else (1, len(panels))
-    figure, axes = plot.subplots(rows, columns, figsize=(plot.PAGE, 2.7 * rows), squeeze=False)
+    figure, axes = plot.subplots(
+        rows, columns, figsize=(plot.PAGE, 2.8 * rows), squeeze=False, height_ratios=(3, 4)[-rows:]
+    )
     axes = dict(zip(panels, axes.flat, strict=True))
     if "round" in solved:
         draw_profiles(axes["round"], solved["round"], names, args)
@@ -305,12 +307,15 @@ def draw(result, solved, args, file):
         cap = 2 * largest(solved["square"][args.length], principal(solved["square"][args.length], args.share))
         for length, problem in solved["square"].items():
             look = {"limits": (0.0, cap), "undeformed": False}
-            label = "largest compression (MPa)" if length else None
             values = principal(problem, args.share)
-            plot.plot_points(problem.points, np.minimum(values, cap), axes[length], label=label, **look)
+            plot.plot_points(problem.points, np.minimum(values, cap), axes[length], **look)
             if MPI.COMM_WORLD.rank == 0:
-                axes[length].set_title(f"square, {names[length]}, cells of {args.cells[-1]:g} m")
+                axes[length].set_title(f"square, {names[length]}")
         if MPI.COMM_WORLD.rank == 0:
+            maps = [axes[length] for length in names]
+            figure.colorbar(
+                maps[0].collections[-1], ax=maps, label="largest compression (MPa)", extend="max", aspect=30
+            )
             for prefix, name in (("", names[args.length]), ("classical_", names[0.0])):
                 peaks = result[f"{prefix}corner_peak"]
                 axes["peaks"].plot(args.cells, list(peaks.values()), "o-", label=name)
@@ -318,8 +323,8 @@ def draw(result, solved, args, file):
             axes["peaks"].set_xticks(args.cells, [f"{cell:g}" for cell in args.cells])
             axes["peaks"].minorticks_off()
             axes["peaks"].set_ylim(bottom=0)
-            axes["peaks"].set_title("square")
-            finish(axes["peaks"], "size of the cells (m)", "largest compression at the corner (MPa)")
+            axes["peaks"].set_title("square: at the corner")
+            finish(axes["peaks"], "size of the cells (m)", "largest compression (MPa)")
     plot.save(figure, file, comm=MPI.COMM_WORLD)
 
 

@@ -218,6 +218,7 @@ def test_mistakes():
         (lambda: problem.reaction(foreign), "isn't a support of this problem"),
         (lambda: problem.release(prop, over=1.0, until=2.0), "one of them"),
         (lambda: problem.release(prop, over=0.0), "nothing can fade between"),
+        (lambda: problem.release(prop, over=-0.5), "over = -0.5: finite load factors, not negative"),
         (lambda: problem.release(prop, until=1.0), "nothing can fade between"),
         (lambda: problem.release(prop, over=np.nan), "finite load factor"),
         (lambda: fresh.release(first, over=1.0), "before the first load step"),

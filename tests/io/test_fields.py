@@ -124,6 +124,9 @@ def test_only_what_is_asked_is_compiled(monkeypatch):
     for _ in range(2):
         assert set(problem.fields("mean_pressure", MISES)) == {"mean_pressure", "mises"}
     assert made[1:] == [["mean_pressure"], ["mises"]]
+    assert problem.fields("mean_pressure").mean_pressure.shape == (len(problem.points),)
+    with pytest.raises(AttributeError, match=r"p: fields\(\) was asked for stress"):
+        _ = problem.fields("stress").p
     with pytest.raises(KeyError, match=r"energy: fields\(\) was asked for stress"):
         _ = problem.fields("stress").energy
 

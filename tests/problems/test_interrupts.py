@@ -118,6 +118,45 @@ def digits(problem: Any) -> dict[str, np.ndarray]:
     return {**{name: a.copy() for name, a in problem.points.arrays().items()}, **energies}
 
 
+def bar_of_splines() -> pm.QuasiStatic:
+    """A bar that is pulled and pressed down, with all settings left alone: points have boxes."""
+    grid = pm.Grid.box((0, -1), (3, 2), cell=0.5, comm=COMM)
+    points = pm.seed(grid, bounds=((0, 0), (2, 0.75)), material=pm.NeoHookean(lam=1e6, mu=4e5))
+    problem = pm.QuasiStatic(grid, points)
+    problem.fix(pm.plane(x=0.0), u=0)
+    problem.body_load(force=lambda t: (0, -2e3 * t if t < 10 else -1e9))
+    return problem
+
+
+@pytest.mark.parametrize("between", ["failed step", "observer"])
+def test_steps_after_one_that_fails_are_those_without(between, folder):
+    """What boxes have added to the last tangent serves in the next step, also after one that has failed."""
+
+    class Ends(pm.Observer):
+        def convergence(self, *_: object) -> None:
+            raise ValueError
+
+    def positions(problem: pm.QuasiStatic) -> np.ndarray:
+        rows = np.concatenate(COMM.allgather(np.column_stack([problem.points.id, problem.points.x])))
+        return rows[np.argsort(rows[:, 0])]
+
+    whole, problem = bar_of_splines(), bar_of_splines()
+    for one in (whole, problem):
+        list(one.march(2, to=0.5, progress=False))
+    if between == "observer":
+        problem.observers.append(Ends())
+    with pytest.raises((ValueError, pm.NotConverged)):
+        list(problem.march(1, to=20.0, progress=False))
+    problem.observers.clear()
+    again = bar_of_splines()
+    pm.save_restart(problem, folder / "failed.h5")
+    pm.load_restart(again, folder / "failed.h5")
+    for one in (whole, problem, again):
+        list(one.march(2, progress=False))
+    np.testing.assert_array_equal(positions(problem), positions(whole))
+    np.testing.assert_array_equal(positions(again), positions(whole))
+
+
 @pytest.mark.parametrize("kind", ["points", "elements"])
 @pytest.mark.parametrize(("hook", "step"), [("reset", 2), ("convergence", 2), ("commit", 3)])
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])

@@ -330,3 +330,17 @@ def test_a_ring_of_sites_counts_a_whole_turn(on):
     across = scipy.optimize.brentq(lambda t: mu * (t - 1 / t) + lam * np.log(t * t * along) / t, 0.9, 1.2)
     stress = mu * (along - 1 / along) + lam * np.log(across**2 * along) / along
     assert plate.force[1] == pytest.approx(np.pi * stress, rel=2e-4)
+
+
+@pytest.mark.parametrize("kind", ["points", "elements"])
+def test_an_obstacle_in_the_middle_of_a_body(kind):
+    """No site on the boundary would ever feel it: the run went on as if it weren't there."""
+    problem = block()
+    if kind == "elements":
+        square = mesh.create_unit_square(COMM, 6, 6)
+        problem = pm.QuasiStaticFEM(pm.Elements(square, material=NEO_HOOKEAN))
+    problem.obstacle(pm.Sphere((0.6, 0.6), 0.15))
+    with pytest.raises(
+        pm.InputError, match="obstacle 1: the body begins inside of it: a point of the body, at"
+    ):
+        next(problem.march(1, progress=False))

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import ufl
 
 import polarmpm as pm
 from polarmpm.sensitivity.differences import along
 from tests.conftest import COMM
+from tests.helpers.bodies import box
 from tests.sensitivity import scenes
 from tests.sensitivity.scenes import BEAM, SOIL, digits, rates
 
@@ -83,6 +85,94 @@ def test_couples_in_space():
     assert agreement(scenes.shaft, BEAM, ["E", "l"], marches(2)) >= 6
 
 
+def test_surfaces():
+    """Held by the material's own tractions, under a pressure that turns with the body."""
+    assert agreement(scenes.held_on_surfaces, BEAM, ["E", "l", "n"], marches(3)) >= 6
+
+
+class Winkler(pm.SurfaceTerm):
+    def energy(self, at: Any, p: Any) -> Any:
+        return p.k / 2 * ufl.dot(at.u, at.normal) ** 2
+
+
+@pytest.mark.slow
+def test_springs_and_tractions():
+    """What holds the body is carried by resets; numbers of a term of one's own, and of a traction that
+    follows, depend on a parameter."""
+
+    def build(p: dict[str, float]) -> Any:
+        problem, _ = scenes.cantilever(p, force=1e4)
+        x = 0.13 + 0.135 * (np.arange(8) + 0.5)
+        sides = [(0.0, (-1.0, 0.0)), (4.7, (1.0, 0.0))]
+        left, right = (scenes._side(np.full(8, at), x, 0.135, normal) for at, normal in sides)
+        held = problem.fix(left, ux=0, method="penalty", stiffness=1e8 * p["n"], augment=True)
+        problem.traction(right, force=(3e4, -1e5 * p["l"]), couple=1e3, follows=True)
+        problem.add(Winkler("bed", right, {"k": 1e6 * p["l"]}))
+        points = problem.points
+        return problem, {
+            "places": lambda: points.mean(points.x**2),
+            "moment": lambda: problem.reaction(held).moment,
+        }
+
+    assert agreement(build, BEAM, ["l", "n"], marches(3)) >= 6
+
+
+def test_elements_that_flow():
+    """Scalars that are averaged over elements, points that yield."""
+    assert agreement(scenes.elements, SOIL, ["c", "kappa", "H"], marches(3)) >= 6
+
+
+def of_elements(p: dict[str, float], *, axisymmetric: bool = False, along: bool = False) -> Any:
+    """Loads on facets that depend on parameters, dead or turning with the body; observables of its nodes."""
+    body = pm.Elements(
+        box("quadrilateral", (6, 2), (4.7, 1.1)),
+        material=scenes.elastic(p),
+        degree=1,
+        axisymmetric=axisymmetric,
+    )
+    problem = pm.QuasiStaticFEM(body)
+    problem.fix(pm.plane(y=0.0) if axisymmetric else pm.plane(x=0.0), u=0)
+    problem.load(pm.plane(x=4.7), force=(-1e6 * p["l"], -5e4))
+    if not along:
+        problem.pressure(pm.plane(y=1.1), (4e6 if axisymmetric else 1e5) * p["l"])
+    e, points = problem.elements, problem.points
+    own = slice(0, e.nodes.owned)
+    return problem, {
+        "ends": lambda: e.comm.allreduce(
+            np.hstack([e.displacement[own] ** 2, e.q[own, 1:] ** 2]).sum(axis=0)
+        ),
+        "stress": lambda: points.mean(problem.fields("stress").stress[:, 0, 0]),
+        "factor": lambda: problem.progress.factor + p["n"],
+    }
+
+
+@pytest.mark.parametrize(
+    ("options", "march"),
+    [
+        ({}, marches(3)),
+        pytest.param({"axisymmetric": True}, marches(2), marks=pytest.mark.slow),
+        ({"along": True}, lambda run: run.march_arc_length(0.2, steps=3)),
+    ],
+)
+def test_elements_under_loads_on_facets(options, march):
+    assert agreement(partial(of_elements, **options), BEAM, ["n", "l"], march) >= 6
+
+
+@pytest.mark.slow
+def test_elements_in_space():
+    """Couples on facets, whose work depends on the rotation; relative rotations that are averaged."""
+
+    def build(p: dict[str, float]) -> Any:
+        body = pm.Elements(box("hexahedron", (2, 2, 3), (1.7, 1.7, 3.0)), material=scenes.elastic(p))
+        problem = pm.QuasiStaticFEM(body)
+        problem.fix(pm.plane(z=0.0), u=0, theta=0)
+        problem.load(pm.plane(z=3.0), couple=(3e5, 0, 1e6 * p["n"]), force=(1e5, 0, 0))
+        points = problem.points
+        return problem, {"places": lambda: points.mean(points.x**2)}
+
+    assert agreement(build, BEAM, ["E", "n", "l"], marches(2)) >= 6
+
+
 def test_numbers_that_dont_matter():
     values = {**BEAM, "unused": 3.0}
     found = rates(scenes.cantilever, values, ["E", "unused"], marches(2), method="exact")
@@ -140,16 +230,28 @@ def of_energies(p: dict[str, float], **options: Any) -> Any:
     return problem, {"work": lambda: sum(problem.energies().values())}
 
 
+def apart(p: dict[str, float]) -> Any:
+    """A body of revolution, which isn't carried."""
+    _, observables = scenes.held_on_surfaces(p)
+    ring = pm.Grid.box((0, 0), (4, 4), 1.0)
+    points = pm.seed(ring, bounds=((1, 0), (3, 2)), material=scenes.elastic(p), axisymmetric=True)
+    return pm.QuasiStatic(ring, points), observables
+
+
 @pytest.mark.parametrize(
-    ("build", "values", "message"),
-    [
-        (scenes.elements, SOIL, 'elements aren\'t carried; take method="twins"'),
-        (scenes.held_on_surfaces, BEAM, 'aren\'t carried; take method="twins"'),
-    ],
+    ("build", "message"), [(apart, 'bodies of revolution aren\'t carried; take method="twins"')]
 )
-def test_what_isnt_carried(build, values, message):
+def test_what_isnt_carried(build, message):
     with pytest.raises(pm.InputError, match=message):
-        pm.Sensitivity(build, values, method="exact")
+        pm.Sensitivity(build, BEAM, method="exact")
+
+
+def test_surfaces_along_the_path():
+    with (
+        pm.Sensitivity(scenes.held_on_surfaces, BEAM, ["E"], method="exact") as run,
+        pytest.raises(pm.InputError, match="conditions on surfaces along the path aren't carried"),
+    ):
+        run.march_arc_length(0.1, steps=2)
 
 
 def test_observables_of_what_isnt_carried():

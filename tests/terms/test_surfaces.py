@@ -568,3 +568,13 @@ def test_points_outside_of_the_body():
 
 if __name__ == "__main__":
     Path(sys.argv[2], f"{COMM.rank}.json").write_text(json.dumps(answer()))
+
+
+def test_a_pressure_whose_surface_has_the_body_in_front():
+    """It would pull; the order of a line's ends is easily exchanged."""
+    problem = beam()
+    for line in (((0.5, 1.3), (3.0, 1.3)), ((3.0, 0.3), (0.5, 0.3)), ((3.5, 1.2), (3.5, 0.4))):
+        with pytest.raises(pm.InputError, match="the surface's normals point into the body, such as at"):
+            problem.pressure(pm.Surface.line(*line, 8), 1.0)
+        problem.pressure(pm.Surface.line(*line[::-1], 8), 1.0)
+    problem.pressure(pm.Surface.line((2.0, 0.4), (2.0, 1.2), 8), 1.0)  # within the body: on the wall of a cut

@@ -10,8 +10,6 @@ kernels' frames (the first entries of the state) turn them, as these have change
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,74 +22,15 @@ from ..kernels.kernel import Kernel
 from .interpolation import Interpolation
 from .patches import Patches
 from .pointfunctions import Functions, framed
+from .ratestate import At, Change
 from .stiffscalars import Mean
 
 if TYPE_CHECKING:
-    from ..forms.returnmapping import ReturnMapping, Yielding
+    from ..forms.returnmapping import ReturnMapping
 
 
 def _turned(turn: np.ndarray | None, values: np.ndarray) -> np.ndarray:
     return values if turn is None else np.einsum("nij,nj->ni", turn, values)
-
-
-@dataclass
-class At:
-    """A batch's points at some nodal values.
-
-    Attributes:
-        g, gk: unknowns and their derivatives along the half axes, in the lattice's axes; z, zk: in
-            the frames.
-        state: (n, packed size), with projected scalars and conjugates as they are in equilibrium.
-        work, sides: what does work on z and zk, per volume.
-        measure: the stiff scalars e and e_z; by_t: their conjugates L_t (n, m); moments: of e and of these
-            over the patches; conjugate: pi (n, m).
-        yielding: points that yield.
-        initial: packed initial stresses; None: there are none.
-        couples: dead couples in space (n, 3); None: there are none.
-        inverses: of the local equations' derivatives by their unknowns, by region.
-    """
-
-    g: np.ndarray
-    gk: np.ndarray | None
-    z: np.ndarray
-    zk: np.ndarray | None
-    state: np.ndarray
-    work: np.ndarray
-    sides: np.ndarray | None = None
-    measure: Mean | None = None
-    by_t: np.ndarray | None = None
-    moments: tuple[np.ndarray, np.ndarray] | None = None
-    conjugate: np.ndarray | None = None
-    yielding: Yielding | None = None
-    initial: np.ndarray | None = None
-    couples: np.ndarray | None = None
-    inverses: dict[int, np.ndarray] = field(default_factory=dict)
-
-
-@dataclass
-class Change:
-    """What changes at a batch's points, besides nodal values.
-
-    Attributes:
-        parameters: the material's numbers (nparam,).
-        state: (n, packed size).
-        functions: one direction of the lattice after the other; empty: they stay.
-        axes: functions with the change of the half axes; None: they stay.
-        patches: of the patches' functions (n, functions).
-        turn: of what takes the stiff scalars into the frame in which they are averaged (n, m, m).
-        initial: of packed initial stresses.
-        couples: of dead couples in space (n, 3).
-    """
-
-    parameters: np.ndarray
-    state: np.ndarray
-    functions: Sequence[Functions] = ()
-    axes: Functions | None = None
-    patches: np.ndarray | None = None
-    turn: np.ndarray | None = None
-    initial: np.ndarray | None = None
-    couples: np.ndarray | None = None
-    given: dict[str, Any] = field(default_factory=dict)
 
 
 class BatchRates:
@@ -183,6 +122,10 @@ class BatchRates:
         d = self.layout.dim
         return state[:, : d * d].reshape(len(state), d, d)
 
+    def turned(self, change: Change) -> np.ndarray:
+        """Changes of the kernels' frames (n, d, d)."""
+        return self.frames(change.state)
+
     def take_initial(self, at: At, packed: np.ndarray | None) -> None:
         """Initial stresses (n, size) act, too."""
         at.initial = packed
@@ -261,7 +204,7 @@ class BatchRates:
         dz = framed(layout, dg, frames)
         dzk = None if dgk is None else framed(layout, dgk, frames)
         if change is not None and not still:
-            turned = self.frames(change.state)
+            turned = self.turned(change)
             dz += framed(layout, at.g, turned, values=False)
             if dzk is not None and at.gk is not None:
                 dzk += framed(layout, at.gk, turned, values=False)
@@ -297,7 +240,7 @@ class BatchRates:
         raw_sides = None if dsides is None else framed(layout, dsides, frames)
         if change is None:
             return self.functions.spread(raw, raw_sides)
-        turned = np.swapaxes(self.frames(change.state), 1, 2)
+        turned = np.swapaxes(self.turned(change), 1, 2)
         raw += framed(layout, work, turned, values=False)
         if raw_sides is not None and sides is not None:
             raw_sides += framed(layout, sides, turned, values=False)

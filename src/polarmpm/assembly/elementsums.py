@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterator, Sequence
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -55,7 +56,7 @@ class SummedElements(OnPattern, ElementSystem):
             self._patched: list[Evaluated | None] = [None] * len(self.projected)
             self._of_loads = [LoadTangent(v.tangent, self._mesh, self._fixed) for v in self._varying]
             shared = (self.pattern.values, self.pattern.diagonal) if self.pattern.shared else None
-            matrix, plastic = self.pattern.petsc_matrix(), not forms.symmetric
+            matrix, plastic = cache(self.pattern.petsc_matrix), not forms.symmetric
             rows, space = self.pattern.rows(matrix) if shared else None, weakly(self.near_null_space)
             tangent = Tangent(matrix, symmetric, space, plastic, large, shared, rows=rows)
             self.solver = make_solver(solver, tangent)
@@ -241,20 +242,28 @@ class LoadTangent:
     def add(self, values: np.ndarray, lift: np.ndarray | None, lifted: np.ndarray | None) -> None:
         """Add the tangent to the pattern's values, and its product with `lift` (nodes, block), from before
         rows and columns of prescribed unknowns are left out, to `lifted`. Collective."""
-        self._matrix.zeroEntries()
-        compat.add_to_matrix(self._matrix, self._form)
-        self._matrix.assemble()
+        self.renew()
         indptr, columns, entries = self._matrix.getValuesCSR()
         if not np.array_equal(columns, self._columns):
             self._columns = columns
             self._find(np.asarray(indptr, dtype=np.int64), np.asarray(columns, dtype=np.int64))
         values[self._at] += entries[self._kept]
         if lift is not None and lifted is not None:
-            self._vector.array[:] = lift[: self._owned].ravel()
-            moved = self._matrix.createVecLeft()
-            self._matrix.mult(self._vector, moved)
-            lifted[: self._owned] += moved.array.reshape(-1, lift.shape[1])
-            moved.destroy()
+            self.multiply(lift, lifted)
+
+    def renew(self) -> None:
+        """Assemble it at the present increments. Collective."""
+        self._matrix.zeroEntries()
+        compat.add_to_matrix(self._matrix, self._form)
+        self._matrix.assemble()
+
+    def multiply(self, x: np.ndarray, out: np.ndarray) -> None:
+        """Add its product with x (nodes, block) to owned rows of `out`. Collective."""
+        self._vector.array[:] = x[: self._owned].ravel()
+        moved = self._matrix.createVecLeft()
+        self._matrix.mult(self._vector, moved)
+        out[: self._owned] += moved.array.reshape(-1, x.shape[1])
+        moved.destroy()
 
     def _find(self, indptr: np.ndarray, columns: np.ndarray) -> None:
         first = self._matrix.getOwnershipRange()[0]

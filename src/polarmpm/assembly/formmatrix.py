@@ -38,10 +38,10 @@ class FormMatrix:
         near_null_space: Callable[[], NearNullSpace],
     ):
         self.forms, self.owned, self.block = forms, owned, fixed.shape[1]
-        self.matrix = compat.create_matrix(forms[0])
+        self.matrix = made = compat.create_matrix(forms[0])
         rows = np.flatnonzero(fixed[:owned].ravel())
         self._fixed = (rows + self.matrix.getOwnershipRange()[0]).astype(np.int32)
-        tangent = Tangent(self.matrix, symmetric, near_null_space, far_from_symmetric, large)
+        tangent = Tangent(lambda: made, symmetric, near_null_space, far_from_symmetric, large)
         self.solver = make_solver(solver, tangent)
         self._vector = self.matrix.createVecRight()
 

@@ -1,7 +1,7 @@
 """Inertia of the points: forces on the nodes, and the consistent mass matrix as entries of a pattern.
 
 Each point has a mass for the displacements and one for the rotations. The matrix, sum of m N_i N_j, is
-constant between two resets and summed once; a step scales it.
+constant between two resets and summed once; a step scales it, and forces are its products with increments.
 """
 
 from __future__ import annotations
@@ -51,43 +51,67 @@ class Inertia:
         self.mass, self.scale, self.theta = mass, 0.0, 1.0
         self.kernels, self.tensors = kernels, np.zeros((len(mass), 3, 3))
         self.start = np.zeros_like(mass)
+        self._matrix: NodalMasses | None = None
         self._entries: np.ndarray | None = None
-        # at the last increments (nodes, block) that were asked for, which are never written to
-        self._moved: tuple[np.ndarray, np.ndarray] | None = None
+        # increments (nodes, block), which are never written to: when the step began, and the last ones at
+        # which something was asked for
+        self._began: np.ndarray | None = None
+        self._values: tuple[np.ndarray, np.ndarray] | None = None
         self._forces: tuple[np.ndarray, np.ndarray] | None = None
 
     def begin(self, system: Any, scale: float, theta: float = 1.0, tensors: np.ndarray | None = None) -> None:
         """A step begins at the system's increments; theta: where in it forces are in balance."""
         if tensors is not None:
             self.tensors, self.theta = tensors, theta
-        self.scale, self.start = scale, system.at_points(system.x)
-        self._moved = system.x, np.zeros_like(self.mass)
+        self.scale, self._began = scale, system.x
+        self.start = self._at_points(system)
         self._forces = system.x, np.zeros_like(system.x)
+
+    def _at_points(self, system: Any) -> np.ndarray:
+        """The increments at the points (np, block)."""
+        if self._values is None or self._values[0] is not system.x:
+            self._values = system.x, system.at_points(system.x)
+        return self._values[1]
 
     def moved(self, system: Any) -> np.ndarray:
         """What the points' increments (np, block) have gained since the start of the step."""
-        if self._moved is None or self._moved[0] is not system.x:
-            self._moved = system.x, system.at_points(system.x) - self.start
-        return self._moved[1]
+        gained: np.ndarray = self._at_points(system) - self.start
+        return gained
 
     def forces(self, system: Any) -> np.ndarray:
         """Forces (nodes, block) in which the increments since the start of the step take part, complete on
         owned rows. Collective."""
         if self._forces is None or self._forces[0] is not system.x:
-            values = self.scale * self.mass * self.moved(system)
-            if self.kernels is not None:
-                values[:, -3:] = self._turning(system)[0]
-            self._forces = system.x, system.from_points(values)
+            assert self._began is not None
+            turned = None if self.kernels is None else self._turning(system)[0]
+            self._forces = system.x, self._times(system, system.x - self._began, turned)
         return self._forces[1]
 
     def products(self, system: Any, direction: np.ndarray) -> np.ndarray:
         """The matrix times a direction (nodes, block), complete on owned rows. Collective."""
-        at_points = system.at_points(direction)
-        values = self.scale * self.mass * at_points
+        turned = None
         if self.kernels is not None:
-            values[:, -3:] = np.einsum("nij,nj->ni", self._turning(system)[1], at_points[:, -3:])
-        found: np.ndarray = system.from_points(values)
-        return found
+            at_points = system.at_points(direction)
+            turned = np.einsum("nij,nj->ni", self._turning(system)[1], at_points[:, -3:])
+        return self._times(system, direction, turned)
+
+    def _times(self, system: Any, direction: np.ndarray, turned: np.ndarray | None) -> np.ndarray:
+        """The matrix times a direction (nodes, block); couples of points whose inertia isn't alike in all
+        directions are `turned` (np, 3). Collective."""
+        out: np.ndarray = self.scale * self._masses(system).times(direction, system.layout.dim)
+        system.nodes.add_to_owners(out)
+        if turned is not None:
+            values = np.zeros_like(self.mass)
+            values[:, -3:] = turned
+            out[:, -3:] = system.from_points(values)[:, -3:]
+        return out
+
+    def _masses(self, system: Any) -> NodalMasses:
+        if self._matrix is None:
+            d, block = system.layout.dim, system.layout.block
+            some = 1 if self.kernels is not None or block == d else 2
+            self._matrix = NodalMasses.of(system, self.mass[:, [0, block - 1]][:, :some])
+        return self._matrix
 
     def _turning(self, system: Any) -> tuple[np.ndarray, np.ndarray]:
         """What the inertia of the points' turns in the step does (np, 3), and its derivative (np, 3, 3)."""
@@ -102,47 +126,92 @@ class Inertia:
     def add_tangent(self, system: Any) -> None:
         """Add the matrix to the entries of the system's pattern."""
         d, block = system.layout.dim, system.layout.block
-        turning = self.kernels is not None
         if self._entries is None:
             kinds = [[(i, i) for i in range(d)], [(i, i) for i in range(d, block)]]
-            some = 1 if turning or block == d else 2
-            self._entries = entries(system, self.mass[:, [0, block - 1]][:, :some], kinds[:some])
+            masses = self._masses(system)
+            self._entries = masses.entries(system, kinds[: len(masses.sums)])
         system.pattern.values += self.scale * self._entries
-        if turning:
+        if self.kernels is not None:
             pairs = [[(d + i, d + j)] for i in range(3) for j in range(3)]
             slopes = self._turning(system)[1]
-            system.pattern.values += entries(system, slopes.reshape(len(slopes), 9), pairs)
+            turning = NodalMasses.of(system, slopes.reshape(len(slopes), 9))
+            system.pattern.values += turning.entries(system, pairs)
 
 
-def entries(system: Any, values: np.ndarray, pairs: list[list[tuple[int, int]]]) -> np.ndarray:
-    """Sums of values (np, k) times two functions, as the values of a system's pattern, without rows and
-    columns of prescribed unknowns, but for the diagonal: those of number k count for its pairs of components.
-    This rank's part: rows of ghosts are still to be collected."""
-    pattern, block = system.pattern, system.layout.block
-    fixed, number = system.prescribed.fixed, system.nodes.number
-    start, size = pattern.matrix.kept["row_start"], len(pattern.values)
-    first = np.asarray(start[::block])
-    # sums for displacements and rotations where a block begins, and the nodes of the block
-    sums, nodes = np.zeros((len(pairs), size)), np.zeros((2, size), dtype=np.int32)
-    for rows, columns, matrices in system.mass_sets(values):
-        row, column = np.broadcast_arrays(rows[:, :, None], rows[:, None, :])
-        kept = columns >= 0
-        if pattern.symmetric:
-            kept &= number[row] <= number[column]
-        row, column = row[kept], column[kept]
-        at = first[row] + columns[kept].astype(np.int64) * block
-        for k in range(len(pairs)):
-            sums[k] += np.bincount(at, matrices[k][kept], minlength=size)
-        nodes[:, at] = row, column
-    at = np.flatnonzero(np.any(sums, axis=0))
-    row, column = nodes[:, at]
-    out, place = np.zeros(size), at - first[row]
-    for k, (i, j) in ((k, pair) for k, some in enumerate(pairs) for pair in some):
-        kept = ~(fixed[row, i] | fixed[column, j]) | ((row == column) & (i == j))
-        if pattern.symmetric:
-            kept &= (row != column) | (i <= j)
-        out[(start[row * block + i] + place + j)[kept]] = sums[k][at][kept]
-    return out
+class NodalMasses(NamedTuple):
+    """Sums of points' masses, or other values, times two functions, for pairs of this rank's nodes; for half
+    of them where the pattern is symmetric. This rank's part.
+
+    Attributes:
+        row, column: local nodes (n,).
+        place: entries between the beginning of the row and the block of the pair in the pattern (n,).
+        sums: (k, n).
+        symmetric: the other half isn't there.
+        matrices: the sums as sparse matrices, from the first product on.
+    """
+
+    row: np.ndarray
+    column: np.ndarray
+    place: np.ndarray
+    sums: np.ndarray
+    symmetric: bool
+    matrices: list[Any]
+
+    @classmethod
+    def of(cls, system: Any, values: np.ndarray) -> NodalMasses:
+        """Of the values (np, k) of a system's points."""
+        pattern, block = system.pattern, system.layout.block
+        number, size = system.nodes.number, len(pattern.values)
+        first = np.asarray(pattern.matrix.kept["row_start"][::block])
+        # sums where the block of a pair begins, and its nodes
+        sums, nodes = np.zeros((values.shape[1], size)), np.zeros((2, size), dtype=np.int32)
+        for rows, columns, matrices in system.mass_sets(values):
+            row, column = np.broadcast_arrays(rows[:, :, None], rows[:, None, :])
+            kept = columns >= 0
+            if pattern.symmetric:
+                kept &= number[row] <= number[column]
+            row, column = row[kept], column[kept]
+            at = first[row] + columns[kept].astype(np.int64) * block
+            for k in range(len(sums)):
+                sums[k] += np.bincount(at, matrices[k][kept], minlength=size)
+            nodes[:, at] = row, column
+        at = np.flatnonzero(np.any(sums, axis=0))
+        row, column = nodes[:, at]
+        return cls(row, column, at - first[row], sums[:, at], bool(pattern.symmetric), [])
+
+    def times(self, x: np.ndarray, dim: int) -> np.ndarray:
+        """Products with nodal values (nodes, block): the first sums with displacements, the second ones with
+        rotations, if there are any."""
+        from scipy.sparse import csr_matrix
+
+        if not self.matrices:
+            for values in self.sums:
+                row, column, value = self.row, self.column, values
+                if self.symmetric:
+                    other = row != column
+                    row, column = np.append(row, column[other]), np.append(column, row[other])
+                    value = np.append(value, value[other])
+                self.matrices.append(csr_matrix((value, (row, column)), shape=(len(x), len(x))))
+        if dim == x.shape[1]:
+            return np.asarray(self.matrices[0] @ x)
+        out = np.zeros_like(x)
+        for matrix, part in zip(self.matrices, (slice(0, dim), slice(dim, None)), strict=False):
+            out[:, part] = matrix @ x[:, part]
+        return out
+
+    def entries(self, system: Any, pairs: list[list[tuple[int, int]]]) -> np.ndarray:
+        """As the values of a system's pattern, without rows and columns of prescribed unknowns, but for the
+        diagonal: sums of number k count for its pairs of components. Rows of ghosts are still to be
+        collected."""
+        pattern, block, fixed = system.pattern, system.layout.block, system.prescribed.fixed
+        start, (row, column) = pattern.matrix.kept["row_start"], (self.row, self.column)
+        out = np.zeros(len(pattern.values))
+        for k, (i, j) in ((k, pair) for k, some in enumerate(pairs) for pair in some):
+            kept = ~(fixed[row, i] | fixed[column, j]) | ((row == column) & (i == j))
+            if pattern.symmetric:
+                kept &= (row != column) | (i <= j)
+            out[(start[row * block + i] + self.place + j)[kept]] = self.sums[k][kept]
+        return out
 
 
 def point_sets(batch: Any, mass: np.ndarray, matrix: native.Matrix) -> Iterator[MassSets]:

@@ -20,6 +20,7 @@ from ..basis.base import Basis, Weights
 from ..bodies.points import Points
 from ..bodies.reference import Increments, Reference
 from ..errors import InputError
+from ..forms.plastic import PlasticForm
 from ..forms.points import PointForm
 from ..forms.projected import ProjectedForm
 from ..geometry.grid import MARGIN, Grid
@@ -45,6 +46,19 @@ class PointBatch:
     form: PointForm
     rows: np.ndarray
     batch: native.Batch
+    _inputs: np.ndarray | None = None
+    _of: tuple[np.ndarray, ...] = ()  # state and parameters in them
+
+    def inputs_with(self, z: np.ndarray) -> np.ndarray:
+        """Inputs (n, form.inputs) of the residual's kernel at z (n, nz), in an array that the next call
+        overwrites."""
+        kept, nz, ns = self.batch.kept, z.shape[1], self.form.packed_size
+        state, param = kept["state"], kept["param"]
+        if self._inputs is None or self._of[0] is not state or self._of[1] is not param:
+            self._inputs, self._of = np.empty((len(self.rows), self.form.inputs)), (state, param)
+            self._inputs[:, nz : nz + ns], self._inputs[:, nz + ns :] = state, param
+        self._inputs[:, :nz] = z
+        return self._inputs
 
     @property
     def grown(self) -> np.ndarray | None:
@@ -192,6 +206,20 @@ class Interpolation:
             native.fill(b.batch, state=np.ascontiguousarray(state), param=parameter_values(b.form.material))
         for boxes in self.boxes or ():
             boxes.pack(r)
+
+    def pack_flow(self) -> None:
+        """The same where only the plastic state of the points has changed since."""
+        if any(b.form.scalars for b in self.batches):  # projected ones begin anew
+            self.pack()
+            return
+        for b in self.batches:
+            if isinstance(b.form, PlasticForm):
+                state = b.batch.kept["state"].copy()
+                plastic = self.points.plastic_state(b.rows)
+                state[:, b.form.elastic_size :] = b.form.pack_flow(self.reference.q[b.rows], plastic)
+                native.fill(b.batch, state=state)
+        for boxes in self.boxes or ():
+            boxes.pack_shares()
 
     def rebase_rotations(self, x: np.ndarray) -> None:
         """Count rotation increments from the points' current rotations on, at nodal increments x (nodes,

@@ -17,14 +17,14 @@ from .sparsity import Pattern
 def on_lattice(
     pattern: Pattern,
     nodes: ActiveNodes,
-    matrix: PETSc.Mat,
+    matrix: Callable[[], PETSc.Mat],
     weak: Callable[[], np.ndarray],
     as_force: np.ndarray,
 ) -> LatticeRows:
     """The rows of a pattern. Collective.
 
     Args:
-        matrix: that `Pattern.petsc_matrix` has made.
+        matrix: what `Pattern.petsc_matrix` has made.
         weak: owned nodes at which there is hardly any of the body (owned nodes,), bool. Collective.
         as_force: by which factors (block,) the residual's components count as forces.
     """
@@ -44,7 +44,7 @@ def on_lattice(
     lines = tuple(np.ascontiguousarray(at[: number[a], a]) for a in range(grid.dim))
 
     def put() -> None:
-        pattern.put(matrix)
+        pattern.put(matrix())
 
     return LatticeRows(
         pattern.block,

@@ -255,7 +255,8 @@ class LoadedPoints(ProjectedPoints):
             native.fill(kernels, returned_of=returned_of, returned=returned)
             return
         with self.timer("return mapping"):
-            y = mapping.evaluate(self.interpolation.kernel_inputs(batch, self.x), tangent)
+            z = self.interpolation.unknowns(batch, self.x)
+            y = mapping.evaluate(batch.inputs_with(z), tangent)
         returned_of = np.full(len(batch.rows), -1, dtype=np.int32)
         returned_of[y.rows] = np.arange(len(y.rows))
         native.fill(kernels, returned_of=returned_of, returned=y.returned)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 from mpi4py import MPI
 
@@ -75,7 +75,7 @@ class PointSystem(OnPattern, LoadedPoints):
                     self._folding = Folding(self.pattern, prescribed.ties)
             plastic = any(m is not None for m in self.mappings)
             shared = (self.pattern.values, self.pattern.diagonal) if self.pattern.shared else None
-            matrix = self.pattern.petsc_matrix()
+            matrix = cache(self.pattern.petsc_matrix)
             space = weakly(self.near_null_space)
             rows = self.pattern, self.nodes, matrix, weakly(self.weak_nodes), self.as_force
             lattice = partial(on_lattice, *rows)
@@ -268,4 +268,8 @@ class PointSystem(OnPattern, LoadedPoints):
     def destroy(self) -> None:
         self._dispose()
         self.pattern.release()
-        self.step.boxes = self.box_tangent = None
+        self.step.boxes = None
+        if (
+            self.box_tangent is not None
+        ):  # where it was summed stays: after an interrupt it is summed again there
+            self.box_tangent.values = None

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 
 from petsc4py import PETSc
 
@@ -78,9 +78,9 @@ class Pattern:
         matrix.setAttr("rows", rows)  # to live as long
         return matrix
 
-    def rows(self, matrix: PETSc.Mat) -> Rows:
-        """What they are on one rank; `matrix`: that `petsc_matrix` has made."""
-        return Rows(self.block, self.indptr, self.indices, self.values, partial(self.put, matrix))
+    def rows(self, matrix: Callable[[], PETSc.Mat]) -> Rows:
+        """What they are on one rank; `matrix`: what `petsc_matrix` has made."""
+        return Rows(self.block, self.indptr, self.indices, self.values, lambda: self.put(matrix()))
 
     @property
     def shared(self) -> bool:

@@ -23,6 +23,7 @@ from ..materials.base import Material, check_material
 from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import Route, communicator_named, errors_on_all_ranks, name_of
+from .overlap import warn_of_overlap
 from .pointfields import (
     BODY_FIELDS,
     COUNTED_FIELDS,
@@ -345,7 +346,8 @@ class Points(Several):
         made of them; collective.
 
         Args:
-            apart: they are a body of their own, see `separate`. Default: where both touch, they are welded.
+            apart: they are a body of their own, see `separate`. Default: where both touch, they are welded;
+                where they lie in each other there is a `TrustWarning`.
 
         Raises:
             InputError: no points, these points themselves, or points that don't go together with them.
@@ -386,6 +388,8 @@ class Points(Several):
             self.surfaces[group] = surface if mine_too is None else mine_too.joined(surface)
         self._fingerprints = (*self.fingerprints(), *known)  # selections of these points stay valid
         self.arrangements += 1
+        if not apart:
+            warn_of_overlap(self.comm, self, first)
 
     @collective("assign", compare=True)
     def assign(self, selection: Selection, material: Material) -> None:

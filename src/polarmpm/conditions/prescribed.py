@@ -120,10 +120,12 @@ class Prescribed:
         self, support: Support, mask: np.ndarray, factor: float
     ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
         """A support's values at a load factor and at the base by column, at its nodes."""
-        position, out = self.nodes.position[mask], {}
+        position, out, known = self.nodes.position[mask], {}, {}
         fresh = support.total and not support.committed
         for column, (amplitude, component) in support.columns.items():
-            now, before = (amplitude.at(f, position)[:, component] for f in (factor, self.factor))
+            if amplitude not in known:
+                known[amplitude] = amplitude.at(factor, position), amplitude.at(self.factor, position)
+            now, before = (values[:, component] for values in known[amplitude])
             if fresh:
                 before = np.zeros(len(now)) if self.moved is None else self.moved[mask, column]
             out[column] = now, before
@@ -135,15 +137,19 @@ class Prescribed:
         values, base = np.zeros(self.fixed.shape), np.zeros(self.fixed.shape)
         owner = np.full(self.fixed.shape, -1)
         for number, (mask, of_support) in enumerate(zip(self.masks, found, strict=True)):
+            rows = np.flatnonzero(mask)
             for column, (now, before) in of_support.items():
-                taken = owner[mask, column] >= 0
+                taken = owner[rows, column] >= 0
+                if not taken.any():
+                    values[rows, column], base[rows, column], owner[rows, column] = now, before, number
+                    continue
                 gap = (now - before) - (values[mask, column] - base[mask, column])
                 clash = taken & (np.abs(gap) > rounding[column])
                 if np.any(clash):
                     self._contradiction(number, owner[mask, column], column, mask, clash, (now, values[mask]))
-                rows = np.flatnonzero(mask)[~taken]
-                values[rows, column], base[rows, column] = now[~taken], before[~taken]
-                owner[rows, column] = number
+                more = rows[~taken]
+                values[more, column], base[more, column] = now[~taken], before[~taken]
+                owner[more, column] = number
         return values, base
 
     def _contradiction(

@@ -108,6 +108,11 @@ class PlasticForm(PointForm):
         grad_F: np.ndarray | None = None,
         radii: np.ndarray | None = None,
     ) -> np.ndarray:
+        elastic = super().pack(F, q, wryness, plastic, radii=radii)
+        return np.hstack([elastic, self.pack_flow(q, plastic)])
+
+    def pack_flow(self, q: np.ndarray, plastic: Sequence[np.ndarray]) -> np.ndarray:
+        """What follows the elastic state in the packed one, (n, plastic_size)."""
         plastic_F, plastic_wryness, chi = plastic
         try:
             P = np.linalg.inv(plastic_F)
@@ -117,8 +122,7 @@ class PlasticForm(PointForm):
             turn = rotations.to_tensor(q)
             back = np.swapaxes(turn, 1, 2)
             P, plastic_wryness = turn @ P @ back, turn @ plastic_wryness @ back
-        elastic = super().pack(F, q, wryness, plastic, radii=radii)
-        return np.hstack([elastic, pack_plastic_state(self.layout, P, plastic_wryness, chi)])
+        return pack_plastic_state(self.layout, P, plastic_wryness, chi)
 
     # trial state ----------------------------------------------------------------------------------
     @cached_property

@@ -78,7 +78,7 @@ class PointForm:
         n, s = self.layout.unknowns, self.state_size
         return {self.z: 0, self.state: n, self.parameters: n + s}
 
-    @property
+    @cached_property
     def inputs(self) -> int:
         return self.layout.unknowns + self.packed_size + len(parameter_values(self.material))
 

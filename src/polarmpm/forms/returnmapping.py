@@ -20,6 +20,7 @@ from ..kernels import native
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from ..materials.plastic import Continuation
+from ..tools.parallel import reduced
 from .plastic import PlasticForm, entries
 from .points import PointForm
 from .returns import Return
@@ -135,7 +136,7 @@ class ReturnMapping:
         numbers = range(len(self.form.regions))
 
         def attempt(which: np.ndarray, region: int, afresh: bool = True) -> None:
-            if self.comm.allreduce(int(which.sum())):
+            if reduced(self.comm, int(which.sum())):
                 at = np.flatnonzero(which)
                 if afresh:
                     y.X[at] = start[at]
@@ -146,8 +147,7 @@ class ReturnMapping:
         if len(numbers) > 1:
             for k in numbers:
                 attempt(open_ & (first != k), k)
-        softer = self.form.material.continuation
-        if softer is not None and self.comm.allreduce(int(open_.sum())):
+        if reduced(self.comm, int(open_.sum())) and (softer := self.form.material.continuation) is not None:
             self._approach(softer, y, open_, start)
             for k in numbers:
                 attempt(open_.copy(), k, afresh=False)

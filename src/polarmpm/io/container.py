@@ -157,6 +157,8 @@ class _Stream:
         self.error: Exception | None = None
         self.new: Replacement | None = None
         with self._noting():
+            if not path.parent.exists():
+                path.parent.mkdir(parents=True)
             self.new = Replacement(path).__enter__()
             self.new.write(bytes(_HEAD))
 

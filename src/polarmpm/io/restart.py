@@ -50,7 +50,8 @@ _FINITE = ("points", "reference", "nodes", "cells", "equilibrium")  # that have 
 def save(problem: Problem, path: str | os.PathLike[str]) -> None:
     """Write the last converged state of a `QuasiStatic` or `QuasiStaticFEM`. Collective.
 
-    The file is complete, flushed, and then put in place of an old one of this name.
+    The file is complete, flushed, and then put in place of an old one of this name. Its folder is made if it
+    isn't there.
 
     Raises:
         InputError: not a problem, a closed one, no name of a file, or a state that isn't finite.

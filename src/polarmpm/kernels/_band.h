@@ -8,6 +8,11 @@
 
 #include "_points.h"
 
+/* Rows are completed in panels of as many nodes as have up to PANEL unknowns; rows of a panel end at the same column. */
+enum { PANEL = 6, TILE = 4 };
+
+static int nodes_of_panel(int32_t block) { return block < PANEL ? PANEL / block : 1; }
+
 /* Visit nodes, neighbours of visited ones next, from `first` on; returns how many are in `order` then. */
 static int64_t spread_from(int64_t first, const int64_t *start, const int32_t *near, int64_t count, int32_t *order,
                            uint8_t *seen)
@@ -59,6 +64,9 @@ int polarmpm_band_order(int64_t nodes, int32_t block, const int64_t *indptr, con
             for (int64_t k = start[i]; k < start[i + 1]; ++k)
                 if (position[near[k]] > last[q]) last[q] = position[near[k]];
         }
+        const int64_t some = nodes_of_panel(block);
+        for (int64_t q = nodes - 1; q >= 0; --q)
+            if ((q + 1) % some && q + 1 < nodes) last[q] = last[q + 1];
         for (int64_t q = 0; q < nodes; ++q)
             for (int c = 0; c < block; ++c) {
                 begin[q * block + c] = total;
@@ -82,21 +90,57 @@ void polarmpm_band_places(int64_t n, int32_t block, int32_t symmetric, const int
         }
 }
 
-/* Take the products of R columns of L and rows of U, from i on, off one of the triangles behind them: rows of `row` times
- * factors out of `by`. */
-INLINE void take_off(const int R, int64_t i, const int64_t *begin, int64_t length, const double *by, const double *row,
-                     double *out)
+typedef double near_t __attribute__((vector_size(8 * LANES), aligned(8), may_alias));  /* lanes_t at any place */
+
+/* Take the products of the panel's R columns of L and rows of U off T rows of one of the triangles behind them, from row and
+ * column j of these on: rows of `from` times factors out of `by`. Vectors end where rows end; what they hold of the rows
+ * before, where they begin, stays. */
+INLINE void take_off_rows(const int T, int R, int64_t j, int64_t length, const double *const *by, const double *const *from,
+                          double *const *to)
 {
-    const double *b[3], *from[3];
-    for (int r = 0; r < R; ++r) from[r] = row + begin[i + r] + R - r, b[r] = by + begin[i + r] + R - r;  /* column i + R */
-    for (int64_t j = 0; j < length; ++j) {
-        double *restrict to = out + begin[i + R + j] - j, f[3];
-        for (int r = 0; r < R; ++r) f[r] = b[r][j];
-        for (int64_t k = j; k < length; ++k) {
-            double sum = to[k];
-            for (int r = 0; r < R; ++r) sum -= f[r] * from[r][k];
-            to[k] = sum;
+    const mask_t count = {0, 1, 2, 3, 4, 5, 6, 7};
+    double f[PANEL][TILE];
+    for (int r = 0; r < PANEL; ++r)
+        for (int t = 0; t < T; ++t) f[r][t] = r < R ? by[r][j + t] : 0.0;
+    int64_t k = length - (length - j + LANES - 1) / LANES * LANES;
+    for (; k < j + T - 1; k += LANES) {
+        lanes_t left[TILE];
+        for (int t = 0; t < T; ++t) {
+            lanes_t sum = f[0][t] * *(const near_t *)(from[0] + k);
+            for (int r = 1; r < PANEL; ++r) sum += f[r][t] * *(const near_t *)(from[r] + k);
+            const mask_t inside = count + k >= j + t;
+            left[t] = *(const near_t *)(to[t] + k) - (lanes_t)((mask_t)sum & inside);
         }
+        for (int t = T - 1; t >= 0; --t) *(near_t *)(to[t] + k) = left[t];  /* a row begins where the one before ends */
+    }
+    for (; k < length; k += LANES) {
+        lanes_t left[TILE];
+        for (int t = 0; t < T; ++t) left[t] = *(const near_t *)(to[t] + k);
+        for (int r = 0; r < PANEL; ++r) {
+            const lanes_t row = *(const near_t *)(from[r] + k);
+            for (int t = 0; t < T; ++t) left[t] -= f[r][t] * row;
+        }
+        for (int t = 0; t < T; ++t) *(near_t *)(to[t] + k) = left[t];
+    }
+}
+
+/* The same of all rows behind rows i to i + R. */
+INLINE void take_off(int R, int64_t i, const int64_t *begin, int64_t length, const double *L, const double *U, double *out)
+{
+    const double *by[PANEL], *from[PANEL];
+    for (int r = 0; r < PANEL; ++r) {
+        const int64_t at = begin[i + (r < R ? r : 0)] + R - (r < R ? r : 0);  /* column i + R */
+        from[r] = U + at, by[r] = L + at;
+    }
+    int64_t j = 0;
+    for (; j + TILE <= length; j += TILE) {
+        double *to[TILE];
+        for (int t = 0; t < TILE; ++t) to[t] = out + begin[i + R + j + t] - (j + t);
+        take_off_rows(TILE, R, j, length, by, from, to);
+    }
+    for (; j < length; ++j) {
+        double *to[1] = {out + begin[i + R + j] - j};
+        take_off_rows(1, R, j, length, by, from, to);
     }
 }
 
@@ -116,7 +160,7 @@ INLINE int finish_row(int64_t i, const int64_t *begin, double *U, double *L)
 }
 
 /* Factors of a matrix whose diagonal is larger by a share `shift`: Cholesky's where it is symmetric, else L U, L behind U.
- * Returns nonzero where it isn't definite, or a pivot is zero. */
+ * LANES numbers in front of `factor` are read. Returns nonzero where it isn't definite, or a pivot is zero. */
 FAST int polarmpm_band_factor(int64_t n, int32_t block, int32_t symmetric, const int64_t *begin, int64_t entries,
                               const int64_t *place, const double *values, double shift, double *factor)
 {
@@ -124,30 +168,24 @@ FAST int polarmpm_band_factor(int64_t n, int32_t block, int32_t symmetric, const
     memset(factor, 0, sizeof(double) * begin[n] * (symmetric ? 1 : 2));
     for (int64_t k = 0; k < entries; ++k) factor[place[k]] = values[k];
     for (int64_t i = 0; i < n; ++i) U[begin[i]] *= 1.0 + shift;
-    for (int64_t node = 0; node < n; node += block)
-        for (int c = 0; c < block;) {  /* rows of a node end at the same column */
-            const int64_t i = node + c, length = begin[i + 1] - begin[i];
-            const int R = block - c < 3 ? block - c : 3;
-            for (int r = 0; r < R; ++r) {
-                if (finish_row(i + r, begin, U, L)) return 1;
-                const double *row = U + begin[i + r], *column = L ? L + begin[i + r] : row;
-                for (int s = r + 1; s < R; ++s) {
-                    double *restrict to = U + begin[i + s];
-                    for (int64_t k = 0; k < length - s; ++k) to[k] -= column[s - r] * row[s - r + k];
-                    if (!L) continue;
-                    to = L + begin[i + s];
-                    for (int64_t k = 1; k < length - s; ++k) to[k] -= row[s - r] * column[s - r + k];
-                }
+    const int64_t rows = (int64_t)block * nodes_of_panel(block);
+    for (int64_t i = 0; i < n; i += rows) {
+        const int R = (int)(n - i < rows ? n - i : rows);
+        const int64_t length = begin[i + 1] - begin[i];
+        for (int r = 0; r < R; ++r) {
+            if (finish_row(i + r, begin, U, L)) return 1;
+            const double *row = U + begin[i + r], *column = L ? L + begin[i + r] : row;
+            for (int s = r + 1; s < R; ++s) {
+                double *restrict to = U + begin[i + s];
+                for (int64_t k = 0; k < length - s; ++k) to[k] -= column[s - r] * row[s - r + k];
+                if (!L) continue;
+                to = L + begin[i + s];
+                for (int64_t k = 1; k < length - s; ++k) to[k] -= row[s - r] * column[s - r + k];
             }
-            for (int t = 0; t < (L ? 2 : 1); ++t) {
-                const double *by = t || !L ? U : L, *row = t ? L : U;
-                double *out = t ? L : U;
-                if (R == 3) take_off(3, i, begin, length - 3, by, row, out);
-                else if (R == 2) take_off(2, i, begin, length - 2, by, row, out);
-                else take_off(1, i, begin, length - 1, by, row, out);
-            }
-            c += R;
         }
+        take_off(R, i, begin, length - R, L ? L : U, U, U);
+        if (L) take_off(R, i, begin, length - R, U, L, L);
+    }
     return 0;
 }
 

@@ -19,6 +19,7 @@ enum {
 
 typedef double vec __attribute__((vector_size(8 * WIDTH), aligned(8 * WIDTH)));
 typedef double lanes_t __attribute__((vector_size(8 * LANES), aligned(8 * LANES)));  /* a number of LANES points */
+typedef int64_t mask_t __attribute__((vector_size(8 * LANES), aligned(8 * LANES)));  /* all bits or none of a lane */
 typedef void (*kernel_t)(const double *in, double *out);
 
 #if defined(__x86_64__) && defined(__gnu_linux__) && !defined(__clang__)

@@ -74,8 +74,6 @@ static void back_substitute(int n, const double *A, const int *pivot, int m, dou
 #define PIVOT 0.1                /* least share of a column's largest entry that is a pivot without a search */
 #define LEAST 1e-3               /* least share that the pivot of all lanes may have in one of them */
 
-typedef int64_t mask_t __attribute__((vector_size(8 * LANES), aligned(8 * LANES)));  /* all bits or none of a lane */
-
 typedef struct {
     lanes_t X[LOCAL_MAX], step[LOCAL_MAX], r[LOCAL_MAX];
     lanes_t C[LOCAL_MAX * LOCAL_MAX], T[LOCAL_MAX * DERIVED_MAX];

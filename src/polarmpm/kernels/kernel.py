@@ -45,7 +45,7 @@ class Kernel:
         widths = np.array([c.shape[1] for c in flat], dtype=np.int32)
         if widths.sum() != self.inputs:
             raise ValueError(f"kernel has {self.inputs} inputs, {widths.sum()} are given")
-        addresses = np.array([c.ctypes.data for c in flat], dtype=np.uintp)
+        addresses = np.array([native.address(c) for c in flat], dtype=np.uintp)
         out = np.empty((rows, self.outputs))
         evaluate = native.library().polarmpm_evaluate
         if evaluate(self.address, rows, len(flat), widths, addresses, self.outputs, out):

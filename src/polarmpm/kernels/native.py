@@ -71,6 +71,18 @@ class Transfer(Structure):
 STRUCTURES = (Batch, Matrix, PointKernels, Patches, Elements, Return, BlockRows, Relaxation, Transfer)
 
 
+_number_at: Callable[[Any], ctypes.c_char] = ctypes.c_char.from_buffer
+
+
+def address(array: np.ndarray) -> int:
+    """Where an array's numbers begin: as `array.ctypes.data`, which takes twelve times as long."""
+    try:
+        return ctypes.addressof(_number_at(array))
+    except (TypeError, ValueError):  # it can't be written to, or is empty
+        found: int = array.ctypes.data
+        return found
+
+
 def fill(structure: Structure, **values: Any) -> None:
     """Set numbers and array addresses of a structure, which keeps the arrays alive.
 
@@ -86,7 +98,7 @@ def fill(structure: Structure, **values: Any) -> None:
         field.check(value)
         if isinstance(value, np.ndarray):
             structure.kept[name] = value
-            value = value.ctypes.data
+            value = address(value)
         else:
             structure.kept.pop(name, None)
         setattr(structure, name, value)
@@ -138,7 +150,7 @@ def _checking(function: Any, arguments: list[Declared]) -> Callable[..., Any]:
             value = passed[k]
             if isinstance(value, np.ndarray):
                 argument.check(value)
-                passed[k] = value.ctypes.data
+                passed[k] = address(value)
         return function(*passed)
 
     return call

@@ -134,8 +134,13 @@ class Layout:
 
     def where(self, field: str, order: int = 0) -> slice:
         """A part's place in z; an empty one of a field that isn't there."""
-        at = [k for k, s in enumerate(self.slots) if (s.field, len(s.axes)) == (field, order)]
-        return slice(at[0], at[-1] + 1) if at else slice(0, 0)
+        return self._places.get((field, order), slice(0, 0))
+
+    @cached_property
+    def _places(self) -> dict[tuple[str, int], slice]:
+        """Each part's place in z."""
+        kinds = [(s.field, len(s.axes)) for s in self.slots]
+        return {kind: slice(kinds.index(kind), kinds.index(kind) + kinds.count(kind)) for kind in kinds}
 
     @cached_property
     def gradients(self) -> list[slice]:

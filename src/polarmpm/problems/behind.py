@@ -60,8 +60,7 @@ def find_behind(problem: Body, surface: Surface) -> Found:
     points, comm = problem.points, problem.comm
     late = problem.progress.step > 0
     now = late and not problem.knows_undeformed
-    place, volume = (points.x, points.volume) if now else (points.X, points.volume0)
-    size = np.maximum(volume ** (1.0 / points.dim), 2.0 * points.half_length0.max(axis=1, initial=0.0))
+    place, size = _places(problem)
     columns = [size, points.material]
     if late:
         columns += [points.F.reshape(-1, 9), points.q, points.wryness.reshape(-1, 9)]
@@ -77,7 +76,7 @@ def find_behind(problem: Body, surface: Surface) -> Found:
     if isinstance(surface, FacetSurface):
         material = _of_cells(comm, points, surface)
     else:
-        beyond = _share_inside(comm, place, surface, found[:, :1])
+        beyond = float(np.mean(_inside(comm, place, surface, found[:, :1])))
     behind = Behind(points.materials, material, F, q, wryness)
     return Found(behind, _why_not(points.materials, material, beyond), fitted)
 
@@ -92,13 +91,40 @@ def _of_cells(comm: MPI.Comm, points: Points, surface: FacetSurface) -> np.ndarr
     return material
 
 
-def _share_inside(comm: MPI.Comm, place: np.ndarray, surface: Surface, size: np.ndarray) -> float:
-    """Share of a surface's points that have the body on the side of their normals, too: of its points,
-    spaced by a size (n, 1) (m), the next one on that side is ahead. Collective."""
+def check_outward(problem: Body, name: str, surface: Surface) -> None:
+    """Raise InputError where the normals of a surface that is given as it is now point into the body.
+    Collective."""
+    if isinstance(surface, FacetSurface) or surface.dim != problem.points.dim:
+        return  # facets know which side the body is on
+    place, size = _places(problem)
+    _, found = of_nearest(problem.comm, place, size[:, None], surface.x)
+    other = Surface(surface.x, surface.area, -surface.normal)
+    ahead, back = (_inside(problem.comm, place, one, found) for one in (surface, other))
+    wrong = ahead & ~back
+    if 2 * np.count_nonzero(wrong) > len(surface):
+        where = tuple(float(round(c, 9)) for c in surface.x[np.argmax(wrong)])
+        raise InputError(
+            f"{name}: the surface's normals point into the body, such as at {where}; they have to point "
+            "outward from it. A line from a to b has the body on its left: exchange its ends"
+        )
+
+
+def _places(problem: Body) -> tuple[np.ndarray, np.ndarray]:
+    """Where the points are, as surfaces that are given now are meant, and their sizes (n,) (m)."""
+    points = problem.points
+    now = problem.progress.step > 0 and not problem.knows_undeformed
+    place, volume = (points.x, points.volume) if now else (points.X, points.volume0)
+    return place, np.maximum(volume ** (1.0 / points.dim), 2.0 * points.half_length0.max(axis=1, initial=0.0))
+
+
+def _inside(comm: MPI.Comm, place: np.ndarray, surface: Surface, size: np.ndarray) -> np.ndarray:
+    """Which of a surface's points have the body on the side of their normals: of its points, spaced by a size
+    (n, 1) (m), the next one on that side is ahead. Collective."""
     ahead = surface.x + 0.75 * size * surface.normal
     distance, nearest = of_nearest(comm, place, place, ahead)
     along = np.sum((nearest - surface.x) * surface.normal, axis=1)
-    return float(np.mean((along > 0.2 * size[:, 0]) & (distance < size[:, 0])))
+    found: np.ndarray = (along > 0.2 * size[:, 0]) & (distance < size[:, 0])
+    return found
 
 
 def _why_not(materials: tuple[Material, ...], rows: np.ndarray, beyond: float) -> str:

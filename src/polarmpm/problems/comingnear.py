@@ -18,6 +18,31 @@ from ..geometry.grid import Grid, box_indices
 from ..tools.parallel import errors_on_all_ranks
 
 _APART = 4  # cells within which pieces may share nodes
+_CLOSE = 1e-6  # of a cell: points so close to a side may count to the cell beyond
+
+
+class CellsThen:
+    """Cells in which this rank's points were at the last reset, and in which nothing has been found since.
+
+    Args:
+        x: their positions then (np, d).
+    """
+
+    def __init__(self, grid: Grid, x: np.ndarray):
+        self.index = grid.cells_of(x)
+        self._lower, self._upper = np.zeros_like(x), np.zeros_like(x)
+        self.now_in(grid, np.arange(len(x)), self.index)
+
+    def now_in(self, grid: Grid, rows: np.ndarray, index: np.ndarray) -> None:
+        """Rows of points are in cells (n, d) that needn't be looked at again."""
+        lower, upper = grid.corners(index), grid.corners(index + 1)
+        slack = _CLOSE * (upper - lower)
+        self._lower[rows], self._upper[rows] = lower + slack, upper - slack
+
+    def left(self, grid: Grid, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of points that may be in other cells now, at positions x (np, d), and these (n, d)."""
+        out = np.unique(np.flatnonzero((x < self._lower) | (x > self._upper)) // grid.dim)
+        return out, grid.cells_of(x[out])
 
 
 def meets_supports(
@@ -25,28 +50,33 @@ def meets_supports(
     comm: MPI.Comm,
     supports: Sequence[Support],
     x: np.ndarray,
-    before: np.ndarray,
+    then: CellsThen,
     body: np.ndarray,
 ) -> bool:
     """Whether points have come into cells with nodes that supports hold, other than those of the cells in
     which they were at the last reset. Collective.
 
     Args:
-        x, before: positions of this rank's points (np, d), and those then (m).
+        x: positions of this rank's points (np, d).
         body: number of the body of each (np,).
     """
     found = False
+    rows, now = np.zeros(0, dtype=np.int64), np.zeros((0, grid.dim), dtype=np.int64)
     with errors_on_all_ranks(comm, "supports"):
         if supports:
-            now, then = grid.cells_of(x), grid.cells_of(before)
-            went = np.flatnonzero(np.any(now != then, axis=1))
-            index = now[went, None] + box_indices((2,) * grid.dim)
-            new = np.any((index < then[went, None]) | (index > then[went, None] + 1), axis=2)
-            of = np.broadcast_to(body[went, None], new.shape)[new]
+            rows, now = then.left(grid, x)
+        if len(rows):
+            before = then.index[rows, None]
+            index = now[:, None] + box_indices((2,) * grid.dim)
+            new = np.any((index < before) | (index > before + 1), axis=2)
+            of = np.broadcast_to(body[rows, None], new.shape)[new]
             numbers = np.unique(grid.node_number(grid.of_bodies(index[new], of)))
             places = _Places(grid.node_position(numbers), numbers // grid.numbers)
             found = bool(len(places)) and any(bool(np.any(s.mask(places))) for s in supports)
-    return bool(comm.allreduce(found, op=MPI.LOR))
+    found = bool(comm.allreduce(found, op=MPI.LOR))
+    if len(rows) and not found:
+        then.now_in(grid, rows, now)
+    return found
 
 
 class _Places:

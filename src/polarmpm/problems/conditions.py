@@ -354,7 +354,7 @@ class Conditions(Keeping, Whole, Turns):
             The pressure, for `release`.
 
         Raises:
-            InputError: as `traction`.
+            InputError: as `traction`, and where the surface's normals point into the body.
         """
         return surfaces.add_pressure(self, self._named(where), p, counts=counts)
 

@@ -23,7 +23,7 @@ from ..terms.ghost import GhostPenalty
 from ..tools import checks
 from ..tools.meetings import collective
 from . import takeover
-from .comingnear import meets_supports, pieces_meet
+from .comingnear import CellsThen, meets_supports, pieces_meet
 from .elements import QuasiStaticFEM
 from .gridpolicies import RegridPolicy
 from .motion import Moving
@@ -67,6 +67,7 @@ class Dynamic(Moving, QuasiStatic):
     _most_growth = 1.5  # of the domains of points that fly apart
     _pieces: np.ndarray | None = None  # of the body at the beginning, by number, of each local point
     _several = False  # there are several of them in one body
+    _then: CellsThen | None = None  # where points were at the last reset
 
     @collective("Dynamic", comm=lambda self, grid, *args, **options: grid.comm, compare=True)
     def __init__(
@@ -172,20 +173,20 @@ class Dynamic(Moving, QuasiStatic):
             self._with_boxes(s.rebase_rotations)
 
     def _prepare(self) -> Any:
-        again = self._system is not None and self.progress.reset_due
+        again, before = self._system is not None and self.progress.reset_due, self._system
         system = super()._prepare()
+        if system is not before:
+            self._then = None
         if again and self.filtered:
             self._filter(system)
         return system
 
     def _filter(self, system: LoadedPoints) -> None:
         """Project velocities and accelerations. Collective."""
-        before, p, d, r = self._kinetic(), self.points, self.layout.dim, self.layout.rotations
+        before = self._kinetic()
         mass = system.inertia.mass if system.inertia is not None else self._masses()
         mass = np.where(mass > 0.0, mass, 1e-9 * mass[:, :1])  # of spins without inertia
-        v, a = (projected(system, mass, rates) for rates in self._rates())
-        p.velocity, p.acceleration = v[:, :d].copy(), a[:, :d].copy()
-        p.spin, p.spin_rate = (np.pad(w[:, d:], ((0, 0), (3 - r, 0))) for w in (v, a))
+        self._put_rates(*(projected(system, mass, rates) for rates in self._rates()))
         self.progress.damped_work += before - self._kinetic()
 
     def _comes_near(self, system: LoadedPoints, increments: Increments) -> bool:
@@ -197,12 +198,14 @@ class Dynamic(Moving, QuasiStatic):
             self._pieces = (found.points if len(found.count) > p.bodies else np.zeros(len(p))).astype(float)
             self._several = len(found.count) > p.bodies
         moved, body = increments.value[:, :d], p.body if p.bodies > 1 else np.zeros(len(p), dtype=np.int32)
+        if self._then is None:
+            self._then = CellsThen(self.grid, p.x - moved)
         if self._several:
             most = float(np.abs(moved).max(initial=0.0)) / self.cell_size
             far = self.comm.allreduce(most, op=MPI.MAX) > policy.near
             if far and pieces_meet(self.grid, self.comm, p.x, self._pieces.astype(np.int64), body):
                 return True
-        return meets_supports(self.grid, self.comm, self.supports, p.x, p.x - moved, body)
+        return meets_supports(self.grid, self.comm, self.supports, p.x, self._then, body)
 
     def kept(self) -> dict[str, np.ndarray]:
         return super().kept() | ({} if self._pieces is None else {"piece": self._pieces})

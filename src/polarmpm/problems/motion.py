@@ -290,8 +290,18 @@ class Moving(WithInertia):
     def _rates(self) -> tuple[np.ndarray, np.ndarray]:
         """Velocities and accelerations (np, block) of the last converged state."""
         p, r = self.points, self.layout.rotations
+        if not r:
+            return p.velocity, p.acceleration
         v = np.hstack([p.velocity, p.spin[:, 3 - r :]])
         return v, np.hstack([p.acceleration, p.spin_rate[:, 3 - r :]])
+
+    def _put_rates(self, v: np.ndarray, a: np.ndarray) -> None:
+        """Give the points velocities and accelerations (np, block)."""
+        p, d, r = self.points, self.layout.dim, self.layout.rotations
+        p.velocity, p.acceleration = v[:, :d].copy(), a[:, :d].copy()
+        if r:
+            p.spin, p.spin_rate = (np.zeros((len(p), 3)) for _ in range(2))
+            p.spin[:, 3 - r :], p.spin_rate[:, 3 - r :] = v[:, d:], a[:, d:]
 
     def _on_body(self, system: NodalSystem) -> Equilibrium:
         """What acts on the body in the collocated state, with inertia and drag. Collective."""
@@ -315,7 +325,7 @@ class Moving(WithInertia):
 
     def _move(self, inertia: Inertia, increments: Increments) -> None:
         """Bring velocities and accelerations to the end of a step."""
-        step, p, d, r, (v, a) = self._step, self.points, self.layout.dim, self.layout.rotations, self._rates()
+        step, (v, a) = self._step, self._rates()
         assert step is not None
         before = v
         v, a = step.end(increments.value - inertia.start, v, a)  # positions move by the same
@@ -323,8 +333,7 @@ class Moving(WithInertia):
             a = (v - before) / step.dt
         if inertia.kernels is not None:
             self._turn_spins(step, inertia, increments, v, a)
-        p.velocity, p.acceleration = v[:, :d].copy(), a[:, :d].copy()
-        p.spin, p.spin_rate = (np.pad(w[:, d:], ((0, 0), (3 - r, 0))) for w in (v, a))
+        self._put_rates(v, a)
         self._step = self._pushed = self._found = None
         self._mean_before = self._mean
 

@@ -333,5 +333,5 @@ class OnGrid(Problem):
             if mapping is not None and mapping.yielding is not None:
                 rows = batch.rows[mapping.yielding.rows]
                 mapping.update_plastic_state(self.points, rows, i.reference.q[rows])
-        i.pack()
+        i.pack_flow()
         system.place()

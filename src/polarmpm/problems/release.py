@@ -34,7 +34,7 @@ def fading(factor: float, over: float | None, until: float | None, what: str = "
     """How a condition that is released at a load factor fades; None: it is gone at once.
 
     Raises:
-        InputError: both are given, or no time at all.
+        InputError: both are given, or no time at all. Where the load factor falls, `until` tells the end.
     """
     if over is not None and until is not None:
         raise InputError(f"{what}: over = {shown(over)} and until = {shown(until)}: one of them")
@@ -42,7 +42,9 @@ def fading(factor: float, over: float | None, until: float | None, what: str = "
         return None
     allowed = "a finite load factor"
     if over is not None:
-        end = factor + checks.number(f"{what}: over", over, allowed=allowed)
+        end = factor + checks.number(
+            f"{what}: over", over, least=0.0, allowed="finite load factors, not negative"
+        )
     else:
         end = checks.number(f"{what}: until", until, allowed=allowed)
     if end == factor:

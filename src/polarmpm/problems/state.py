@@ -52,10 +52,17 @@ class Progress:
 
 
 class Fields(Mapping[str, np.ndarray]):
-    """Fields of the current state at the local points, by name."""
+    """Fields of the current state at the local points, by name: `fields["p"]` and `fields.p` are the same."""
 
     def __init__(self, values: dict[str, np.ndarray]):
         self._values = values
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        values = self.__dict__.get("_values", {})  # none yet while it is unpickled
+        if name not in values:
+            raise AttributeError(f"{name}: fields() was asked for {', '.join(values)}")
+        found: np.ndarray = values[name]
+        return found
 
     def __getitem__(self, name: str) -> np.ndarray:
         if name not in self._values:

@@ -18,7 +18,7 @@ from ..terms.nitsche import ConsistentSupport
 from ..terms.surfaces import METHODS, Pressure, SurfaceSupport, Traction
 from ..terms.surfaceterms import SurfaceCondition, undeformed_area
 from ..tools import checks
-from .behind import Found, default_stiffness, find_behind
+from .behind import Found, check_outward, default_stiffness, find_behind
 from .state import Progress
 
 
@@ -69,7 +69,9 @@ def add_load(
 
 def add_pressure(problem: Loaded, surface: Any, p: Any, counts: str | None = None) -> Pressure:
     """See `Conditions.pressure`."""
-    made = Pressure(problem.surface_name("pressure"), surface, p)
+    name = problem.surface_name("pressure")
+    made = Pressure(name, surface, p)
+    check_outward(problem, name, surface)
     problem.add(made, counts=counts)
     return made
 

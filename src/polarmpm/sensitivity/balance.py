@@ -12,11 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from ..assembly.batchrates import At, BatchRates, Change
+from ..assembly.batchrates import BatchRates
 from ..assembly.carrying import Moduli, closing_at
 from ..assembly.pointfunctions import framed
+from ..assembly.ratestate import At, Change
 from ..forms.directional import FormAlong, InitialAlong
 from ..forms.projected import ProjectedForm
+from ..solvers.linear import SingularTangent
 from .differences import along
 
 
@@ -127,7 +129,7 @@ class Carried:
             found = [self._first(*part, w, more) for part in parts]
             system.nodes.add_to_owners(more)
             more[: system.owned] += shift * w[: system.owned]
-            dw = -run.precondition(left[-1] + system.on_free(more))
+            dw = -self._solved(left[-1] + system.on_free(more))
             for k, (batch, moduli, here, change) in enumerate(parts):
                 work, dwork = found[k]
                 frames, turned = batch.frames(here.state), batch.frames(change.state)
@@ -145,6 +147,21 @@ class Carried:
             system.nodes.add_to_owners(of_stress)
             left.append(left[0] + system.on_free(of_stress))
         return left[0], left[-1]
+
+    def _solved(self, forces: np.ndarray) -> np.ndarray:
+        """Increments (nodes, block) by which the factor makes up for forces. Where nothing holds the body but
+        springs, which a reset carries, it has motions without stiffness, on which there is rounding alone:
+        the factor's answer is taken as it is. Collective."""
+        system, own = self.run.system, self.run.system.owned
+        try:
+            found: np.ndarray = self.run.precondition(forces)
+        except SingularTangent:
+            found = np.zeros_like(forces)
+            right = system.on_free(forces)[:own].ravel()
+            found[:own] = system.solver.precondition(right).reshape(found[:own].shape)
+            system.complete(found)
+            found[system.prescribed.fixed] = 0.0
+        return found
 
     def _shift_change(self, changes: list[Change]) -> Any:
         """Of what has been added to the matrix' diagonal (owned nodes, block), a share of the largest

@@ -19,6 +19,7 @@ from ..terms.obstacles import Obstacle
 from ..tools import checks
 from ..tools.checks import shown
 from ..tools.parallel import warn_on_one_rank
+from .surfacechanges import follows
 from .twins import quiet as quiet
 
 Observables = Mapping[str, Callable[[], Any]]
@@ -121,22 +122,22 @@ def check_problem(problem: Any) -> None:
 def check_carried(problem: Any) -> None:
     """Raise InputError for what the tangent-linear run doesn't carry."""
     apart = ""
-    if not isinstance(problem, QuasiStatic):
-        apart = "elements"
-    elif problem.at_rest or problem.balanced_at_rest:
+    if problem.at_rest or problem.balanced_at_rest:
         apart = "initial stresses"
     elif problem._changes:
         apart = "materials that change"
+    elif not isinstance(problem, QuasiStatic):
+        apart = ""
+    elif problem.layout.axial:
+        apart = "bodies of revolution"
     elif problem.regridding.policy is not None:
         apart = "other grids in the course of the run"
     elif problem.points.bodies > 1:
         apart = "several bodies"
-    elif problem.layout.axial:
-        apart = "bodies of revolution"
     elif any(form.layout.second for form in problem.forms):
         apart = "second gradients"
-    elif any(not isinstance(term, Ghost) for term in problem.terms):
-        apart = next(t.name for t in problem.terms if not isinstance(t, Ghost))
+    others = [t.name for t in problem.terms if not (isinstance(t, Ghost) or follows(t))]
+    apart = apart or (others[0] if others else "")
     if apart:
         raise _not_carried(apart)
 
@@ -145,9 +146,16 @@ def _not_carried(what: str) -> InputError:
     return InputError(f'method = "exact": {what} aren\'t carried; take method="twins", which does')
 
 
+def check_path(problem: Any) -> None:
+    """Raise InputError for what the tangent-linear run doesn't carry along the path."""
+    others = [term.name for term in problem.terms if not isinstance(term, Ghost)]
+    if others:
+        raise _not_carried(f"{others[0]}: conditions on surfaces along the path")
+
+
 def check_step(problem: Any, leader: Any) -> None:
     """Raise InputError after a step that the tangent-linear run doesn't carry."""
-    if leader.rebased:
+    if leader.rebased and leader.on_grid:
         raise _not_carried("rotations that get a new base between resets (`rotation_limit`)")
     path = leader.record.path
     if path is not None and path.relaxed is not None:

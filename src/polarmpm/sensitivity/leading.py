@@ -116,7 +116,7 @@ class Watch(Observer):
 
     def __init__(self, leader: Leader):
         self._leader = weakref.ref(leader)  # no circles: a run that is dropped is gone
-        self.rebased = False
+        self.rebased, self.factor = False, 0.0
 
     def after_reset(self, problem: Any) -> None:
         leader = self._leader()
@@ -124,7 +124,7 @@ class Watch(Observer):
             leader.was_reset()
 
     def after_convergence(self, problem: Any, factor: float) -> None:
-        leader = self._leader()
+        leader, self.factor = self._leader(), factor
         if leader is not None:
             for follower in leader.followers:
                 follower.converged()
@@ -166,6 +166,11 @@ class Leader:
     def rebased(self) -> bool:
         """Whether the last step has ended with a new base of the rotations."""
         return self.watch.rebased
+
+    @property
+    def factor(self) -> float:
+        """Load factor of the last step that has converged, from then on."""
+        return self.watch.factor
 
     @property
     def fell_back(self) -> bool:

@@ -9,10 +9,11 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..assembly.batchrates import At, BatchRates, Change
+from ..assembly.batchrates import BatchRates
 from ..assembly.bodyweights import patches_of_bodies
 from ..assembly.interpolation import Interpolation
 from ..assembly.pointfunctions import Functions
+from ..assembly.ratestate import At, Change
 from ..forms.directional import MotionAlong
 from ..forms.projected import ProjectedForm
 from ..kinematics import rotations
@@ -102,24 +103,32 @@ class PointRates:
         assert batch.patches is not None
         return batch.patches.moved(moved[batch.batch.rows])
 
-    def turn(self, batch: BatchRates, interpolation: Interpolation) -> np.ndarray | None:
-        """Changes of what turns a batch's stiff scalars; None where nothing does."""
+    def turn(self, batch: BatchRates, r: Any) -> np.ndarray | None:
+        """Changes of what turns a batch's stiff scalars, at a state r; None where nothing does."""
         form, rows = batch.form, batch.batch.rows
         if batch.turn is None or not isinstance(form, ProjectedForm):
             return None
-        return along(form.frames, [interpolation.reference.q[rows]], [self.before["q"][rows]])
+        return along(form.frames, [r.q[rows]], [self.before["q"][rows]])
 
-    def state(self, batch: BatchRates, interpolation: Interpolation, stabilisation: float) -> np.ndarray:
+    def state(self, batch: BatchRates, r: Any, stabilisation: float) -> np.ndarray:
         """Changes (n, packed size) of a batch's packed state, before a step, where that of what holds points
-        to their patches is given."""
-        rows, r, form = batch.batch.rows, interpolation.reference, batch.form
+        to their patches is given; `r`: the state from which increments count."""
+        rows, form = batch.batch.rows, batch.form
         names = ("F", "q", "wryness")
         at = [getattr(r, name)[rows] for name in names]
         change = [self.before[name][rows] for name in names]
         if form.material.plastic:
             at += list(self.problem.points.plastic_state(rows))
             change += [self.now[name][rows] for name in ("plastic_F", "plastic_wryness", "hardening")]
-        packed = along(lambda F, q, w, *plastic: form.pack(F, q, w, plastic), at, change)
+        if not batch.layout.axial:
+            packed = along(lambda F, q, w, *plastic: form.pack(F, q, w, plastic), at, change)
+        else:
+            X = self.problem.points.X[rows, 0]
+
+            def pack(x: np.ndarray, F: np.ndarray, q: np.ndarray, w: np.ndarray, *plastic: np.ndarray) -> Any:
+                return form.pack(F, q, w, plastic, radii=np.stack([X, x], axis=1))
+
+            packed = along(pack, [r.x[rows, 0], *at], [self.before["x"][rows, 0], *change])
         out = np.zeros((len(rows), form.packed_size))
         out[:, : packed.shape[1]] = packed
         if isinstance(form, ProjectedForm):
@@ -148,7 +157,11 @@ class PointRates:
         done["x"][rows] = self.before["x"][rows] + value[:, :d]
         names = ("F", "q", "wryness") if layout.rotations else ("F",)
         before = [getattr(reference, name)[rows] for name in names]
-        changed = motion(before, [self.before[name][rows] for name in names], at.g, dg)
+        g = at.g
+        if layout.axial:  # 1 / R, which stays
+            around = 1.0 / self.problem.points.X[rows, 0]
+            g, dg = np.column_stack([g, around]), np.column_stack([dg, np.zeros_like(around)])
+        changed = motion(before, [self.before[name][rows] for name in names], g, dg)
         for name, rate in zip(names, changed, strict=True):
             done[name][rows] = rate
         if isinstance(batch.form, ProjectedForm):

@@ -19,10 +19,15 @@ from ..problems.reactions import Equilibrium
 from ..terms.ghost import Ghost
 from .leading import Lead, Leader
 from .pointrates import STATE, PointRates
+from .surfacechanges import SurfaceChanges
 from .twins import distribute
 
 STEP = 1e-5  # of ln m
 _CLOSE = 1e-6  # of an observable, relative: what the mean of the two may be off the run's
+
+
+def _forms(problem: Any) -> Any:
+    return getattr(problem.forms, "point_forms", problem.forms)
 
 
 class Rates(Protocol):
@@ -30,7 +35,9 @@ class Rates(Protocol):
 
     Attributes:
         points: of their state.
-        increments, residual, loads: of nodes (nodes, block).
+        at: increments of the run (nodes, block).
+        increments, residual, loads: of nodes (nodes, block); moved, turned: of
+            their positions (nodes, d) and, of elements, microrotations (nodes, 4).
         factor: of the load factor.
     """
 
@@ -39,6 +46,15 @@ class Rates(Protocol):
     residual: np.ndarray
     loads: np.ndarray
     factor: float
+
+    @property
+    def at(self) -> np.ndarray: ...
+
+    @property
+    def moved(self) -> np.ndarray: ...
+
+    @property
+    def turned(self) -> np.ndarray: ...
 
 
 class Reader:
@@ -49,13 +65,14 @@ class Reader:
     """
 
     def __init__(self, leader: Leader, name: str, pair: list[tuple[Any, Mapping[str, Any]]]):
-        self.name, self._pair, self._lead = name, pair, Lead(leader)
+        self.name, self.pair, self._lead = name, pair, Lead(leader)
         numbers = [[parameter_values(m) for m in p.points.materials] for p, _ in pair]
         self.numbers = [(a - b) / (2.0 * STEP) for a, b in zip(*numbers, strict=True)]
-        held = [[getattr(form, "stabilisation", 0.0) for form in p.forms] for p, _ in pair]
+        held = [[getattr(form, "stabilisation", 0.0) for form in _forms(p)] for p, _ in pair]
         self.stabilisation = [(a - b) / (2.0 * STEP) for a, b in zip(*held, strict=True)]
         self._prescribers: list[Any] = []
         self._before: np.ndarray | None = None
+        self.surfaces = SurfaceChanges(self._lead, [p for p, _ in pair], STEP)
 
     def _difference(self, larger: Any, smaller: Any) -> Any:
         return (larger - smaller) / (2.0 * STEP)
@@ -64,14 +81,20 @@ class Reader:
     def reset(self) -> None:
         """The run has reset its grid. Collective."""
         leading = self._lead.run.problem
-        system, factor = leading.system, leading.progress.factor
-        for problem, _ in self._pair:
+        factor = leading.progress.factor
+        for problem, _ in self.pair:
             distribute(self._lead, problem.points)
             moved = problem._moving.at(factor if leading.progress.step else None, problem.supports)
             self._check_grid(moved, leading.grid)
             problem._put_grid(leading.grid)
-        self._prescribers = [p._prescribed(system.nodes) for p, _ in self._pair]
-        self._before = self._totals(factor)
+        self.begin()
+
+    def begin(self) -> None:
+        """Nodes are numbered as they are now. Collective."""
+        leading = self._lead.run.problem
+        self._prescribers = [p._prescribed(leading.system.nodes) for p, _ in self.pair]
+        self._before = self._totals(leading.progress.factor)
+        self.surfaces.begin()
 
     def _check_grid(self, grid: Any, leading: Any) -> None:
         for axis in range(grid.dim):
@@ -106,12 +129,12 @@ class Reader:
     def loads(self) -> tuple[np.ndarray, np.ndarray]:
         """Of forces (np, d) and couples (np, r) at the points, at the last step's load factor. Collective."""
         factor = self._lead.run.problem.progress.factor
-        larger, smaller = (p._loads_at(factor) for p, _ in self._pair)
+        larger, smaller = (p._loads_at(factor) for p, _ in self.pair)
         return self._difference(larger[0], smaller[0]), self._difference(larger[1], smaller[1])
 
     def ghost(self) -> np.ndarray | None:
         """Of the ghost penalty's factors, over these (block,); None: they stay."""
-        scales = [[t.scale for t in p.terms if isinstance(t, Ghost)] for p, _ in self._pair]
+        scales = [[t.scale for t in p.terms if isinstance(t, Ghost)] for p, _ in self.pair]
         if not scales[0] or np.array_equal(scales[0][0], scales[1][0]):
             return None
         larger, smaller = scales[0][0], scales[1][0]
@@ -125,11 +148,15 @@ class Reader:
     def read(self, tangent: Rates) -> None:
         """Put in the run's state after a step and its changes. Collective."""
         run = self._lead.run.problem
-        for sign, (problem, _) in zip((STEP, -STEP), self._pair, strict=True):
+        for k, (problem, _) in enumerate(self.pair):
+            sign = (STEP, -STEP)[k]
             for name in STATE:
                 if name in tangent.points.now:
                     now = getattr(run.points, name) + sign * tangent.points.now[name]
                     setattr(problem.points, name, now)
+            if not self._lead.run.on_grid:
+                e, nodes = problem.elements, run.elements
+                e.moved, e.q = nodes.moved + sign * tangent.moved, nodes.q + sign * tangent.turned
             if problem.points.plastic:
                 problem.points.dissipation = np.full_like(run.points.dissipation, np.nan)
             problem.progress = replace(
@@ -141,7 +168,10 @@ class Reader:
                 patch_work=np.nan,
                 term_work=np.nan,
             )
-            problem._equilibrium = self._equilibrium(problem, run._equilibrium, tangent, sign)
+            of_surfaces = self.surfaces.on_body(k, tangent.at + sign * tangent.increments)
+            e = run._equilibrium
+            terms = [(name, of_surfaces.get(name, np.full_like(f, np.nan))) for name, f in e.terms]
+            problem._equilibrium = replace(self._equilibrium(problem, e, tangent, sign), terms=terms)
             problem.steps.append(replace(run.steps[-1], factor=problem.progress.factor))
 
     def _equilibrium(self, problem: Any, e: Equilibrium, tangent: Rates, sign: float) -> Equilibrium:
@@ -160,16 +190,20 @@ class Reader:
             residual=e.residual + sign * residual,
             tied=tied,
             w=e.w + sign * dx[:, d:],
-            position=e.position + sign * dx[:, :d],
-            loads=e.loads + sign * tangent.loads,
+            position=e.position + sign * tangent.moved,
+            loads=np.full_like(e.loads, np.nan) if self._turning() else e.loads + sign * tangent.loads,
             carried=np.full_like(e.carried, np.nan),
-            terms=[(name, np.full_like(f, np.nan)) for name, f in e.terms],
         )
+
+    def _turning(self) -> bool:
+        """Whether loads turn with the body, whose forces aren't carried."""
+        system = self._lead.run.problem.system
+        return bool(getattr(system, "couple_kernel", None) or getattr(system, "varying", False))
 
     @property
     def observables(self) -> list[Mapping[str, Any]]:
         """Of both problems."""
-        return [observables for _, observables in self._pair]
+        return [observables for _, observables in self.pair]
 
     def rates(self, values: Mapping[str, Any], found: list[dict[str, Any]], value: float) -> dict[str, Any]:
         """Derivatives by the parameter of a value, of observables that have been read.
@@ -192,5 +226,5 @@ class Reader:
 
     def close(self) -> None:
         """Collective."""
-        for problem, _ in self._pair:
+        for problem, _ in self.pair:
             problem.close()

@@ -14,6 +14,7 @@ from ..solvers.stepping import Step
 from ..tools import checks
 from . import building, readers
 from .building import Build, Observables
+from .elementtangents import LinearisedElements
 from .leading import Along, Leader
 from .tangents import Linearised
 from .twins import Apart, Twin
@@ -157,7 +158,8 @@ class Sensitivity:
     def _linearised(self) -> Linearised:
         """What solves for the derivatives."""
         building.check_carried(self.problem)
-        run, self.steps = Linearised(self._leader), {}
+        kind = Linearised if self._leader.on_grid else LinearisedElements
+        run, self.steps = kind(self._leader), {}
         for name in self.names:
             pair = [self._beside(self._leader, name, sign * readers.STEP)[:2] for sign in (1.0, -1.0)]
             run.add(name, readers.Reader(self._leader, name, pair))
@@ -206,6 +208,8 @@ class Sensitivity:
         """As `problem.march_arc_length`. Derivatives are those at the same lengths along the path; load
         factors have derivatives, too."""
         self._check_whole()
+        if self._linear is not None:
+            building.check_path(self.problem)
         return self._followed(self.problem.march_arc_length(first, **options))
 
     def _check_whole(self) -> None:

@@ -9,12 +9,13 @@ preconditions.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
-from ..assembly.batchrates import At, BatchRates, Change
+from ..assembly.batchrates import BatchRates
+from ..assembly.ratestate import At, Change
 from ..assembly.system import NodalSystem
 from ..forms.directional import FormAlong, InitialAlong, MotionAlong
 from ..terms.ghost import GhostFaces
@@ -34,7 +35,7 @@ class Linearised:
     def __init__(self, leader: Leader):
         problem, comm = leader.problem, leader.problem.comm
         self._lead = Lead(leader)
-        self.along = [FormAlong(form, comm) for form in problem.forms]
+        self.along = [FormAlong(form, comm) for form in self._forms(problem)]
         self._initial: dict[Any, InitialAlong] = {}
         self.motion: MotionAlong | None = None
         self.tangents: list[Tangent] = []
@@ -47,10 +48,16 @@ class Linearised:
         self._path: tuple[np.ndarray, np.ndarray] | None = None
         leader.followers.append(self)
 
+    def _forms(self, problem: Any) -> Sequence[Any]:
+        return problem.forms  # type: ignore[no-any-return]
+
     def add(self, name: str, reader: Reader) -> None:
         """Differentiate by a parameter."""
         self._names.append(name)
-        self.tangents.append(Tangent(self, reader))
+        self.tangents.append(self._tangent(reader))
+
+    def _tangent(self, reader: Reader) -> Tangent:
+        return Tangent(self, reader)
 
     def by_name(self) -> Iterator[tuple[str, Tangent]]:
         """Tangents by parameter."""
@@ -80,6 +87,16 @@ class Linearised:
         """Of the run."""
         return self.problem.system
 
+    @property
+    def reference(self) -> Any:
+        """The state from which increments count."""
+        return self.system.interpolation.reference
+
+    @property
+    def mappings(self) -> Any:
+        """Return mappings of the batches; None: they don't yield."""
+        return self.system.mappings
+
     def reset(self) -> None:
         """The run has reset its grid. Collective."""
         system = self.system
@@ -95,7 +112,7 @@ class Linearised:
         problem, system = self.problem, self.system
         if self.motion is None:
             self.motion = MotionAlong(problem._compiled.motion, problem.comm)
-        self.x, self.loads = system.x.copy(), problem._attempted
+        self.x, self.loads, self.terms = system.x.copy(), problem._attempted, system.terms
         self._path, self.directions = None, []
         self.at = self.points_at(self.x, True)
         self.put_couples(self.at, self.loads[1])
@@ -137,14 +154,18 @@ class Linearised:
         """How nodes (nodes, block) move as the load factor grows, and with which forces (nodes, block).
         Collective."""
         if self._path is None:
-            grown, forces = np.hstack(load_growth(self.problem)), np.zeros_like(self.x)
-            for batch in self.batches:
-                forces += batch.functions.loads(grown[batch.batch.rows])
-            self.system.nodes.add_to_owners(forces)
+            forces = self._growth()
             start = np.zeros_like(forces)
             moved, _ = solve(self.system, -forces, self.products, start, self.directions)
             self._path = moved, forces
         return self._path
+
+    def _growth(self) -> np.ndarray:
+        grown, forces = np.hstack(load_growth(self.problem)), np.zeros_like(self.x)
+        for batch in self.batches:
+            forces += batch.functions.loads(grown[batch.batch.rows])
+        self.system.nodes.add_to_owners(forces)
+        return forces
 
     def products(self, dx: np.ndarray) -> np.ndarray:
         """K dx (nodes, block) on all unknowns, complete on owned rows. Collective."""
@@ -157,8 +178,8 @@ class Linearised:
         system, out = self.system, np.zeros_like(x)
         for k, batch in enumerate(self.batches):
             out += batch.forces(at[k], x, dx, None if changes is None else changes[k])
-        if dx is not None and len(system.terms):
-            out += system.terms.products(x, dx)
+        if dx is not None and len(self.terms):
+            out += self.terms.products(x, dx)
         system.nodes.add_to_owners(out)
         return out
 
@@ -169,6 +190,7 @@ class Tangent:
     Attributes:
         check: imbalance of the linear equation of the last step, over that of its right-hand side.
         factor: derivative of the load factor, along the path.
+        moved: of the nodes' positions (nodes, d).
     """
 
     def __init__(self, run: Linearised, reader: Reader):
@@ -181,6 +203,19 @@ class Tangent:
         run = self._run()
         assert run is not None
         return run
+
+    @property
+    def at(self) -> np.ndarray:
+        return self.run.x
+
+    @property
+    def moved(self) -> np.ndarray:
+        of_nodes: np.ndarray = self.increments[:, : self.run.problem.layout.dim]
+        return of_nodes
+
+    @property
+    def turned(self) -> np.ndarray:
+        return np.zeros((0, 4))
 
     # between two steps ----------------------------------------------------------------------------------
     def reset(self) -> None:
@@ -200,14 +235,16 @@ class Tangent:
             patches = None
             if batch.patches is not None and table is not None:
                 patches = self.points.patches(batch, chosen.cells, interpolation)
-            state = self.points.state(batch, interpolation, self.reader.stabilisation[k])
+            state = self.points.state(batch, run.reference, self.reader.stabilisation[k])
             own = self.points.functions(batch, table), self.points.axes(batch)
-            turn = self.points.turn(batch, interpolation)
+            turn = self.points.turn(batch, run.reference)
             self._changes.append(Change(rates, state, *own, patches, turn))
         self._forces_alone: np.ndarray | None = None
         if run.carried is not None:
-            found = run.carried.rates(self._changes, self._external(*self._last_loads()))
-            still = np.zeros_like(self.increments)
+            still, factor = np.zeros_like(self.increments), run.problem.progress.factor
+            of_loads = self._external(*self._last_loads())
+            of_loads = of_loads - self.reader.surfaces.forces(still, factor, carrying=True)
+            found = run.carried.rates(self._changes, of_loads)
             self._forces_alone, self._carried = (f + self._closing(f, still) for f in found)
 
     def prepare(self) -> None:
@@ -216,13 +253,13 @@ class Tangent:
             return
         held = self.reader.stabilisation
         for batch, change, s in zip(self.run.batches, self._changes, held, strict=True):
-            change.state = self.points.state(batch, self.run.system.interpolation, s)
+            change.state = self.points.state(batch, self.run.reference, s)
 
     # a step -----------------------------------------------------------------------------------------------
     def follow(self) -> None:
         """Find the derivatives of the step that the run has taken. Collective."""
         run, system, path = self.run, self.run.system, self.run.leader.record.path
-        dx, external = self._prescribed(), self._external(run.loads, self.reader.loads())
+        dx, external = self._prescribed(), self._loads()
         if self._forces_alone is not None and run.leader.fell_back:
             self._carried = self._forces_alone
             for of_state in self._changes:
@@ -244,7 +281,12 @@ class Tangent:
             self._carried = free + self._closing(free, dx)
             self.residual = self.residual + before - self._carried
         self._move()
+        self.reader.surfaces.commit(run.x, self.increments)
         self.reader.read(self)
+
+    def _loads(self) -> np.ndarray:
+        """Of the loads' forces (nodes, block). Collective."""
+        return self._external(self.run.loads, self.reader.loads())
 
     def _along_path(self, dx: np.ndarray, along: np.ndarray) -> float:
         """Of the load factor, with which a step along the path stays as long as it is. Collective."""
@@ -317,19 +359,20 @@ class Tangent:
         if scale is not None:
             out = system.terms.forces(run.x, lambda piece: isinstance(piece, GhostFaces)) * scale
             system.nodes.add_to_owners(out)
+        out += self.reader.surfaces.forces(run.x, run.leader.factor)
         return out
 
     def _move(self) -> None:
         """Of the points' state."""
         run, points = self.run, self.points
-        reference, motion = run.system.interpolation.reference, run.motion
+        reference, motion = run.reference, run.motion
         assert motion is not None
         done = {name: rates.copy() for name, rates in points.now.items()}
         parts = list(zip(run.batches, run.at, self._changes, strict=True))
         for batch, at, change in parts:
             points.move(batch, at, change, (run.x, self.increments), reference, motion, done)
         for k, (batch, at, change) in enumerate(parts):
-            points.flow(batch, at, change, reference, run.system.mappings[k], done)
+            points.flow(batch, at, change, reference, run.mappings[k], done)
         points.now = done
 
 

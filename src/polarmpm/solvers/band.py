@@ -10,6 +10,7 @@ from ..kernels import native
 from .linear import ACCURACY, Rows
 
 _FAR = 64.0  # nodes in a row of a factor, on average, from which on others take less time
+_BEFORE = 8  # numbers in front of a factor, which compiled code reads and doesn't use
 _IMPROVED = 8  # times a solution is improved before the factor is given up
 _ROUNDING = 1e-6  # what rounding may leave of a right-hand side: bent bodies have large forces in balance
 # Relative shift of the diagonal, as some tangents are exactly singular. Slender bodies have modes as soft as
@@ -34,7 +35,9 @@ class Band:
         if library.polarmpm_band_order(nodes, *layout):
             raise MemoryError("no memory to find an order of the unknowns")
         self.entries = int(self._begin[-1])
-        self._place = self._factor = self._work = np.zeros(0)
+        self._place: np.ndarray = np.zeros(0)
+        self._factor: np.ndarray = self._place
+        self._work: np.ndarray = self._place
 
     @property
     def pays(self) -> bool:
@@ -48,7 +51,7 @@ class Band:
         entries, symmetric = int(r.indptr[-1]), int(self.symmetric)
         if not len(self._work):
             self._place, self._work = np.empty(entries, dtype=np.int64), np.empty(n)
-            self._factor = np.empty(self.entries * (2 - symmetric))
+            self._factor = np.zeros(_BEFORE + self.entries * (2 - symmetric))[_BEFORE:]
             layout = r.indptr, r.indices, self._position, self._begin
             library.polarmpm_band_places(n, r.block, symmetric, *layout, self._place)
         given = self._begin, entries, self._place, r.values, shift, self._factor

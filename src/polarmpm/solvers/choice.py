@@ -32,7 +32,7 @@ class Solver:
 
 def _direct(tangent: Tangent) -> LinearSolver:
     return DirectSolver(
-        tangent.matrix,
+        tangent.make,
         tangent.symmetric,
         tangent.far_from_symmetric,
         stored=tangent.stored,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -45,7 +46,7 @@ class DirectSolver:
 
     def __init__(
         self,
-        matrix: PETSc.Mat,
+        matrix: PETSc.Mat | Callable[[], PETSc.Mat],
         symmetric: bool,
         far_from_symmetric: bool = False,
         memory: int = 0,
@@ -56,7 +57,8 @@ class DirectSolver:
         """Take over a matrix, whose entries may change before each `factor`.
 
         Args:
-            matrix: whole, or its upper triangle when symmetric; it belongs to the solver from now on.
+            matrix: whole, or its upper triangle when symmetric; it belongs to the solver from now on. A
+                function that makes it is called when it is needed first.
             far_from_symmetric: the symmetric part is no help (plastic flow).
             memory: that a rank may use (MB); 0: all.
             stored: the entries that the matrix uses, and where those of the diagonal are; None: it has
@@ -64,28 +66,55 @@ class DirectSolver:
             compact: the body has many nodes in a layer.
             rows: of the matrix, on one rank; None: they aren't at hand.
         """
-        self.matrix, self.symmetric, self.comm = matrix, symmetric, matrix.comm.tompi4py()
-        self._blocked = matrix.getType() in ("seqbaij", "mpibaij")
-        # what is factored: the matrix itself for a while, or a copy, made when the matrix has its entries
-        self._alone, self._stored = symmetric and not self._blocked, stored
-        self._shifted: Any = matrix if self._alone else None
+        self._made: PETSc.Mat | None = matrix if isinstance(matrix, PETSc.Mat) else None
+        self._make: Callable[[], PETSc.Mat] = matrix
+        self.symmetric, self._stored, self._memory, self._compact = symmetric, stored, memory, compact
         self._solver: PETSc.KSP | None = None
-        self._memory = memory
         self._conjugate: PETSc.KSP | None = None  # gradients, for tangents that a factor isn't of
         self._kept = self._old = False  # the factor: is worth to be kept; is of an earlier tangent
         self._given_up = False  # tangents change too much for a factor to be kept
         self._methods = ["general"] if far_from_symmetric else _METHODS[: 2 if symmetric else 3]
-        blocked = self._blocked and matrix.getBlockSize() > 1  # CHOLMOD takes none, and PETSc's error leaks
-        small = matrix.size[0] <= (_SMALL_COMPACT if compact else _SMALL)
-        if symmetric and self.comm.size == 1 and small and not blocked:
-            self._methods = ["small", *self._methods]
         self._band: Band | None = None
         self._factored: Band | None = None  # what holds the factor, unless that is `_solver`
         if rows is not None:
             band = Band(rows, symmetric)
             if band.pays:
-                self._band, self._methods = band, [m for m in self._methods if m != "small"]
+                self._band = band
+        if self._band is None and symmetric and self._is_small():
+            self._methods = ["small", *self._methods]
         self._method = self._methods[0]
+
+    def _is_small(self) -> bool:
+        blocked = self._blocked and self.matrix.getBlockSize() > 1  # CHOLMOD takes none; PETSc's error leaks
+        most = _SMALL_COMPACT if self._compact else _SMALL
+        return self.matrix.comm.size == 1 and self.matrix.size[0] <= most and not blocked
+
+    @property
+    def matrix(self) -> PETSc.Mat:
+        """PETSc's; in which only `put` puts the entries. Collective where it is asked for first."""
+        if self._made is None:
+            self._made = self._make()
+        return self._made
+
+    @cached_property
+    def comm(self) -> MPI.Comm:
+        """The matrix' communicator."""
+        comm: MPI.Comm = self.matrix.comm.tompi4py()
+        return comm
+
+    @cached_property
+    def _blocked(self) -> bool:
+        return self.matrix.getType() in ("seqbaij", "mpibaij")
+
+    @property
+    def _alone(self) -> bool:
+        """Whether the matrix itself is factored, shifted for a while, not a copy."""
+        return self.symmetric and not self._blocked
+
+    @cached_property
+    def _shifted(self) -> Any:
+        """What is factored; a copy is made when the matrix has its entries."""
+        return self.matrix if self._alone else None
 
     @cached_property
     def _vectors(self) -> tuple[PETSc.Vec, PETSc.Vec]:
@@ -334,6 +363,8 @@ class DirectSolver:
         """Release PETSc's objects."""
         self._release_solver()
         self._stored = self._band = self._factored = None
-        for thing in (None if self._alone else self._shifted, self.matrix, *vars(self).get("_vectors", ())):
+        if self._made is None:
+            return
+        for thing in (None if self._alone else self._shifted, self._made, *vars(self).get("_vectors", ())):
             if thing is not None:
                 thing.destroy()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 from petsc4py import PETSc
@@ -98,8 +99,7 @@ class Tangent:
     """A matrix whose entries change, while its pattern stays.
 
     Attributes:
-        matrix: of PETSc; it belongs to the solver from now on. Of a symmetric one the entries may be its
-            upper triangle only (types sbaij).
+        make: makes the matrix; collective.
         symmetric: the matrix is symmetric.
         far_from_symmetric: its symmetric part is no help (plastic flow).
         large: a factor would take more time than multigrid, see `choice.is_large`.
@@ -109,7 +109,7 @@ class Tangent:
         rows: its rows, on one rank; None: they aren't at hand.
     """
 
-    matrix: PETSc.Mat
+    make: Callable[[], PETSc.Mat]
     symmetric: bool
     near_null_space: Callable[[], NearNullSpace]
     far_from_symmetric: bool = False
@@ -118,15 +118,19 @@ class Tangent:
     lattice: Callable[[], LatticeRows] | None = None
     rows: Rows | None = None
 
+    @cached_property
+    def matrix(self) -> PETSc.Mat:
+        """Of PETSc, made when it is asked for first; it belongs to the solver from then on. Of a symmetric
+        one the entries may be its upper triangle only (types sbaij). Collective."""
+        return self.make()
+
 
 class LinearSolver(Protocol):
-    """Solves with a tangent whose entries change now and then. All methods are collective.
+    """Solves with a tangent whose entries change now and then. All methods are collective."""
 
-    Attributes:
-        matrix: of the tangent, which the solver has taken over.
-    """
-
-    matrix: PETSc.Mat
+    @property
+    def matrix(self) -> PETSc.Mat:
+        """Of the tangent, which the solver has taken over."""
 
     def factor(self) -> None:
         """The matrix has new entries.

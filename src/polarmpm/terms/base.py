@@ -21,6 +21,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..bodies.points import Points
 from ..errors import InputError
 from ..geometry.grid import Grid, box_indices
 from ..geometry.nodes import ActiveNodes
@@ -183,10 +184,12 @@ class Setting(ABC):
     Attributes:
         layout: unknowns of a node.
         comm: the ranks that take part.
+        points: the body; of a mesh its quadrature points.
     """
 
     layout: Layout
     comm: MPI.Comm
+    points: Points
 
     @abstractmethod
     def carry(self, places: Places) -> Carried:

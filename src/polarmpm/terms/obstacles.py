@@ -9,6 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..bodies.points import Points
 from ..conditions.amplitudes import Amplitude
 from ..errors import InputError, LocalFailure
 from ..forms.contact import CONSTANTS, ContactForm, Law, pose_row
@@ -26,6 +27,7 @@ from .sites import Sites
 from .surfaceterms import undeformed_area
 
 _REACH = 2.0  # cells: sites that are nearer to the obstacle when increments begin to count may touch it
+_AT_ONCE = 100_000  # points that are asked for their depth at a time
 _LEAST = 0.1  # share of a corner's area, at least, that an obstacle beside it sees
 
 
@@ -224,6 +226,7 @@ class Obstacle(Sites):
         gap = told["gap"][:, 0]
         if not self._checked:
             self._check_start(gap)
+            self._check_within(gap, setting.points)
             self.seen_area = self.next_area = self._area_towards(told["normal"])
         self.area_now = self.seen_area
         self._near, self.renew = gap < _REACH * self._size, False
@@ -254,6 +257,31 @@ class Obstacle(Sites):
             raise InputError(
                 f"{self.name}: barrier: the body touches it from the start: its site at {place} has the gap "
                 f"{gap[deepest]:.4g} m; a barrier needs a positive one"
+            )
+
+    def _check_within(self, gap: np.ndarray, points: Points) -> None:
+        """Raise InputError where the obstacle lies within the body, so that no site, of gaps (n,), sees it.
+        Collective."""
+        most = self._size if np.nanmin(gap) < 0.0 else 1e-6 * self._size
+        depth, data = np.zeros(len(points)), self._data
+        for k in range(0, len(points), _AT_ONCE):
+            x = points.x[k : k + _AT_ONCE]
+            self._data = [x, *(np.repeat(a[:1], len(x), axis=0) for a in data[1:])]
+            told = self.tell(np.zeros((len(x), self.layout.block)), np.arange(len(x)))
+            depth[k : k + _AT_ONCE] = -told["gap"][:, 0]
+        self._data = data
+        deep = np.flatnonzero(depth > most)[:1]
+        found = [
+            one
+            for one in self.comm.allgather([*zip(depth[deep], points.x[deep].tolist(), strict=True)])
+            if one
+        ]
+        if found:
+            depth_there, x_there = found[0][0]
+            raise InputError(
+                f"{self.name}: the body begins inside of it: a point of the body, at "
+                f"{tuple(float(round(c, 9)) for c in x_there)}, lies {depth_there:.4g} m deep, where no "
+                "site on the body's boundary sees it; is it in the right place?"
             )
 
     # a step -------------------------------------------------------------------------------------------

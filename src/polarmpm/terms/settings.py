@@ -229,6 +229,7 @@ class MeshSetting(Setting):
 
     def __init__(self, elements: Elements):
         self.elements, self.layout, self.comm = elements, elements.layout, elements.comm
+        self.points = elements.points
 
     def node_volumes(self) -> tuple[np.ndarray, np.ndarray]:
         volumes = self.elements.node_volumes()

@@ -1,0 +1,51 @@
+"""Points that are put where others are."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import polarmpm as pm
+from tests.conftest import COMM, NEO_HOOKEAN
+
+GRID = pm.Grid.box((0.0, 0.0), (3.0, 3.0), 0.25, COMM)
+
+
+def square(low, high, per_cell=2):
+    return pm.seed(GRID, bounds=(low, high), material=NEO_HOOKEAN, points_per_cell=per_cell)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.125, 0.31, 0.8])
+@pytest.mark.parametrize("per_cell", [1, 2, 3])
+def test_a_body_that_is_there_twice(shift, per_cell):
+    points = square((0.0, 0.0), (1.0, 1.0), per_cell)
+    with pytest.warns(pm.TrustWarning, match="the body is there twice"):
+        points.join(square((shift, shift / 2), (1.0 + shift, 1.0)))
+
+
+def test_bodies_that_touch():
+    """By their faces, aslant or round ones too, however points are cut there."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        points = square((0.0, 0.0), (1.0, 1.0), 3)
+        points.join(square((1.0, 0.2), (2.0, 1.1)))
+        for angle in (0.2, 0.7, 1.1):
+
+            def inside(x, angle=angle):
+                disc = np.linalg.norm(x - 1.4, axis=1) < 0.6 + angle / 5
+                return disc & ((x - 1.5) @ (np.cos(angle), np.sin(angle)) < 0.4)
+
+            core = pm.seed(GRID, inside, material=NEO_HOOKEAN)
+            rest = pm.seed(GRID, lambda x, inside=inside: ~inside(x), material=NEO_HOOKEAN, points_per_cell=3)
+            core.join(rest)
+        points.join(square((0.5, 0.5), (1.5, 1.5)), apart=True)  # contact tells of these
+
+
+def test_a_fill_where_the_body_is():
+    points = square((0.0, 0.0), (1.0, 1.0))
+    problem = pm.QuasiStatic(GRID, points)
+    problem.fix(pm.plane(y=0.0), u=0)
+    list(problem.march(1, progress=False))
+    problem.add(square((0.0, 1.0), (1.0, 1.5)))
+    with pytest.warns(pm.TrustWarning, match="the body is there twice"):
+        problem.add(square((0.5, 0.5), (1.0, 1.5)))
