@@ -74,7 +74,7 @@ class LocalState:
         return ufl.dot(self.Fe_trial, ufl.inv(self.Fe))
 
     def kirchhoff(self) -> tuple[Any, Any]:
-        """tau (Pa) and nu (N/m) at X, the same UFL variables in each call; nu is None of a classical material."""
+        """tau (Pa) and nu (N/m) at X, the same variables in each call; nu is None of a classical material."""
         return self._kirchhoff
 
     @cached_property
