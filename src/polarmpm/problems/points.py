@@ -190,7 +190,7 @@ class QuasiStatic(Regridded):
         forms = [choose_form(locking, m, dim, self.basis, axial) for m in materials]
         for form in forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
-            try_energy(form.material)
+            try_energy(form.material, self.comm)
         return forms
 
     def _renew_forms(self) -> None:
