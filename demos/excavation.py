@@ -307,15 +307,12 @@ def draw(result, solved, args, file):
         cap = 2 * largest(solved["square"][args.length], principal(solved["square"][args.length], args.share))
         for length, problem in solved["square"].items():
             look = {"limits": (0.0, cap), "undeformed": False}
+            label = "largest compression (MPa)" if length else None  # one bar for both
             values = principal(problem, args.share)
-            plot.plot_points(problem.points, np.minimum(values, cap), axes[length], **look)
+            plot.plot_points(problem.points, np.minimum(values, cap), axes[length], label=label, **look)
             if MPI.COMM_WORLD.rank == 0:
                 axes[length].set_title(f"square, {names[length]}")
         if MPI.COMM_WORLD.rank == 0:
-            maps = [axes[length] for length in names]
-            figure.colorbar(
-                maps[0].collections[-1], ax=maps, label="largest compression (MPa)", extend="max", aspect=30
-            )
             for prefix, name in (("", names[args.length]), ("classical_", names[0.0])):
                 peaks = result[f"{prefix}corner_peak"]
                 axes["peaks"].plot(args.cells, list(peaks.values()), "o-", label=name)
@@ -348,6 +345,7 @@ def draw_profiles(ax, problems, names, args):
             )
             ax.plot(r, line, color="0.2", lw=0.9, label="closed form" if k and what == "radial" else None)
     if MPI.COMM_WORLD.rank == 0:
+        ax.set_ylim(top=1.2 * ax.get_ylim()[1])  # room for the legend
         finish(ax, "radius (m)", "compression (MPa)")
         ax.set_title("round")
 

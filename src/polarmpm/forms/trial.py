@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
 import numpy as np
 
-from ..errors import InputError, KernelError
+from ..errors import InputError, KernelError, TrustWarning
 from ..kernels import codegen
 from ..kernels.codegen import Scalariser
 from ..kernels.kernel import PointSpace, matrix, third
 from ..kinematics import rotations
 from ..materials.base import Material, UserEnergy, evaluate_energy, named_parameters, parameter_values
 from ..tools import compat
+from ..tools.parallel import warn_on_one_rank
 from .strains import elastic_stress, strain_measures
 
 _STATES = 4  # the first one at rest
 _SIZE = 0.05  # of strains and wrynesses (1/m)
+_NONE = 1e-6  # share of a strained state's stress, or energy, that counts as none
 
 
-def try_energy(material: Material) -> None:
+def try_energy(material: Material, comm: MPI.Comm) -> None:
     """Raise InputError for an energy that can't be meant: one that doesn't depend on the deformation, whose
-    stress at rest isn't a number, or that isn't isotropic though it says so. The package's own aren't tried.
+    stress at rest isn't a number, or that isn't isotropic though it says so; warn of one that has a stress at
+    rest, or its least energy elsewhere. The package's own aren't tried. Collective.
     """
     elastic = material.elastic_part
     own = type(elastic).__module__.startswith(__name__.split(".")[0] + ".")
@@ -36,6 +41,7 @@ def try_energy(material: Material) -> None:
         bad = energy[0] if not np.isfinite(energy[0]) else stress[~np.isfinite(stress[:, 0]), 0][0]
         what = "is" if not np.isfinite(energy[0]) else "has a stress of"
         raise InputError(f"material: the energy of {kind} {what} {bad} at rest; it must be smooth there")
+    _warn_of_rest(kind, energy[:_STATES], stress[:, :_STATES], comm)
     if not (elastic.isotropic and elastic.micropolar):
         return
     apart = np.abs(energy[_STATES:] - energy[1:_STATES])
@@ -45,6 +51,22 @@ def try_energy(material: Material) -> None:
             f"material: isotropic = True, but the energy of {kind} is {energy[1 + worst]:.6g} in a state and "
             f"{energy[_STATES + worst]:.6g} in the same state turned"
         )
+
+
+def _warn_of_rest(kind: str, energy: np.ndarray, stress: np.ndarray, comm: MPI.Comm) -> None:
+    """Warn of a state at rest, the first one of energies (m,) and stresses (k, m), that is none."""
+    at_rest, most = (np.abs(part).max(initial=0.0) for part in (stress[:, :1], stress[:, 1:]))
+    if at_rest > _NONE * most:
+        text = (
+            f"has a stress of {at_rest:.3g} in the undeformed state: unless an initial stress is in balance "
+        )
+        text += "with it, the body moves without a load; NeoHookean's -2 mu ln J is there to take it away"
+    elif energy.min() < energy[0] - _NONE * np.abs(energy - energy[0]).max():
+        text = f"is less, by {energy[0] - energy.min():.3g}, in a strained state than in the undeformed one, which "
+        text += "isn't stable then; are the signs right?"
+    else:
+        return
+    warn_on_one_rank(comm, f"the energy of {kind} {text}", TrustWarning)
 
 
 def _evaluated(material: Material) -> tuple[bool, np.ndarray, np.ndarray]:

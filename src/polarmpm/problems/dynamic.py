@@ -65,6 +65,7 @@ class Dynamic(Moving, QuasiStatic):
     """
 
     _most_growth = 1.5  # of the domains of points that fly apart
+    _ghost_beyond = True  # nodes beyond the walls that domains hardly reach hold nothing else
     _pieces: np.ndarray | None = None  # of the body at the beginning, by number, of each local point
     _several = False  # there are several of them in one body
     _then: CellsThen | None = None  # where points were at the last reset

@@ -98,7 +98,7 @@ class QuasiStaticFEM(StagedElements):
         self._slope_penalty = slope_penalty
         self._renew_forms()
         for material in elements.points.materials:
-            try_energy(material)
+            try_energy(material, self.comm)
         with errors_on_all_ranks(elements.comm):  # of warnings a script may make errors
             if elements.degree == 1 and elements.comm.rank == 0:
                 uncured = self.forms.uncured

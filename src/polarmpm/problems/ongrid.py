@@ -71,6 +71,7 @@ class OnGrid(Problem):
     _attempted: tuple[np.ndarray, np.ndarray] | None
     _converged_loads: tuple[np.ndarray, np.ndarray] | None
     _most_growth = np.inf  # of the points' domains
+    _ghost_beyond = False  # whether the ghost penalty acts beyond the walls of the grid
     systems: Callable[..., LoadedPoints] | None = None  # what makes them; None: as `assembly` says
     distribution: Callable[[], Route | None] | None = None  # moves points to ranks; None: by their places
 

@@ -153,7 +153,7 @@ class QuasiStatic(Regridded):
         self.regridding.begin(self)
         self.ghost = make_penalty(ghost, points.materials, self.layout, self.basis, assembly)
         if self.ghost:
-            self.add(Ghost(self.ghost, self.layout))
+            self.add(Ghost(self.ghost, self.layout, self._ghost_beyond))
         self._compiled = Compiled()
         self._resets = BalancedResets((f.layout for f in self.forms), self.comm, self.timer)
         self._system: LoadedPoints | None = None
@@ -190,7 +190,7 @@ class QuasiStatic(Regridded):
         forms = [choose_form(locking, m, dim, self.basis, axial) for m in materials]
         for form in forms:
             _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
-            try_energy(form.material)
+            try_energy(form.material, self.comm)
         return forms
 
     def _renew_forms(self) -> None:

@@ -33,7 +33,7 @@ from ..basis.base import Basis
 from ..basis.registry import names
 from ..errors import InputError
 from ..geometry.cells import unit_corners
-from ..geometry.grid import Grid
+from ..geometry.grid import MARGIN, Grid
 from ..kinematics.layout import Layout
 from ..materials.base import Material
 from ..tools import checks
@@ -120,23 +120,27 @@ def _modulus(ghost: str, material: Material, names: tuple[str, ...]) -> float:
 
 
 # faces ------------------------------------------------------------------------------------------
-def boundary_faces(grid: Grid, reached: np.ndarray) -> list[np.ndarray]:
+def boundary_faces(grid: Grid, reached: np.ndarray, beyond: bool = False) -> list[np.ndarray]:
     """Faces of boundary cells towards other active cells, T 2.3.4: for each axis the lattice numbers of the
     cells below the faces across it. Each face is on one rank. Collective.
 
     A cell of the grid is active when some point or domain reaches it, on any rank (`reached`: this rank's,
     ascending), and a boundary cell when a cell next to it is empty. Beyond the grid's walls there are no
-    cells.
+    cells, or, with `beyond`, those that domains reach, all of them boundary cells.
     """
-    comm, steps = grid.comm, np.concatenate([-grid.strides, grid.strides])
+    comm, steps, last = grid.comm, np.concatenate([-grid.strides, grid.strides]), np.array(grid.shape) - 1
     index = grid.node_index(reached)
-    cells = reached[np.all((index >= 0) & (index < np.array(grid.shape)), axis=1)]
+    kept = np.all((index >= 0) & (index <= last), axis=1)
+    cells = reached if beyond else reached[kept]
     cells = cells[lowest_ranks(comm, cells) == comm.rank]
     index = grid.node_index(cells)
-    exists = np.hstack([index > 0, index < np.array(grid.shape) - 1])
+    within = np.all((index >= 0) & (index <= last), axis=1)
+    inside = within[:, None] & np.hstack([index > 0, index < last])  # the cell and the one beside it
+    far = MARGIN if beyond else 0
+    exists = np.hstack([index > -far, index < last + far])
     wanted = (cells[:, None] + steps).ravel()
     active = values_by_number(comm, cells, np.ones((len(cells), 1)), wanted).reshape(exists.shape) > 0
-    boundary = np.any(exists & ~active, axis=1)
+    boundary = np.any(inside & ~active, axis=1) | ~within
     beside = values_by_number(comm, cells, boundary[:, None].astype(float), wanted).reshape(exists.shape) > 0
     face = (exists & active & (boundary[:, None] | beside))[:, grid.dim :]
     return [cells[face[:, axis]] for axis in range(grid.dim)]
@@ -280,12 +284,13 @@ class GhostFaces(Piece):
 
 
 class Ghost(Term):
-    """The ghost penalty. Its forces start anew at each reset."""
+    """The ghost penalty. Its forces start anew at each reset. With `beyond` it acts beyond the grid's walls,
+    too, where domains reach over them."""
 
     name = "ghost"
 
-    def __init__(self, penalty: GhostPenalty, layout: Layout):
-        self.penalty, self._axial = penalty, layout.axial
+    def __init__(self, penalty: GhostPenalty, layout: Layout, beyond: bool = False):
+        self.penalty, self._axial, self._beyond = penalty, layout.axial, beyond
         self.scale = np.repeat([penalty.displacement, penalty.rotation], [layout.dim, layout.rotations])
 
     def pieces(self, setting: Setting) -> list[Piece]:
@@ -297,7 +302,7 @@ class Ghost(Term):
     def curved_faces(self, grid: Grid, basis: Basis, reached: np.ndarray) -> list[Piece]:
         """The same of functions whose second derivatives jump. Collective."""
         out: list[Piece] = []
-        for axis, cells in enumerate(boundary_faces(grid, reached)):
+        for axis, cells in enumerate(boundary_faces(grid, reached, self._beyond)):
             count = tuple(basis.functions + (k == axis) for k in range(grid.dim))
             matrices = curvature_jumps(grid, basis, axis, cells, self.penalty.power)
             if self._axial:
@@ -308,7 +313,7 @@ class Ghost(Term):
     def faces(self, grid: Grid, reached: np.ndarray) -> list[Piece]:
         """Forces of the faces across each axis, for the cells that this rank's points reach. Collective."""
         out: list[Piece] = []
-        for axis, cells in enumerate(boundary_faces(grid, reached)):
+        for axis, cells in enumerate(boundary_faces(grid, reached, self._beyond)):
             count = tuple(3 if k == axis else 2 for k in range(grid.dim))
             if grid.equal:
                 matrices = self._stencil(grid, axis, grid.smallest)[None]
