@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 from mpi4py import MPI
 
@@ -12,9 +12,6 @@ from ..errors import TrustWarning
 from ..geometry.grid import box_indices
 from ..tools.parallel import warn_on_one_rank
 
-if TYPE_CHECKING:
-    from .points import Points
-
 _ROUNDING = 1e-6
 _WHOLE = 0.5  # of the median volume: smaller points are cut ones, whose boxes stand for second moments
 # alone and may reach over faces
@@ -22,7 +19,7 @@ _NEAREST = 4  # boxes that may hold a place
 _MOST = 25_000  # points that are looked at: of more, some
 
 
-def warn_of_overlap(comm: MPI.Comm, points: Points, first: int) -> None:
+def warn_of_overlap(comm: MPI.Comm, points: Any, first: int) -> None:
     """Warn where points with ids from `first` on lie in the boxes of others. Collective."""
     d, old, new = points.dim, points.id < first, points.id >= first
     axes = np.einsum("pij,pkj->pki", points.F[:, :d, :d], points.half_axes0)
