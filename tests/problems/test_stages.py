@@ -114,6 +114,24 @@ def test_what_is_taken_out_at_once_is_gone_in_the_next_step() -> None:
     np.testing.assert_allclose(*answers, rtol=0, atol=1e-6 * np.abs(answers[0]).max())
 
 
+@pytest.mark.parametrize("over", [None, 1.0])
+def test_an_elastic_body_in_boxes_goes_on_without_points(over: float | None) -> None:
+    """Between two resets it keeps what its boxes have added to the last tangent."""
+    grid = pm.Grid.box((0, -1), (5, 2), cell=0.5, comm=COMM)
+    points = pm.seed(grid, bounds=((0, 0), (4, 0.75)), material=pm.NeoHookean(lam=1e6, mu=4e5))
+    problem = pm.QuasiStatic(grid, points)
+    wall = problem.fix(pm.plane(x=0.0), u=0)
+    problem.body_load(force=lambda f: (0, -100.0))
+    run(problem, 3, 1.0)
+    before = by_id(points, points.displacement)
+    problem.remove(points.where(lambda x: x[:, 0] > 2.5), over=over)
+    if over:
+        run(problem, 1, 1.0 + 1e-9)
+        np.testing.assert_allclose(by_id(points, points.displacement), before[: points.total], atol=1e-8)
+    run(problem, 2, 2.0)
+    np.testing.assert_allclose(problem.reaction(wall).force, [0.0, 2.5 * 0.75 * 100.0], atol=1e-6)
+
+
 def test_a_removal_that_cannot_be_leaves_all_as_it_was() -> None:
     ends = []
     for tried in (False, True):

@@ -143,14 +143,14 @@ class Staged(OnGrid):
     def _go_on_without(
         self, name: str, reference: Reference, lattice: np.ndarray, values: np.ndarray, fade: Fade | None
     ) -> None:
-        """The system of the points that are left, with increments and carried forces [x, carried] of lattice
-        nodes; what is out of balance without the others fades."""
+        """The system of the points that are left, with increments and carried forces [x, carried, ...] of
+        lattice nodes; what is out of balance without the others fades."""
         self._compile()
         interpolation = self._interpolate(reference)
         if not self.progress.step:
             initial.act_from_the_beginning(interpolation.pieces)
         here = values_by_number(self.comm, lattice, values, interpolation.nodes.lattice)
-        x, carried = np.hsplit(here, 2)
+        x, carried = np.hsplit(here, here.shape[1] // self.layout.block)[:2]  # boxes are summed anew
         held = self._held_before() if self.progress.step else None
         if fade is not None:
             system = self._build(interpolation, x, supports=held)
