@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 import ufl
 
 import polarmpm as pm
 from polarmpm.forms.trial import try_energy
-from tests.conftest import ANISOTROPIC, GENERAL, HENCKY, MICROPOLAR
+from tests.conftest import ANISOTROPIC, COMM, GENERAL, HENCKY, MICROPOLAR
 
 
 def isotropic(function, values=None, **options):
@@ -33,7 +35,7 @@ def isotropic(function, values=None, **options):
     ],
 )
 def test_good_energies(material):
-    try_energy(material)
+    try_energy(material, COMM)
 
 
 @pytest.mark.parametrize(
@@ -53,7 +55,66 @@ def test_good_energies(material):
 )
 def test_bad_energies(material, message):
     with np.errstate(all="raise"), pytest.raises(pm.InputError, match=message):
-        try_energy(material)
+        try_energy(material, COMM)
+
+
+def classical(function):
+    return pm.UserEnergy(function, {"a": 2.0}, micropolar=False)
+
+
+def neo_hooke(F, p):
+    """Without a Lame modulus."""
+    return p.a / 2 * (ufl.tr(F.T * F) - 3 - 2 * ufl.ln(ufl.det(F)))
+
+
+@pytest.mark.parametrize(
+    ("material", "message"),
+    [
+        (classical(lambda F, p: p.a * (ufl.tr(F.T * F) - 3)), "has a stress of 4 in the undeformed state"),
+        (classical(lambda F, p: -neo_hooke(F, p)), "is less, by .*, in a strained state"),
+        (isotropic(lambda E, G, p: -p.a * ufl.inner(E, E)), "is less, by .*, in a strained state"),
+        (
+            classical(
+                lambda F, p: p.a * ufl.inner(ufl.sym(F) - ufl.Identity(3), ufl.sym(F) - ufl.Identity(3))
+            ),
+            "in the same state turned as a whole: stresses are wrong where the body turns",
+        ),
+        (
+            pm.UserEnergy(
+                lambda F, H, p: neo_hooke(F, p) + H[0, 0, 0] ** 2,
+                {"a": 2.0},
+                micropolar=False,
+                second_gradient=True,
+            ),
+            "in the same state turned as a whole",
+        ),
+    ],
+)
+def test_doubtful_energies(material, message):
+    """They are computed with, after a warning: a body may be meant to have a stress at rest."""
+    with pytest.warns(pm.TrustWarning, match=message) as warned:
+        try_energy(material, COMM)
+    assert len(warned) == (COMM.rank == 0) or COMM.rank
+
+
+@pytest.mark.parametrize(
+    "material",
+    [
+        *(MICROPOLAR, GENERAL, ANISOTROPIC, classical(neo_hooke)),
+        pm.UserEnergy(
+            lambda F, H, p: neo_hooke(F, p) + ufl.inner(H, H),
+            {"a": 2.0},
+            micropolar=False,
+            second_gradient=True,
+        ),
+        pm.GradientElastic(classical(neo_hooke), 0.1, [(1.0, 0.0, 0.0)]),
+        pm.GradientElastic(pm.Hencky(lam=1.0, mu=1.0), 0.1, [(0.6, 0.8, 0.0)]),
+    ],
+)
+def test_energies_without_a_doubt(material):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try_energy(material, COMM)
 
 
 def test_problems_try_them():

@@ -42,15 +42,16 @@ def try_energy(material: Material, comm: MPI.Comm) -> None:
         what = "is" if not np.isfinite(energy[0]) else "has a stress of"
         raise InputError(f"material: the energy of {kind} {what} {bad} at rest; it must be smooth there")
     _warn_of_rest(kind, energy[:_STATES], stress[:, :_STATES], comm)
-    if not (elastic.isotropic and elastic.micropolar):
-        return
     apart = np.abs(energy[_STATES:] - energy[1:_STATES])
-    if np.any(apart > 1e-8 * np.abs(energy).max()):
-        worst = int(np.argmax(apart))
-        raise InputError(
-            f"material: isotropic = True, but the energy of {kind} is {energy[1 + worst]:.6g} in a state and "
-            f"{energy[_STATES + worst]:.6g} in the same state turned"
-        )
+    if (elastic.micropolar and not elastic.isotropic) or np.all(apart <= 1e-8 * np.abs(energy).max()):
+        return
+    worst = int(np.argmax(apart))
+    here, there = energy[1 + worst], energy[_STATES + worst]
+    what = f"the energy of {kind} is {here:.6g} in a state and {there:.6g} in the same state turned"
+    if elastic.micropolar:
+        raise InputError(f"material: isotropic = True, but {what}")
+    cause = "as a whole: stresses are wrong where the body turns; write it as a function of F.T * F"
+    warn_on_one_rank(comm, f"{what} {cause}", TrustWarning)
 
 
 def _warn_of_rest(kind: str, energy: np.ndarray, stress: np.ndarray, comm: MPI.Comm) -> None:
@@ -62,8 +63,8 @@ def _warn_of_rest(kind: str, energy: np.ndarray, stress: np.ndarray, comm: MPI.C
         )
         text += "with it, the body moves without a load; NeoHookean's -2 mu ln J is there to take it away"
     elif energy.min() < energy[0] - _NONE * np.abs(energy - energy[0]).max():
-        text = f"is less, by {energy[0] - energy.min():.3g}, in a strained state than in the undeformed one, which "
-        text += "isn't stable then; are the signs right?"
+        text = f"is less, by {energy[0] - energy.min():.3g}, in a strained state than in the undeformed one, "
+        text += "which isn't stable then; are the signs right?"
     else:
         return
     warn_on_one_rank(comm, f"the energy of {kind} {text}", TrustWarning)
@@ -71,7 +72,8 @@ def _warn_of_rest(kind: str, energy: np.ndarray, stress: np.ndarray, comm: MPI.C
 
 def _evaluated(material: Material) -> tuple[bool, np.ndarray, np.ndarray]:
     """Whether the energy depends on the deformation; energies (m,) and stresses (k, m) in the states, those
-    but the first one once more turned."""
+    but the first one once more turned: classical ones as a whole, micropolar ones, of strains that don't know
+    of that, in the body."""
     numbers = parameter_values(material)
     space = PointSpace(compat.point_domain())
     more = 27 if material.second_gradient else 9  # second gradients stand for the wryness
@@ -91,11 +93,19 @@ def _evaluated(material: Material) -> tuple[bool, np.ndarray, np.ndarray]:
     strain[0], bend[0] = 0.0, 0.0
     turn = rotations.to_tensor(rotations.from_vector(rng.uniform(-1, 1, (_STATES - 1, 3))))
     back = np.swapaxes(turn, 1, 2)
-    states = [np.concatenate([a, turn @ a[1:] @ back]) for a in (strain + np.eye(3), bend)]
-    rows = [a.reshape(-1, 9).T for a in states]
+    deformed = strain + np.eye(3)
+    if material.micropolar:
+        rows = [np.concatenate([a, turn @ a[1:] @ back]).reshape(-1, 9).T for a in (deformed, bend)]
+    else:
+        rows = [
+            np.concatenate([deformed, turn @ deformed[1:]]).reshape(-1, 9).T,
+            np.zeros((9, 2 * _STATES - 1)),
+        ]
     if material.second_gradient:
-        halves = np.stack([states[1], np.roll(states[1], 1, axis=1), np.roll(states[1], 1, axis=2)], axis=3)
-        rows[1] = (halves + np.swapaxes(halves, 2, 3)).reshape(-1, 27).T
+        halves = np.stack([bend, np.roll(bend, 1, axis=1), np.roll(bend, 1, axis=2)], axis=3)
+        halves = halves + np.swapaxes(halves, 2, 3)
+        turned = np.einsum("nij,njkl->nikl", turn, halves[1:])
+        rows[1] = np.concatenate([halves, turned]).reshape(-1, 27).T
     inputs = np.vstack([*rows, np.tile(numbers[:, None], rows[0].shape[1])])
     values = scalarise.graph.values(nodes, inputs)
     depends = scalarise.graph.depends(nodes[0], range(9 + more))
