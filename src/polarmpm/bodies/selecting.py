@@ -226,7 +226,7 @@ class Selecting(ABC):
         return self.comm.allreduce(total) / number
 
     def mean_displacement(self, selection: Selection | None = None) -> np.ndarray:
-        """Mean displacement (m) of a selection, shape (d,). Collective."""
+        """Mean displacement (m) of a selection, shape (d,); points of all sizes count alike. Collective."""
         mean: np.ndarray = self.mean(self.displacement, selection)
         return mean
 
