@@ -146,6 +146,47 @@ def test_a_probe_follows_a_place_into_the_table(folder, make):
     assert set(problem.probes) == {"end", "mean"}
 
 
+def test_places_when_points_are_split_or_taken_out(folder):
+    """Probes and places of measurements go on with the points that there are; nan, or an error, where the
+    body is gone."""
+
+    def make():
+        grid = pm.Grid.box((0, -1), (5, 2), 0.5, COMM)
+        points = pm.seed(grid, bounds=((0, 0), (4, 1)), material=pm.NeoHookean(lam=1e6, mu=5e5))
+        finer = pm.Grid.box((0, -1), (5, 2), 0.25, COMM)
+
+        def regrid(problem):
+            return finer if problem.progress.step == 1 else None
+
+        problem = pm.QuasiStatic(grid, points, reset=1, regrid=regrid)
+        problem.fix(pm.plane(x=0.0), u=0)
+        problem.body_load(force=lambda f: (0, -1e3))
+        at = problem.probe("at", (2.9, 0.4), "displacement")
+        mean = problem.probe("mean", points.where(lambda x: x[:, 0] > 3.5), "displacement")
+        return problem, at, mean, pm.Places(points, [(2.9, 0.4)]), problem.probe("gone", (3.9, 0.4))
+
+    problem, at, mean, places, gone = make()
+    for step in problem.march(3, progress=False):
+        if step.number == 2:
+            pm.save_restart(problem, folder / "split.h5")
+    assert len(problem.regrids) == 1
+    for found in (at["displacement"], mean["displacement"]):
+        assert np.abs(found[2:] / found[1] - 1.0).max() < 0.02
+    assert places.displacement()[0] == pytest.approx(at["displacement"][-1], rel=1e-2)
+    again, other, *_ = make()
+    pm.load_restart(again, folder / "split.h5")
+    list(again.march(1, progress=False))
+    np.testing.assert_allclose(other["displacement"], at["displacement"], rtol=1e-9)
+    problem.remove(problem.points.where(lambda x: x[:, 0] > 3.0))
+    list(problem.march(1, to=2.0, progress=False))
+    assert np.all(np.isfinite(at["displacement"]))
+    assert np.all(np.isnan(gone["displacement"][-1]))
+    assert abs(at["displacement"][-1, 1]) < abs(at["displacement"][-2, 1])
+    assert places.displacement()[0] == pytest.approx(at["displacement"][-1], rel=1e-2)
+    with pytest.raises(pm.InputError, match=r"X: 1 of 1 places lie outside the undeformed body"):
+        pm.Places(problem.points, [(3.9, 0.4)])
+
+
 def test_a_step_that_fails_leaves_no_row():
     class Fails(pm.Observer):
         def after_commit(self, problem, rebased):

@@ -28,6 +28,13 @@ class Stencil:
     ids: np.ndarray
     weights: np.ndarray
 
+    def there(self, points: Any) -> np.ndarray:
+        """Which of the points (m, k) are there, or don't count. Collective."""
+        wanted, at = np.unique(self.ids, return_inverse=True)
+        found = values_by_number(points.comm, points.id, np.ones((len(points), 1)), wanted)[:, 0] > 0.0
+        there: np.ndarray = found[at.reshape(self.ids.shape)] | (self.weights == 0.0)
+        return there
+
     def apply(self, points: Any, values: np.ndarray) -> np.ndarray:
         """Values (m, ...) of what the local points have (np, ...); nan where a point that counts is gone.
         Collective."""

@@ -20,6 +20,7 @@ _NEIGHBOURS = {
     3: 40,
 }  # points that a local polynomial of degree 2 is fitted to, twice its numbers or more
 _OUTSIDE = 1.5  # distances between points that a place may lie beyond the nearest one
+_GONE = 1e-9  # of the sum of weights, which is 1
 _SINGULAR = 1e-6  # singular values below this part of the largest: the points don't show such a polynomial
 
 
@@ -28,8 +29,9 @@ class Places:
 
     At each place a polynomial of degree 2 is fitted to the nearest points, or nodes, weighted by their
     distance in the undeformed body; where these don't span one, of degree 1, or the nearest point is taken.
-    Linear displacement fields are met exactly, others to the third power of the distance between points. All
-    results are the same on all ranks.
+    Linear displacement fields are met exactly, others to the third power of the distance between points.
+    Where points have been split, or taken out, those that are left serve. All results are the same on all
+    ranks.
 
     Args:
         body: material points, or a meshed body.
@@ -46,6 +48,7 @@ class Places:
         self.comm: MPI.Intracomm = body.comm
         self._owned: int | None = None  # nodes of a mesh, and the number of the first one
         self._first = 0
+        self._lineage: Any = None
         self._ids, self._weights = _made(self)
 
     def __len__(self) -> int:
@@ -74,6 +77,7 @@ def _made(places: Places) -> tuple[np.ndarray, np.ndarray]:
     """Points by their ids, or nodes by their number over all ranks (n, k); their weights at each place."""
     body, comm = places.body, places.comm
     if isinstance(body, Points):
+        places._lineage = body.lineage
         x, ids = body.X, np.asarray(body.id)
     else:
         owned = places._owned = int(body.nodes.owned)
@@ -93,17 +97,30 @@ def _interpolated(places: Places, own: np.ndarray) -> np.ndarray:
         raise InputError(
             f"values: {len(here)} rows are needed, one for each local point or own node, not {len(own)}"
         )
+    values = np.hstack([flat(own), np.ones((len(own), 1))])
+    split = isinstance(body, Points) and body.lineage is not places._lineage
+    out = None if split else _summed(places, here, values)
+    if out is None:  # points have been split, or taken out: with those that there are
+        places._ids, places._weights = _made(places)
+        out = _summed(places, here, values)
+    assert out is not None
+    return out.reshape(len(places), *own.shape[1:])
+
+
+def _summed(places: Places, here: np.ndarray, values: np.ndarray) -> np.ndarray | None:
+    """Values (n, k) of points or nodes with these numbers, ones in the last column, at the places (n, k - 1);
+    None where some are gone. Collective."""
     order = np.argsort(here, kind="stable")
     row = np.searchsorted(here[order], places._ids)
     row = np.minimum(row, max(len(here) - 1, 0))
-    values = flat(own)
     out = np.zeros((len(places), values.shape[1]))
     if len(here):
         mine = here[order][row] == places._ids
         out = np.einsum("nk,nkc->nc", np.where(mine, places._weights, 0.0), values[order[row]])
     if places.comm.size > 1:
         places.comm.Allreduce(MPI.IN_PLACE, out)
-    return out.reshape(len(places), *own.shape[1:])
+    whole = np.abs(out[:, -1] - places._weights.sum(axis=1)) < _GONE
+    return np.ascontiguousarray(out[:, :-1]) if np.all(whole) else None
 
 
 def _weights(x: np.ndarray, ids: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..bodies.points import Points
 from ..bodies.recovery import stencil
 from ..bodies.selection import Selection
 from ..errors import InputError
@@ -115,15 +116,46 @@ def _mean_at(problem: Any, at: Any) -> Callable[[Any, np.ndarray], np.ndarray]:
     place = checks.vector(
         "at", at, problem.points.dim, f"{problem.points.dim} coordinates (m), or a selection"
     )
-    around = stencil(problem.points, place[None])
-    return lambda points, values: around.apply(points, values)[0]
+    return _Around(problem.points, place)
+
+
+class _Around:
+    """What makes a value at a material place of those at the points around it, as long as the nearest of
+    these is there: where others are gone, or have been split, with those that there are.
+
+    Raises:
+        InputError: the place lies outside of the undeformed body.
+    """
+
+    def __init__(self, points: Points, place: np.ndarray):
+        self._place, self._lineage = place, points.lineage
+        self._stencil = stencil(points, place[None])
+
+    def __call__(self, points: Points, values: np.ndarray) -> np.ndarray:
+        if self._stale(points):
+            self._lineage = points.lineage
+            self._stencil = stencil(points, self._place[None])
+        found: np.ndarray = self._stencil.apply(points, values)[0]
+        return found
+
+    def _stale(self, points: Points) -> bool:
+        """Whether other points are to be taken, as the nearest one, or parts of it, are still there.
+        Collective."""
+        split, lineage = points.lineage is not self._lineage, points.lineage
+        if not split and np.all(self._stencil.there(points)):
+            return False
+        nearest = self._stencil.ids[0, :1]
+        parts = nearest if lineage is None else lineage.descendants(nearest)[0]
+        return bool(points.comm.allreduce(int(np.isin(points.id, parts).sum())))
 
 
 def _mean(points: Any, values: np.ndarray, selection: Selection) -> np.ndarray:
-    """Mean over those of a selection that are still there; nan without any. Collective."""
+    """Mean over those of a selection that are still there, parts of a point together as one; nan without any.
+    Collective."""
     rows = points.rows(selection)
-    number = points.comm.allreduce(len(rows))
-    total = points.comm.allreduce(values[rows].astype(float).sum(axis=0))
+    share = points.shares(selection, rows)
+    number = points.comm.allreduce(float(share.sum()))
+    total = points.comm.allreduce(np.tensordot(share, values[rows].astype(float), axes=1))
     return np.asarray(total / number if number else np.full(np.shape(total), np.nan))
 
 
