@@ -253,10 +253,9 @@ class RigidBody(Settling):
         """Forces are in balance, and `moved` is what it has moved until then: go to the end of the step."""
         if not self.frozen:
             self.contact, self.held_by = -self._pushed, self._reactions
-            if self._axial:  # around the axis they are in balance
-                self.contact, self.held_by = (
-                    forces * (0.0, 1.0, 0.0) for forces in (self.contact, self.held_by)
-                )
+            if self._axial:  # around the axis others are in balance
+                self.contact = np.array([0.0, self.contact[1], 0.0])
+                self.held_by = np.array([0.0, self.held_by[1], 0.0])
             self.at_balance = self.moved
             self.moved = self.moved / (1.0 if self.step is None else self.step.theta)
             self.frozen = True
