@@ -33,8 +33,8 @@ def material(args):
     options = {"phi": PHI, "psi": 0.0, "c": args.cohesion, "cone": "plane strain"}
     if not args.micropolar:
         return pm.DruckerPrager(pm.Hencky(lam=LAM, mu=MU), **options)
-    elastic = pm.MicropolarElastic.bounded_stiffness(lam=LAM, mu=MU, kappa=MU / 2, l_b=LENGTH)
-    return pm.DruckerPrager(elastic, l_p=LENGTH, **options)
+    elastic = pm.MicropolarElastic.bounded_stiffness(lam=LAM, mu=MU, kappa=MU / 2, l_b=args.length)
+    return pm.DruckerPrager(elastic, l_p=args.length, **options)
 
 
 def build(cell, args):
@@ -48,10 +48,10 @@ def build(cell, args):
         grid,
         points,
         density=DENSITY,
-        microinertia=LENGTH**2 / 8 if args.micropolar else None,
+        microinertia=args.length**2 / 8 if args.micropolar else None,
         rho_inf=0.8,
         basis=args.basis,
-        ghost=pm.GhostPenalty(args.ghost * E, args.ghost * E * LENGTH**2) if args.ghost else None,
+        ghost=pm.GhostPenalty(args.ghost * E, args.ghost * E * args.length**2) if args.ghost else None,
         reset=pm.WhenDistorted(0.2),
         locking=None,
         controls=pm.Controls(force_tolerance=1e-5, energy_tolerance=1e-11),
@@ -135,6 +135,7 @@ def main(argv=None):
             "--aspect": {"type": float, "default": HEIGHT / WIDTH, "help": "height over width"},
             "--time": {"type": float, "default": 0.7, "help": "at which runs end at the latest (s)"},
             "--micropolar": {"action": "store_true", "help": "bars that turn"},
+            "--length": {"type": float, "default": LENGTH, "help": "of them, with --micropolar (m)"},
             **demo.MOVIE,
         },
     )

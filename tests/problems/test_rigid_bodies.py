@@ -257,3 +257,51 @@ def test_nothing_holds_it():
     problem.obstacle(BALL, body=pm.RigidBody((0.5, 0.5), force=(100.0, -10.0)))
     with pytest.raises(pm.NotConverged, match="does anything hold it"):
         list(problem.march(1, progress=False))
+
+
+def of_revolution(**options):
+    """A ball above a thick disc, both of revolution; a circle around the axis is one number here."""
+    grid = pm.Grid.box((0.0, 0.0), (0.6, 0.6), 0.05, comm=COMM)
+    material = pm.NeoHookean.from_engineering(E=1e5, nu=0.3)
+    points = pm.seed(grid, material=material, bounds=((0.0, 0.0), (0.5, 0.3)), axisymmetric=True)
+    kind = pm.Dynamic if "velocity" in options else pm.QuasiStatic
+    inertia = {"density": 1000.0, "rho_inf": 1.0} if kind is pm.Dynamic else {}
+    problem = kind(grid, points, **inertia)
+    problem.fix(pm.plane(x=0.0), ux=0)
+    ball = pm.RigidBody((0.0, 0.4 + 1e-6), **options)
+    problem.obstacle(pm.Sphere((0.0, 0.4 + 1e-6), 0.1), friction=0.3, body=ball)
+    return problem, ball
+
+
+def test_a_ball_of_revolution_falls():
+    """Along the axis; what it loses of its momentum goes to the whole disc."""
+    problem, ball = of_revolution(mass=3.0, velocity=(0.0, -1.0))
+    for _ in problem.march(0.03, dt=3e-3, progress=False):
+        pass
+    assert ball.velocity[1] > -0.9
+    assert ball.velocity[0] == ball.displacement[0] == ball.turn == ball.contact_force[0] == 0.0
+    along = problem.momentum()[1] + ball.momentum[1]
+    assert along == pytest.approx(-3.0, rel=1e-9)
+    assert ball.reaction == {"ux": 0.0, "w": 0.0}
+
+
+def test_a_ball_of_revolution_is_pressed():
+    """As far as one that is moved to where it is needs the same force."""
+    problem, ball = of_revolution(force=(0.0, -20.0))
+    problem.fix(pm.plane(y=0.0), uy=0)
+    for _ in problem.march(2, progress=False):
+        pass
+    assert ball.contact_force == pytest.approx([0.0, 20.0], rel=1e-9)
+    other, moved = of_revolution(held={"uy": float(ball.displacement[1])})
+    other.fix(pm.plane(y=0.0), uy=0)
+    for _ in other.march(2, progress=False):
+        pass
+    assert moved.contact_force[1] == pytest.approx(20.0, rel=1e-3)
+    assert moved.reaction["uy"] == pytest.approx(-20.0, rel=1e-3)
+    for options, said in (
+        ({"velocity": (1.0, 0.0), "mass": 1.0}, "velocity"),
+        ({"spin": 1.0, "velocity": (0.0, 0.0), "mass": 1.0}, "spin"),
+        ({"held": {"ux": 0.1}}, "held"),
+    ):
+        with pytest.raises(pm.InputError, match=f"{said} = .*on the axis"):
+            of_revolution(**options)

@@ -123,6 +123,15 @@ class Inertia:
             out = self.kernels[0](self.moved(system)[:, -3:], self.tensors.reshape(n, 9), numbers)
         return out[:, :3], out[:, 3:].reshape(n, 3, 3)
 
+    def summed(self, turn: np.ndarray) -> np.ndarray:
+        """Integrals (np, 3) of the momenta of points' spins over a step in which they turn by vectors (np,
+        3), where inertia isn't alike in all directions."""
+        assert self.kernels is not None
+        if not len(turn):
+            return np.zeros((0, 3))
+        found: np.ndarray = self.kernels[1](turn, self.tensors.reshape(-1, 9))[:, :3]
+        return found
+
     def add_tangent(self, system: Any) -> None:
         """Add the matrix to the entries of the system's pattern."""
         d, block = system.layout.dim, system.layout.block

@@ -53,8 +53,6 @@ class WithInertia(Problem):
             self._of_points("density", density, positive=True)
             if microinertia is not None:
                 self._gyration_of_points()
-        if self._has_tensors and self.drag:
-            raise checks.refuse("drag", drag, "there is none where microinertia is a tensor")
         self.points.set_moving()
 
     @property

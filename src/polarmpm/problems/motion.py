@@ -170,7 +170,8 @@ class Moving(WithInertia):
         inertia.begin(system, step.acceleration + self.drag * step.rate, step.theta, tensors)
         pushed = inertia.mass * (step.history(v, a) - self.drag * step.rate_history(v, a))
         if tensors is not None:
-            pushed[:, -3:] = step.history(*self._turning(inertia))
+            turning = self._turning(inertia)
+            pushed[:, -3:] = step.history(*turning) - self.drag * step.rate_history(*turning)
         self._pushed = pushed[:, : self.layout.dim], pushed[:, self.layout.dim :]
         return now + step.theta * step.dt
 
@@ -271,7 +272,10 @@ class Moving(WithInertia):
         moved, held = ((system.x - before) / step.theta)[own], system.prescribed.fixed[own]
         end = before + (system.x - before) / step.theta
         pushed, (v, a) = np.hstack(self._pushed), self._rates()
-        slow = step.theta * step.rate * at_points + step.rate_history(v, a)
+        slow = inertia.mass * (step.theta * step.rate * at_points + step.rate_history(v, a))
+        if inertia.kernels is not None and self.drag:
+            summed = inertia.summed(at_points[:, -3:])
+            slow[:, -3:] = step.theta * step.rate * summed + step.rate_history(*self._turning(inertia))
         sums = np.array(
             [
                 np.sum(system.working_loads()[own] * moved) - np.sum(pushed * at_points),
@@ -279,7 +283,7 @@ class Moving(WithInertia):
                 np.sum(system.carried[own] * moved)
                 + system.initial_energy(before)
                 - system.initial_energy(end),
-                self.drag * np.sum(inertia.mass * slow * at_points),
+                self.drag * np.sum(slow * at_points),
             ]
         )
         if system.viscosity is not None:
@@ -342,12 +346,7 @@ class Moving(WithInertia):
     ) -> None:
         """Put spins and their rates into v and a (np, block), where inertia isn't alike in all directions."""
         s, rate = self._turning(inertia)
-        turn = (increments.value - inertia.start)[:, -3:]
-        momentum = np.zeros((0, 12))
-        if len(turn):
-            assert inertia.kernels is not None
-            momentum = inertia.kernels[1](turn, inertia.tensors.reshape(-1, 9))
-        new, after = step.end(momentum[:, :3], s, rate)
+        new, after = step.end(inertia.summed((increments.value - inertia.start)[:, -3:]), s, rate)
         if step.rho_inf == 1.0:
             after = (new - s) / step.dt
         v[:, -3:] = np.linalg.solve(self._tensors(), new[:, :, None])[:, :, 0]

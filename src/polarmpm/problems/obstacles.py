@@ -62,7 +62,7 @@ def _rigid(problem: Any, name: str, options: dict[str, Any]) -> RigidBody | None
     if body.dim != problem.layout.dim:
         raise InputError(f"{name}: {body!r} has {body.dim} dimensions, the body has {problem.layout.dim}")
     if problem.layout.axial:
-        raise InputError(f"{name}: body = {body!r}: there are none in a body of revolution; use motion")
+        body.revolve()
     if body.taken and not any(term is body for term in problem.terms):
         raise InputError(f"{name}: body = {body!r} belongs to another problem; make another one")
     body.check_motion(hasattr(problem, "velocity"))

@@ -28,8 +28,8 @@ _KEPT = ("position", "turns", "velocity", "acceleration", "momenta", "rates", "c
 class RigidBody(Settling):
     """A rigid body that moves freely, pushed by contact with bodies that aren't rigid; give it to
     `problem.obstacle(shape, body=...)`, for several shapes if it has such. In the plane masses, forces and
-    moments are per metre of thickness. Its attributes are those of the last converged step, the same on all
-    ranks.
+    moments are per metre of thickness; with a body of revolution it is one, too, whole, and moves along the
+    axis. Its attributes are those of the last converged step, the same on all ranks.
 
     Args:
         centre: of mass, at the beginning (m), (d,).
@@ -60,6 +60,7 @@ class RigidBody(Settling):
 
     carried = False
     proportional = False
+    _axial = False
 
     def __init__(
         self,
@@ -129,6 +130,26 @@ class RigidBody(Settling):
         self.layout, self.comm = layout, comm
         if self.dim == 3:
             self._kernel = momentum_kernel(comm)
+
+    def revolve(self) -> None:
+        """It is of revolution, and moves along the axis alone.
+
+        Raises:
+            InputError: its centre isn't on the axis, or it is given another motion.
+        """
+        across = "of revolution it is on the axis, x = 0, and moves along it alone"
+        given = (("centre", self._first[0]), ("velocity", self.velocity[0]), ("spin", self._first_spin[0]))
+        for key, value in given:
+            if value != 0.0:
+                raise checks.refuse(f"{self.name}: {key}", float(value), across)
+        for key, k in (("ux", 0), ("w", 2)):
+            held = self._held.get(k)
+            if held is not None and (held.function is not None or held.constant.any()):
+                raise checks.refuse(f"{self.name}: held", key, across)
+            if held is None:
+                self._held[k] = Amplitude(f"{self.name}: held: {key}", 0.0, 1)
+                self.free[k] = False
+        self._axial = True
 
     def check_motion(self, moving: bool) -> None:
         """Raise InputError unless it has what a problem with, or without, inertia needs."""
@@ -231,8 +252,10 @@ class RigidBody(Settling):
     def freeze(self) -> None:
         """Forces are in balance, and `moved` is what it has moved until then: go to the end of the step."""
         if not self.frozen:
-            self.contact = -self._pushed
-            self.held_by = self._reactions
+            self.contact, self.held_by = -self._pushed, self._reactions
+            if self._axial:  # around the axis others are in balance
+                self.contact = np.array([0.0, self.contact[1], 0.0])
+                self.held_by = np.array([0.0, self.held_by[1], 0.0])
             self.at_balance = self.moved
             self.moved = self.moved / (1.0 if self.step is None else self.step.theta)
             self.frozen = True
