@@ -211,8 +211,7 @@ class BatchRates:
         return dz, dzk
 
     def forces(self, at: At, x: np.ndarray, dx: np.ndarray | None, change: Change | None) -> np.ndarray:
-        """Changes of the forces (nodes, block) on this rank's nodes; `change.given` gets those of the state
-        and of what yields."""
+        """Changes of the forces (nodes, block) on this rank's nodes."""
         dz, dzk = self.change_of_unknowns(at, x, dx, change)
         return self._spread_change(at, self.respond(at, dz, dzk, change), (at.work, at.sides), change)
 
@@ -283,9 +282,19 @@ class BatchRates:
             work = work + self._initial_change(at, dz, dstate, change)
         if at.couples is not None:
             work = work + self._couples_change(at, dz, change)
-        if change is not None:
-            change.given |= {"state": dstate, "z": dz}
         return work, sides
+
+    def settle(self, at: At, x: np.ndarray, dx: np.ndarray, change: Change) -> None:
+        """Put the changes of the state, and of what yields, into `change.given`."""
+        dz, dzk = self.change_of_unknowns(at, x, dx, change)
+        dstate = change.state.copy()
+        if self.form.scalars:
+            numbers = np.concatenate([self.numbers, change.parameters])
+            zk = None if at.zk is None or dzk is None else np.concatenate([at.zk, dzk], axis=2)
+            self._project_change(at, (np.hstack([at.z, dz]), zk, numbers), dstate, change)
+        if at.yielding is not None:
+            self._local_change(at, dz, dstate, change.parameters, change)
+        change.given |= {"state": dstate, "z": dz}
 
     def _initial_change(
         self, at: At, dz: np.ndarray, dstate: np.ndarray, change: Change | None
@@ -362,18 +371,18 @@ class BatchRates:
             mean.at_points[at.yielding.rows] = self._returned(at)[:, self.layout.unknowns :]
         return mean.whole
 
-    def _returned_change(
+    def _local_change(
         self, at: At, dz: np.ndarray, dstate: np.ndarray, dnumbers: np.ndarray, change: Change | None
-    ) -> np.ndarray:
-        """Of stresses at the points that yield: their local unknowns solve the local equations, whatever
-        these depend on."""
+    ) -> list[tuple[np.ndarray, int, list[np.ndarray], np.ndarray, np.ndarray]]:
+        """At the points that yield, region by region: which of them, the region, kernels' inputs, the local
+        unknowns and their changes. These solve the local equations, whatever these depend on."""
         y, form, comm = at.yielding, self.form, self.along.comm
         assert y is not None
-        out, moved = np.zeros((len(y.rows), form.unknowns)), np.zeros_like(y.X)
+        out, moved = [], np.zeros_like(y.X)
         for region in np.unique(y.region):
             which = np.flatnonzero(y.region == region)
             rows, kernels = y.rows[which], form.return_kernels(form.regions[region], comm)  # type: ignore[attr-defined]
-            local, work = self.along.returned(int(region))
+            local = self.along.returned(int(region))[0]
             X, nx = np.ascontiguousarray(y.X[which, : kernels.size]), kernels.size
             here = self._inputs(at, rows)
             there = [dz[rows], dstate[rows], np.tile(dnumbers, (len(rows), 1))]
@@ -384,9 +393,19 @@ class BatchRates:
                 at.inverses[region] = np.linalg.inv(matrix)
             right = local(*both, X, np.zeros_like(X))[:, :, None] * scale
             moved[which, :nx] = dX = -(at.inverses[region] @ right)[:, :, 0]
-            out[which] = work(*both, X, dX)
-            if form.scalars:
-                out[which] += self.along.bent(*both)
+            out.append((which, int(region), both, X, dX))
         if change is not None:
             change.given["X"] = moved
+        return out
+
+    def _returned_change(
+        self, at: At, dz: np.ndarray, dstate: np.ndarray, dnumbers: np.ndarray, change: Change | None
+    ) -> np.ndarray:
+        """Of stresses at the points that yield."""
+        assert at.yielding is not None
+        out = np.zeros((len(at.yielding.rows), self.form.unknowns))
+        for which, region, both, X, dX in self._local_change(at, dz, dstate, dnumbers, change):
+            out[which] = self.along.returned(region)[1](*both, X, dX)
+            if self.form.scalars:
+                out[which] += self.along.bent(*both)
         return out

@@ -98,9 +98,22 @@ class Functions:
 def framed(layout: Layout, a: np.ndarray, frames: np.ndarray, *, values: bool = True) -> np.ndarray:
     """Gradients among unknowns (n, ..., nz) times frames (n, d, d); without values these are zero."""
     out, d = a.copy() if values else np.zeros_like(a), layout.dim
+    if d == 2:
+        _framed_in_plane(layout, a, frames.reshape(len(frames), *[1] * (a.ndim - 2), d, d), out)
+        return out
     frames = frames.reshape(len(frames), *[1] * (a.ndim - 2), d, d)
     for name in ("displacement", "rotation")[: 1 + bool(layout.rotations)]:
         at = layout.where(name, 1)
         rows = a[..., at].reshape(*a.shape[:-1], (at.stop - at.start) // d, d)
         out[..., at] = (rows @ frames).reshape(*a.shape[:-1], at.stop - at.start)
     return out
+
+
+def _framed_in_plane(layout: Layout, a: np.ndarray, frames: np.ndarray, out: np.ndarray) -> None:
+    """The same with tensors (n, ..., 2, 2), column by column: products of many small matrices are slow."""
+    for name in ("displacement", "rotation")[: 1 + bool(layout.rotations)]:
+        at = layout.where(name, 1)
+        for first in range(at.start, at.stop, 2):
+            x, y = a[..., first], a[..., first + 1]
+            for j in range(2):
+                np.add(x * frames[..., 0, j], y * frames[..., 1, j], out=out[..., first + j])

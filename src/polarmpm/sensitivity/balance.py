@@ -19,6 +19,7 @@ from ..assembly.ratestate import At, Change
 from ..forms.directional import FormAlong, InitialAlong
 from ..forms.projected import ProjectedForm
 from ..solvers.linear import SingularTangent
+from ..tools.rows import flat
 from .differences import along
 
 
@@ -56,6 +57,14 @@ class CarriedModuli:
         found: np.ndarray = np.concatenate(rows, axis=1) @ np.swapaxes(frames, 1, 2)
         return found
 
+    def packed(self, work: np.ndarray) -> np.ndarray | None:
+        """What `pack` gives of `stresses`, of micropolar materials: frames drop out of it. None of others."""
+        layout = self.layout
+        if not layout.rotations:
+            return None
+        rows = [layout.part(work, field, 1) for field in ("displacement", "rotation")]
+        return flat(np.concatenate(rows, axis=1))
+
     def change(self, z: np.ndarray, state: np.ndarray, change: Change) -> np.ndarray:
         """Of `work` at constant z, as the state (n, packed size) and the material's numbers change."""
         still, d = np.zeros_like(z), self.layout.dim**2
@@ -69,8 +78,10 @@ class CarriedModuli:
             found: np.ndarray = self.form.pack(self.stresses(work, frames), frames)
             return found
 
-        stress = packed(self._rows, frames)
-        dstress = along(packed, [self._rows, frames], [rows, turned])
+        stress, dstress = self.packed(self._rows), self.packed(rows)
+        if stress is None or dstress is None:
+            stress = packed(self._rows, frames)
+            dstress = along(packed, [self._rows, frames], [rows, turned])
         geometric = self.initial.moduli(still, z, state[:, :d], dstate[:, :d], stress, dstress)
         found: np.ndarray = of_material - geometric
         return found
@@ -99,6 +110,7 @@ class Carried:
     def __init__(self, run: Any):
         self.run, system = run, run.system
         self._x = np.zeros_like(system.x)
+        self._motions: dict[tuple[int, int], tuple[np.ndarray, ...]] = {}
         self.at = [
             batch.at(self._x, batch.batch.batch.kept["state"], system.kernels[k], None)
             for k, batch in enumerate(run.batches)
@@ -123,10 +135,10 @@ class Carried:
         left = [system.on_free(run.forces(self.at, self._x, None, changes) - external)]
         stress = [np.zeros(0)] * len(self.at)
         dstress = list(stress)
-        for w in system.carried_by:
+        for number, w in enumerate(system.carried_by):
             more, of_stress = np.zeros_like(w), np.zeros_like(w)
             parts = list(zip(run.batches, self.moduli, self.at, changes, strict=True))
-            found = [self._first(*part, w, more) for part in parts]
+            found = [self._first(number, *part, w, more) for part in parts]
             system.nodes.add_to_owners(more)
             more[: system.owned] += shift * w[: system.owned]
             dw = -self._solved(left[-1] + system.on_free(more))
@@ -135,14 +147,17 @@ class Carried:
                 frames, turned = batch.frames(here.state), batch.frames(change.state)
                 dz = framed(batch.layout, batch.functions.gather(dw)[0], frames)
                 dwork = dwork + moduli.plain(dz)
-                s, ds = moduli.stresses(work, frames), moduli.stresses(dwork, frames)
-                ds = ds + moduli.stresses(work, turned)
+                s, ds = moduli.packed(work), moduli.packed(dwork)
+                if s is None or ds is None:
+                    s, ds = moduli.stresses(work, frames), moduli.stresses(dwork, frames)
+                    ds = ds + moduli.stresses(work, turned)
                 first = not stress[k].size
-                stress[k] = s if first else stress[k] + s
-                dstress[k] = ds if first else dstress[k] + ds
-                pack = moduli.form.pack
-                change.initial = along(pack, [stress[k], frames], [dstress[k], turned])
-                packed = np.ascontiguousarray(pack(stress[k], frames))
+                stress[k] = packed = s if first else stress[k] + s
+                dstress[k] = change.initial = ds if first else dstress[k] + ds
+                if not batch.layout.rotations:
+                    pack = moduli.form.pack
+                    change.initial = along(pack, [stress[k], frames], [dstress[k], turned])
+                    packed = np.ascontiguousarray(pack(stress[k], frames))
                 of_stress += batch.forces_of_initial(here, packed, change)
             system.nodes.add_to_owners(of_stress)
             left.append(left[0] + system.on_free(of_stress))
@@ -177,7 +192,7 @@ class Carried:
             unit[at, c] = 1.0
             system.nodes.update_ghosts(unit)
             for part in zip(self.run.batches, self.moduli, self.at, changes, strict=True):
-                self._first(*part, unit, more)
+                self._first(None, *part, unit, more)
             system.nodes.add_to_owners(more)
             largest = np.argmax(np.abs(more[at, c])) if len(at) else None
             found = 0.0 if largest is None else float(more[at, c][largest] / shift.share[at, 0][largest])
@@ -185,21 +200,42 @@ class Carried:
             most[c] = next((value for there, value in everywhere if there), 0.0)
         return shift.factor * shift.share * most
 
+    def _of_motion(
+        self, number: int | None, batch: BatchRates, moduli: CarriedModuli, at: At, w: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
+        """Of a motion w, which has a number if more parameters ask for it: its unknowns in the lattice's axes
+        and in the frames, and what they do work on, with the shift and without."""
+        key = None if number is None else (number, id(batch))
+        if key is not None and key in self._motions:
+            return self._motions[key]
+        g = batch.functions.gather(w)[0]
+        z = framed(batch.layout, g, batch.frames(at.state))
+        found = g, z, moduli.work(z), moduli.plain(z)
+        if key is not None:
+            self._motions[key] = found
+        return found
+
     def _first(
-        self, batch: BatchRates, moduli: CarriedModuli, at: At, change: Change, w: np.ndarray, out: np.ndarray
+        self,
+        number: int | None,
+        batch: BatchRates,
+        moduli: CarriedModuli,
+        at: At,
+        change: Change,
+        w: np.ndarray,
+        out: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """What a motion w does work on without the shift, and the change of this while w stays; that of the
         forces is added to `out` (nodes, block)."""
         layout, frames, turned = batch.layout, batch.frames(at.state), batch.frames(change.state)
-        g = batch.functions.gather(w)[0]
-        z = framed(layout, g, frames)
+        g, z, work, plain = self._of_motion(number, batch, moduli, at, w)
         dg = sum((f.gather(w)[0] for f in change.functions), np.zeros_like(g))
         dz = framed(layout, dg, frames) + framed(layout, g, turned, values=False)
         bent = moduli.change(z, at.state, change)
-        work, dwork = moduli.work(z), bent + moduli.work(dz)
+        dwork = bent + moduli.work(dz)
         back, back_turned = np.swapaxes(frames, 1, 2), np.swapaxes(turned, 1, 2)
         raw = framed(layout, dwork, back) + framed(layout, work, back_turned, values=False)
         out += batch.functions.spread(raw, None)
         for functions in change.functions:
             out += functions.spread(framed(layout, work, back), None)
-        return moduli.plain(z), bent + moduli.plain(dz)
+        return plain, bent + moduli.plain(dz)

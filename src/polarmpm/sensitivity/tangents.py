@@ -44,8 +44,8 @@ class Linearised:
         self.batches: list[BatchRates] = []
         self.at: list[At] = []
         self.x: np.ndarray = np.zeros((0, 0))
-        self.directions: list[tuple[np.ndarray, np.ndarray]] = []  # of this step, and their products
-        self._path: tuple[np.ndarray, np.ndarray] | None = None
+        self.directions: list[tuple[np.ndarray, ...]] = []  # of this step, and their products
+        self._path: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         leader.followers.append(self)
 
     def _forms(self, problem: Any) -> Sequence[Any]:
@@ -150,14 +150,14 @@ class Linearised:
         """Increments (nodes, block) by which the factor at hand makes up for forces. Collective."""
         return preconditioned(self.system, forces)
 
-    def path_of_loads(self) -> tuple[np.ndarray, np.ndarray]:
-        """How nodes (nodes, block) move as the load factor grows, and with which forces (nodes, block).
-        Collective."""
+    def path_of_loads(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """How nodes (nodes, block) move as the load factor grows, with which forces, and what these
+        leave (nodes, block). Collective."""
         if self._path is None:
             forces = self._growth()
             start = np.zeros_like(forces)
-            moved, _ = solve(self.system, -forces, self.products, start, self.directions)
-            self._path = moved, forces
+            moved, _, rest = solve(self.system, -forces, self.products, start, self.directions)
+            self._path = moved, forces, rest
         return self._path
 
     def _growth(self) -> np.ndarray:
@@ -245,7 +245,8 @@ class Tangent:
             of_loads = self._external(*self._last_loads())
             of_loads = of_loads - self.reader.surfaces.forces(still, factor, carrying=True)
             found = run.carried.rates(self._changes, of_loads)
-            self._forces_alone, self._carried = (f + self._closing(f, still) for f in found)
+            self._forces_alone, carried = found
+            self._carried = carried + self._closing(carried, still)
 
     def prepare(self) -> None:
         """A step of the run has converged: the state that it has begun with. Collective."""
@@ -261,19 +262,21 @@ class Tangent:
         run, system, path = self.run, self.run.system, self.run.leader.record.path
         dx, external = self._prescribed(), self._loads()
         if self._forces_alone is not None and run.leader.fell_back:
-            self._carried = self._forces_alone
+            alone = self._forces_alone
+            self._carried = alone + self._closing(alone, np.zeros_like(alone))
             for of_state in self._changes:
                 of_state.initial = None
         more = self._of_terms() - external - self._carried
         aim = run.forces(run.at, run.x, dx if np.any(dx) else None, self._changes) + more
-        dx, self.check = solve(system, aim, run.products, dx, run.directions)
+        dx, self.check, self.residual = solve(system, aim, run.products, dx, run.directions)
         self.factor = 0.0
         if path is not None and not path.stopped:
-            along, growth = run.path_of_loads()
+            along, growth, rest = run.path_of_loads()
             self.factor = self._along_path(dx, along)
             dx, external = dx + self.factor * along, external + self.factor * growth
-            more = more - self.factor * growth
-        self.residual = run.forces(run.at, run.x, dx, self._changes) + more
+            self.residual = self.residual + self.factor * rest
+        for batch, at, change in zip(run.batches, run.at, self._changes, strict=True):
+            batch.settle(at, run.x, dx, change)
         self.increments, self.loads = dx, external
         if run.carried is not None:
             before = self._carried
@@ -388,47 +391,50 @@ def solve(
     aim: np.ndarray,
     products: Callable[[np.ndarray], np.ndarray],
     start: np.ndarray,
-    known: list[tuple[np.ndarray, np.ndarray]],
-) -> tuple[np.ndarray, float]:
-    """Increments (nodes, block) from `start` on, at which free unknowns have no residual, and what is left
-    over the first: conjugate residuals, with the factor at hand. Collective.
+    known: list[tuple[np.ndarray, ...]],
+) -> tuple[np.ndarray, float, np.ndarray]:
+    """Increments (nodes, block) from `start` on, at which free unknowns have no residual, what is left
+    over the first, and the residual (nodes, block) of all: conjugate residuals, with the factor at hand.
+    Collective.
 
     Args:
         aim: residual (nodes, block) at the start.
         products: the matrix times increments.
-        known: directions of earlier solutions with the same matrix, and their products; more are added.
+        known: directions of earlier solutions with the same matrix, and their products, on
+            free unknowns and on all; more are added.
     """
     own = slice(0, system.owned)
 
     def dot(a: np.ndarray, b: np.ndarray) -> float:
         return float(system.comm.allreduce(float(np.sum(a[own] * b[own] * system.as_force**2))))
 
-    x, r = start, system.on_free(aim)
+    x, r, rest = start, system.on_free(aim), aim
     first = size = np.sqrt(dot(r, r))
 
-    def improve(direction: np.ndarray, image: np.ndarray) -> None:
-        nonlocal x, r
+    def improve(direction: np.ndarray, image: np.ndarray, forces: np.ndarray) -> None:
+        nonlocal x, r, rest
         share = dot(image, r)
-        x, r = x - share * direction, r - share * image
+        x, r, rest = x - share * direction, r - share * image, rest - share * forces
 
-    for direction, image in known:
-        improve(direction, image)
+    for one in known:
+        improve(*one)
     for _ in range(_MOST):
         before, size = size, np.sqrt(dot(r, r))
         if not size > ENOUGH * first or (_STALLED * before < size < 1e-8 * first):
             break
         z = preconditioned(system, r)
-        az = system.on_free(products(z))
-        for other, image in known:
+        forces = products(z)
+        az = system.on_free(forces)
+        for other, image, own_forces in known:
             share = dot(image, az)
-            z, az = z - share * other, az - share * image
+            z, az, forces = z - share * other, az - share * image, forces - share * own_forces
         length = np.sqrt(dot(az, az))
         if not length > 0.0:
             break
-        known.append((z / length, az / length))
+        known.append((z / length, az / length, forces / length))
         improve(*known[-1])
     size = np.sqrt(dot(r, r))
-    return x, size / first if first > 0.0 else 0.0
+    return x, size / first if first > 0.0 else 0.0, rest
 
 
 def preconditioned(system: Any, forces: np.ndarray) -> np.ndarray:
