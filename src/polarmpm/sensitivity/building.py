@@ -145,6 +145,12 @@ def _not_carried(what: str) -> InputError:
     return InputError(f'method = "exact": {what} aren\'t carried; take method="twins", which does')
 
 
+def check_whole_points(problem: Any) -> None:
+    """Raise InputError at a reset that has split points, which the tangent-linear run doesn't carry."""
+    if problem.regridding.split:
+        raise _not_carried("points that a reset splits, with boxes as large as a cell,")
+
+
 def check_step(problem: Any, leader: Any) -> None:
     """Raise InputError after a step that the tangent-linear run doesn't carry."""
     if leader.rebased:
