@@ -17,6 +17,7 @@ from ..tools.parallel import errors_on_all_ranks
 from .lineage import Lineage
 from .points import Points
 
+LARGE = 0.75  # of a cell: boxes from there on come to lie in two of them
 _SLACK = 0.25  # of a part, by which boxes may be too large
 _SAME = 0.02  # of a ratio: it is a whole number
 _SMALLER = 0.99  # sizes of cells over those of before from which on they are smaller
@@ -90,6 +91,15 @@ def parts_for(points: Points, before: Grid, grid: Grid, per_cell: np.ndarray) ->
         number = float(np.prod(np.maximum(1.0, ratio), axis=1).sum())
         check_memory("regrid", list(grid.shape), int(min(number, 1e15)) * _BYTES)
         return _numbers(ratio)
+
+
+def parts_of_large(points: Points, grid: Grid) -> np.ndarray:
+    """Into how many parts (np, d) along their half axes boxes are to be cut that were seeded about as large
+    as cells of the grid, or larger, so that parts are half a cell. Boxes of 2 points a cell stay."""
+    sizes = grid.sizes(grid.cells_of(points.X))
+    ratio = 2.0 * np.linalg.norm(points.half_axes0 / sizes[:, None, :], axis=2)
+    number: np.ndarray = np.where(ratio > LARGE, np.ceil(2.0 * ratio - _SLACK), 1.0).astype(np.int64)
+    return number
 
 
 def _numbers(ratio: np.ndarray) -> np.ndarray:

@@ -225,10 +225,11 @@ def _check(problem: Problem, saved: _Saved, path: Path, allowed: frozenset[str])
     here = _body(problem)
     if saved.body != here:
         raise InputError(f"restart file {path}: its state is of {saved.body}, this problem's of {here}")
-    if getattr(problem, "regrids", ()):
-        raise InputError(
-            f"restart file {path}: this problem's grid has been changed since it was made; make it anew"
-        )
+    changed = "grid has been changed" if getattr(problem, "regrids", ()) else ""
+    if not changed and isinstance(problem, QuasiStatic) and problem.regridding.split:
+        changed = "points have been split"
+    if changed:
+        raise InputError(f"restart file {path}: this problem's {changed} since it was made; make it anew")
     conditions = saved.about["conditions"]
     try:
         fewer = problem.check_conditions(conditions, "conditions" in allowed)

@@ -8,6 +8,7 @@ any other balanced reset.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -18,7 +19,7 @@ import numpy as np
 from ..assembly.loadedpoints import LoadedPoints
 from ..bodies.lineage import Lineage
 from ..bodies.points import Points
-from ..bodies.splitting import Split, check_splittable, parts_for, points_per_cell, split
+from ..bodies.splitting import Split, check_splittable, parts_for, parts_of_large, points_per_cell, split
 from ..bodies.validity import Seal
 from ..conditions.supports import Support
 from ..errors import InputError, TrustWarning
@@ -28,11 +29,18 @@ from ..solvers.newton import Outcome
 from ..terms.base import Term
 from ..terms.sites import Sites
 from ..tools.parallel import errors_on_all_ranks, warn_on_one_rank
+from ..tools.saying import say
 from .gridpolicies import RegridPolicy, Trial, make_policy
 from .stages import Staged
 from .whole import Changing
 
 _TIMES = 20  # grids that a step may be tried in
+_SEED = "seed 2 points a direction (docs/accuracy.md)"
+_LARGE = f"their boxes are as large as a cell, and the grid is reset; {_SEED}"
+_UNSPLIT = (
+    "{} points have boxes as large as a cell, which a reset of the grid leaves in two of them, and can't be "
+    f"split ({{}}): the answer may be far off; {_SEED}"
+)
 _SHARED = ("forces", "couples", "box_energy", "handed ")  # rows that parts of a point share
 
 
@@ -59,6 +67,11 @@ class Regrid:
         return f"after step {self.step}: {cells} cells, {self.split} point(s) split, {self.points} since"
 
 
+def goes_with_points(term: Term) -> bool:
+    """Whether a term goes along with points one by one, which then can't be split."""
+    return isinstance(term, Sites) or bool(term.rows)
+
+
 class Regridding:
     """What a problem knows of its grids.
 
@@ -66,12 +79,15 @@ class Regridding:
         policy: decides on them; None: the grid stays.
         wanted: the next one, with which a step is to be taken again.
         done: the changes so far.
+        split: how many points have been split as their boxes are too large.
+        told: it has been said that they can't be.
     """
 
     def __init__(self, regrid: Any):
         self.policy: RegridPolicy | None = make_policy(regrid)
         self.wanted: Grid | None = None
         self.done: list[Regrid] = []
+        self.split, self.told = 0, False
         self._per_cell: np.ndarray = np.ones(1, dtype=np.int64)
 
     @property
@@ -105,7 +121,7 @@ class Regridding:
 
     def check_term(self, term: Term) -> None:
         """Raise InputError for a term that doesn't go along with points that are split."""
-        if self.splits and (isinstance(term, Sites) or term.rows):
+        if self.splits and goes_with_points(term):
             raise InputError(
                 f"{term.name}: goes along with points one by one (contact does), and regrid splits points; "
                 "use a grid that is fine from the start"
@@ -247,35 +263,74 @@ class Regridded(Staged):
                 r.wanted = None
                 with self.timer("regrid"):
                     self._take_grid(grid, late=again is None)
+        self._split_large()
         return super()._reset()
+
+    def _split_large(self) -> None:
+        """Split points whose boxes were seeded as large as cells, before the first reset after a step: it
+        would leave them in two cells, in which splines are two polynomials."""
+        r, points = self.regridding, self.points
+        if not self.progress.step or not self.boxes or not self.balanced_reset or points.moving:
+            return
+        parts = parts_of_large(points, self.initial_grid)
+        large, total = self.comm.allreduce(np.array([np.sum(np.any(parts > 1, axis=1)), len(points)]))
+        if not large:
+            return
+        hindered = ["a body of revolution"] if points.axisymmetric else []
+        hindered += [term.name for term in self.terms if goes_with_points(term)]
+        if hindered:
+            if not r.told:
+                r.told = True
+                warn_on_one_rank(self.comm, _UNSPLIT.format(large, hindered[0]), TrustWarning)
+            return
+        with self.timer("regrid"):
+            count, since = self._split_points(parts, r.now(self))
+            self._go_on_with_parts()
+        if count and not r.split and self.comm.rank == 0 and self.systems is None:  # not of runs beside one
+            what = f"{count} of {total} points have been split, {since} since"
+            say(logging.INFO, f"step {self.progress.step + 1}: {what}: {_LARGE}")
+        r.split += int(count)
 
     def _take_grid(self, grid: Grid, late: bool = False) -> None:
         """Go on with another grid from the last converged state; `late`: not to take a step again."""
         p, points = self.progress, self.points
         if grid.dim != self.grid.dim:
             raise InputError(f"regrid: the new grid has {grid.dim} dimensions, the body has {self.grid.dim}")
-        kept, before = self.kept(), points.x
-        old, number = self.regridding.now(self), self.comm.allreduce(len(points))
+        old = self.regridding.now(self)
         self._moving.renew(grid, p.factor if p.step else None, self.supports)
         parts = self.regridding.parts(points, old, grid)
         if late and points.plastic:
             self._warn_of_history(np.prod(parts, axis=1) > 1)
-        made = split(points, parts, grid)
-        count = self.comm.allreduce(np.array([np.sum(np.prod(parts, axis=1) > 1), len(points)]))
-        self.keep({name: self._of_parts(name, rows, made, before) for name, rows in kept.items()})
-        self._system = None  # that of before belongs to other points
-        self._conservation.points_joined(int(count[1]) - number)
+        count = self._split_points(parts, grid)
         self._put_grid(grid)
         for support in self.supports:
             if isinstance(support.where, Plane):
                 support.where.follow(grid)
+        self._go_on_with_parts()
+        self.regridding.done.append(Regrid(p.step, p.factor, grid.shape, int(count[0]), int(count[1])))
+
+    def _split_points(self, parts: np.ndarray, grid: Grid) -> np.ndarray:
+        """Split points into parts (np, d), with all that is kept of them; how many have been split, and how
+        many there are since."""
+        points, kept, before = self.points, self.kept(), self.points.x
+        number = self.comm.allreduce(len(points))
+        made = split(points, parts, grid)
+        count: np.ndarray = self.comm.allreduce(
+            np.array([np.sum(np.bincount(made.rows, minlength=1) > 1), len(points)])
+        )
+        self.keep({name: self._of_parts(name, rows, made, before) for name, rows in kept.items()})
+        self._system = None  # that of before belongs to other points
+        self._conservation.points_joined(int(count[1]) - number)
+        return count
+
+    def _go_on_with_parts(self) -> None:
+        """Go on with points that have been split."""
         self._leave(changed=True)
-        self._seal, self._attempted = Seal(points), None
+        self._seal, self._attempted = Seal(self.points), None
         if self._equilibrium is not None:
             self._equilibrium.points_moved = True
         if self.comm.size > 1:
             self._migrate()
-        self.regridding.done.append(Regrid(p.step, p.factor, grid.shape, int(count[0]), int(count[1])))
 
     def _warn_of_history(self, smaller: np.ndarray) -> None:
         """Points (np,) that come to smaller cells may have flowed in those of before."""
@@ -303,12 +358,13 @@ class Regridded(Staged):
         """What a restart needs of the grids, the same on every rank: facts, and arrays by name; nothing if
         the grid is the one that was given."""
         r, lineage = self.regridding, self.points.lineage
-        if not r.done:
-            return {}, {}
-        facts = self._moving.initial.description()
-        about = {"grid": facts, "since": self._moving.since, "done": [asdict(one) for one in r.done]}
-        arrays = {} if lineage is None else {n: getattr(lineage, n) for n in ("parents", "first", "count")}
-        return about, arrays
+        about: dict[str, Any] = {}
+        if r.done:
+            facts = self._moving.initial.description()
+            about = {"grid": facts, "since": self._moving.since, "done": [asdict(one) for one in r.done]}
+        if lineage is None or not (r.done or r.split):
+            return about, {}
+        return about, {n: getattr(lineage, n) for n in ("parents", "first", "count")}
 
     def saved_grid(self, about: dict[str, Any]) -> Grid:
         """The grid that `grid_state` tells of; the one that was given if it tells of none."""
@@ -327,4 +383,8 @@ class Regridded(Staged):
             self._moving.renew(self.saved_grid(about), about["since"], self.supports)
             done = [Regrid(**{**one, "cells": tuple(one["cells"])}) for one in about["done"]]
             self.regridding.done = done
-        self.points.lineage = Lineage(**arrays) if arrays else None
+        if arrays:
+            self.points.lineage = Lineage(**arrays)
+            self.regridding.split = len(self.points.lineage.parents) - sum(
+                one.split for one in self.regridding.done
+            )

@@ -153,6 +153,12 @@ def check_path(problem: Any) -> None:
         raise _not_carried(f"{others[0]}: conditions on surfaces along the path")
 
 
+def check_whole_points(problem: Any) -> None:
+    """Raise InputError at a reset that has split points, which the tangent-linear run doesn't carry."""
+    if problem.regridding.split:
+        raise _not_carried("points that a reset splits, with boxes as large as a cell,")
+
+
 def check_step(problem: Any, leader: Any) -> None:
     """Raise InputError after a step that the tangent-linear run doesn't carry."""
     if leader.rebased and leader.on_grid:

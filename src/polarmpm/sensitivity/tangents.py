@@ -99,6 +99,7 @@ class Linearised:
 
     def reset(self) -> None:
         """The run has reset its grid. Collective."""
+        building.check_whole_points(self.problem)
         system = self.system
         interpolation, n = system.interpolation, len(system.nodes)
         self.batches = [BatchRates(interpolation, k, along, n) for k, along in enumerate(self.along)]
