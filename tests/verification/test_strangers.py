@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -73,14 +74,29 @@ def test_what_a_sum_over_points_misses(benchmarks, number, options, missed):
 
 
 @pytest.mark.parametrize(("cells", "settlement"), [(2, 0.02), (4, 0.01)])
-def test_roughness_tells_a_coarse_footing(benchmarks, cells, settlement):
+def test_excess_of_strains_tells_a_coarse_footing(benchmarks, cells, settlement):
     """An eighth off with two cells, 4 % with four: the boxes see neither."""
     scenes, records = benchmarks["scenes"], benchmarks["records"]
     made = records.run(lambda: scenes.footing(cells, 2, settlement=settlement), keep=True)
     assert len(made.warned) == int(cells == 2)
-    assert (made.problem.box_record.rough > 0.15) == (cells == 2)
+    assert (made.problem.box_record.grid.excess > 0.15) == (cells == 2)
     assert made.unresolved < 0.2
     assert "flowing body" in made.problem.trust()
+
+
+@pytest.mark.parametrize(("cell", "wrong"), [(0.25, True), (0.125, False)])
+def test_stresses_tell_how_tents_fail_in_a_flowing_cylinder(benchmarks, cell, wrong):
+    """A fifth off with cells of a quarter of the inner radius, 4 % with an eighth; strains are smooth."""
+    scenes, records = benchmarks["scenes"], benchmarks["records"]
+    made = records.run(partial(by_tents, benchmarks, partial(scenes.hill, cell, 2)), keep=True)
+    assert (abs(made.value - 1.0) > 0.1) == wrong
+    assert bool(made.warned) == wrong
+    assert made.problem.box_record.grid.excess < 0.05
+
+
+def by_tents(benchmarks, build):
+    problem, read = benchmarks["strangers"].by_tents(build, "mpm")
+    return problem, lambda: read()[0]
 
 
 def test_bending_is_not_rough(benchmarks):

@@ -171,6 +171,13 @@ class LoadedPoints(ProjectedPoints):
     def point_volumes(self) -> np.ndarray:
         return self.interpolation.points.volume0
 
+    @property
+    def point_forces(self) -> np.ndarray:
+        """Forces (np, d) at the points, as they were put in last."""
+        if self._at_points is None:
+            return np.zeros((len(self.interpolation.points), self.layout.dim))
+        return self._at_points[0]
+
     def set_loads(self, forces: np.ndarray, couples: np.ndarray) -> None:
         """Forces (np, d) and couples (np, r) at the points. Collective."""
         self._at_points = forces, couples

@@ -70,6 +70,7 @@ def solve(system: NodalSystem, start: np.ndarray, increments: np.ndarray, contro
 
 _BEGIN, _THICKEST, _THIN = 1.0, 1e3, 1e-8  # viscous stress over the elastic one of the same strain
 _GAIN, _STALLED = 0.1, 8.0  # of out-of-balance forces in a stage; by which it is made stiffer if it fails
+_LOOSEST = 0.5  # tolerance of a stage, however far from balance it begins
 _THINNER = (0.1, 0.1, 0.2, 0.3, 0.5, 0.7)  # the next stage, by iterations of the last one
 _STAGE, _PATIENCE = 8, 6  # iterations of a stage, and of all of them over those of a step
 
@@ -126,7 +127,7 @@ def _creep(
         x, made.scale = system.x, scale if scale > _THIN else 0.0
         made.count_from(system)
         system.viscosity = made
-        enough = max(_GAIN * force, controls.force_tolerance)
+        enough = max(min(_GAIN * force, _LOOSEST), controls.force_tolerance)
         stage = replace(controls, force_tolerance=enough, energy_tolerance=0.0, max_iterations=_STAGE)
         found = newton.solve(system, stage, system.terms.kinked)
         outcome.history += found.history[1:]

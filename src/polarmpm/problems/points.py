@@ -52,7 +52,7 @@ from .gridpolicies import RegridPolicy
 from .locking import check_locking, choose_form, warn_of_functions
 from .ongrid import Compiled
 from .regridding import Regridded, Regridding
-from .state import Fields, Progress
+from .state import Fields, Progress, choose_fields
 from .surfaces import add_load
 from .telling import note_settings
 from .whole import Changing
@@ -179,7 +179,7 @@ class QuasiStatic(Regridded):
     def _changing(self) -> Iterator[Changing]:
         yield from super()._changing()
         for thing in (
-            *(self.policy, self.box_record, self.load_shares, self.load_shares.shares),
+            *(self.policy, self.box_record, self.box_record.grid, self.load_shares, self.load_shares.shares),
             *(self._conservation, self._moving, self._compiled, self._resets),
         ):
             yield thing, None
@@ -322,7 +322,12 @@ class QuasiStatic(Regridded):
             self._indicate(system, outcome)
 
     def _note(self, outcome: Outcome) -> None:
+        assert self._system is not None
+        self.box_record.grid.look_at_stresses(self._system, self._stresses)
         self.box_record.note(outcome.unresolved, self.progress.step, self._size)
+
+    def _stresses(self) -> np.ndarray:
+        return self._fields.evaluate(self.points, choose_fields(("stress",), self.points)).stress
 
     def trust(self) -> str:
         """In a line: the largest share of a step's work inside the points' boxes (docs/accuracy.md)."""

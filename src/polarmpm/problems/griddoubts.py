@@ -1,0 +1,116 @@
+"""What is kept of the grid's own error in the course of a run, as strains and stresses tell it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from mpi4py import MPI
+
+import numpy as np
+
+from ..assembly.loadedpoints import LoadedPoints
+from ..bodies.points import Points
+from . import doubts
+
+COARSE = 0.1  # roughness of an elastic body's first strains, by tents: about the answer's error
+EXCESS = 0.15  # of the strain increments of bodies that flow over smooth ones: loads are a tenth off
+IMBALANCE = 0.06  # of the forces of smooth stresses in cells of tents
+SLIGHT = 0.1  # of the largest strain increments of a step: of what is less nothing is learnt
+_FINER = "take smaller cells, or the default basis"
+
+
+class GridRecord:
+    """What strains and stresses say of the grid's own error. All methods are collective.
+
+    Looked at are the first step in which the body is strained, by tents, and of bodies that flow the first
+    step with flow, the second, fourth, eighth ...
+
+    Attributes:
+        rough: roughness of an elastic body's first strains, by tents.
+        excess: largest excess of a flowing body's strain increments over smooth ones.
+        imbalance: largest imbalance of smooth stresses, by tents.
+        seen: whether anything has been looked at.
+    """
+
+    def __init__(self, points: Points, comm: MPI.Comm):
+        self.points, self.comm = points, comm
+        self.rough = self.excess = self.imbalance = 0.0
+        self.seen = False
+        self._flowing, self._strained, self._stresses = 0, 0.0, False
+
+    @property
+    def flows(self) -> bool:
+        """Whether points have flowed in some step."""
+        return self._flowing > 0
+
+    def look(self, system: LoadedPoints, start: np.ndarray) -> None:
+        """Look at the strains of a step that has converged, from increments `start` (nodes, block) on."""
+        tents, self._stresses = not system.interpolation.basis.fills_boxes, False
+        first = tents and not self._strained and system.inertia is None
+        if self._looks_at_flow(system):
+            excess, size = doubts.excess(system, start)
+            self._strained = max(self._strained, size)
+            if size > max(SLIGHT * self._strained, doubts.ROUNDING):  # or there is little but rounding
+                self.excess, self.seen, self._stresses = max(self.excess, excess), True, tents
+        elif first:
+            rough, size = doubts.roughness(system, start)
+            if size > doubts.ROUNDING:
+                self._strained, self.seen, self._stresses = size, True, True
+                self.rough = 0.0 if self.points.plastic else rough
+
+    def _looks_at_flow(self, system: LoadedPoints) -> bool:
+        """Whether the body flows, and this is a step of which the flow is looked at."""
+        if not self.points.plastic:
+            return False
+        flows = any(m is not None and m.yielding is not None for m in system.mappings)
+        if not self.comm.allreduce(flows or bool(np.any(self.points.hardening > 0.0)), op=MPI.LOR):
+            return False
+        self._flowing += 1
+        return self._flowing & (self._flowing - 1) == 0
+
+    def look_at_stresses(self, system: LoadedPoints, stresses: Callable[[], np.ndarray]) -> None:
+        """Look at the stresses (np, 3, 3) after a step whose strains were looked at, without inertia and
+        while balanced resets carry none along."""
+        if not self._stresses or system.inertia is not None or self.points.second_gradient:
+            return
+        if not self.comm.allreduce(bool(system.interpolation.reference.initial_stress.any()), op=MPI.LOR):
+            self.imbalance = max(self.imbalance, doubts.imbalance(system, stresses()))
+
+    def doubts(self) -> Iterator[str]:
+        """What there is against the answer."""
+        if self.rough > COARSE:
+            yield (
+                f"{100 * self.rough:.0f} % of the strains' squares are rough over two cells, and the body is "
+                f"about as much too stiff: {_FINER}"
+            )
+        if self.imbalance > IMBALANCE:
+            yield (
+                "stresses that are smooth over two cells aren't in equilibrium, by "
+                f"{100 * self.imbalance:.0f} % of their squares: the body may be far too stiff: {_FINER}"
+            )
+        if self.excess > EXCESS:
+            yield (
+                f"the body flows, and its strains are {100 * self.excess:.0f} % larger than strains that are "
+                "smooth over two cells: loads may be more than a tenth off; take smaller cells, and compare"
+            )
+
+    def summary(self) -> str:
+        """What was seen, in part of a line."""
+        parts = []
+        if self.points.plastic and self.flows:
+            parts.append(f"strains of the flowing body are {100 * self.excess:.2g} % larger than smooth ones")
+        elif self.seen:
+            parts.append(f"{100 * self.rough:.2g} % of the strains' squares aren't smooth over two cells")
+        if self.imbalance:
+            parts.append(f"smooth stresses are out of balance by {100 * self.imbalance:.2g} %")
+        return ", ".join(parts)
+
+    def state(self) -> list[float]:
+        """For a restart file."""
+        seen, flowing = float(self.seen), float(self._flowing)
+        return [self.rough, self.excess, self.imbalance, seen, flowing, self._strained]
+
+    def restore(self, state: Sequence[float]) -> None:
+        """Put in what `state` gave."""
+        self.rough, self.excess, self.imbalance, seen, flowing, self._strained = map(float, state)
+        self.seen, self._flowing = bool(seen), int(flowing)
