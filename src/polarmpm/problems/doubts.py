@@ -8,6 +8,7 @@ import numpy as np
 
 from ..assembly.loadedpoints import LoadedPoints
 from ..geometry.grid import box_indices
+from ..kernels import native
 from ..tools.parallel import sums_by_number
 from ..tools.rows import flat
 
@@ -18,8 +19,9 @@ def strains(system: LoadedPoints, start: np.ndarray) -> np.ndarray:
     """Green's strain increments of the points (np, d, d) since nodal increments `start` (nodes, block)."""
     i = system.interpolation
     eye = np.eye(i.layout.dim)
-    before, now = (eye + i.gather(x).gradient for x in (start, system.x))
-    change = now @ np.linalg.inv(before)
+    change = eye + i.gather(system.x).gradient
+    if start.any():
+        change = change @ np.linalg.inv(eye + i.gather(start).gradient)
     green: np.ndarray = 0.5 * (np.swapaxes(change, 1, 2) @ change - eye)
     return green
 
@@ -93,23 +95,21 @@ def roughness(system: LoadedPoints, start: np.ndarray) -> tuple[float, float]:
     i, d = system.interpolation, system.interpolation.layout.dim
     grid, volume, x = i.grid, i.points.volume0, i.reference.x
     upper = np.triu_indices(d)
-    strain = strains(system, start)[:, upper[0], upper[1]]
+    strain = np.ascontiguousarray(strains(system, start)[:, upper[0], upper[1]])
     times = np.where(upper[0] == upper[1], 1.0, 2.0)
     cells, corners = grid.cells_of(x), box_indices((2,) * d)
-    linear = np.hstack([np.ones((len(x), 1)), grid.within(x, cells)])
     _, first, cell = np.unique(grid.cell_number(cells), return_index=True, return_inverse=True)
     numbers = np.stack([grid.node_number(cells[first] + corner) for corner in corners], axis=1)
     known, at = np.unique(numbers, return_inverse=True)
     at = at.reshape(numbers.shape)
     # over each cell, about its first corner; around a node each cell has another corner there
-    both = [*linear.T, *strain.T]
-    of_cells = np.empty((len(first), d + 1, len(both)))
-    for a in range(d + 1):
-        for b, values in enumerate(both):
-            of_cells[:, a, b] = np.bincount(cell, volume * linear[:, a] * values, minlength=len(first))
+    library, parts = native.library(), len(times)
+    own = len(x), d, parts, cell, volume, np.ascontiguousarray(grid.within(x, cells)), strain
+    of_cells = np.zeros((len(first), d + 1, d + 1 + parts))
+    library.polarmpm_fit_sums(*own, of_cells)
     shifts = np.tile(np.eye(d + 1), (len(corners), 1, 1))
     shifts[:, 1:, 0] = -corners
-    moments = np.zeros((len(known), d + 1, len(both)))
+    moments = np.zeros((len(known), *of_cells.shape[1:]))
     for shift, nodes in zip(shifts, at.T, strict=True):
         shifted = shift @ of_cells
         shifted[:, :, : d + 1] = shifted[:, :, : d + 1] @ shift.T
@@ -118,13 +118,7 @@ def roughness(system: LoadedPoints, start: np.ndarray) -> tuple[float, float]:
     moments = sums_by_number(grid.comm, known, flat(moments)).reshape(shape)
     matrix, right = moments[:, :, : d + 1], moments[:, :, d + 1 :]
     matrix = matrix + 1e-9 * np.trace(matrix, axis1=1, axis2=2)[:, None, None] * np.eye(d + 1)
-    fitted, smooth = np.linalg.solve(matrix, right), np.zeros_like(strain)
-    for corner, shift, nodes in zip(corners, shifts, at.T, strict=True):
-        share = np.prod(np.where(corner > 0, linear[:, 1:], 1.0 - linear[:, 1:]), axis=1)
-        there = shift.T @ fitted[nodes]
-        for a in range(d + 1):
-            smooth += (share * linear[:, a])[:, None] * there[cell, a]
-    squares = ((strain - smooth) ** 2 @ times, strain**2 @ times, np.ones(len(x)))
-    sums = np.array([volume @ of for of in squares])
+    fitted, sums = np.linalg.solve(matrix, right), np.array([0.0, 0.0, volume.sum()])
+    library.polarmpm_fit_rest(*own, corners.astype(np.int64), at, fitted, times, sums)
     grid.comm.Allreduce(MPI.IN_PLACE, sums)
     return float(sums[0] / max(sums[1], np.finfo(float).tiny)), float(np.sqrt(sums[1] / sums[2]))
