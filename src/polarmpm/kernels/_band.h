@@ -11,7 +11,7 @@
 /* Rows are completed in panels of as many nodes as have up to PANEL unknowns; rows of a panel end at the same column. */
 enum { PANEL = 6, TILE = 4 };
 
-static int nodes_of_panel(int32_t block) { return block < PANEL ? PANEL / block : 1; }
+static int64_t rows_of_panel(int32_t block) { return block <= PANEL ? PANEL / block * block : 1; }
 
 /* Visit nodes, neighbours of visited ones next, from `first` on; returns how many are in `order` then. */
 static int64_t spread_from(int64_t first, const int64_t *start, const int32_t *near, int64_t count, int32_t *order,
@@ -64,9 +64,9 @@ int polarmpm_band_order(int64_t nodes, int32_t block, const int64_t *indptr, con
             for (int64_t k = start[i]; k < start[i + 1]; ++k)
                 if (position[near[k]] > last[q]) last[q] = position[near[k]];
         }
-        const int64_t some = nodes_of_panel(block);
-        for (int64_t q = nodes - 1; q >= 0; --q)
-            if ((q + 1) % some && q + 1 < nodes) last[q] = last[q + 1];
+        const int64_t some = rows_of_panel(block) / block;
+        for (int64_t q = nodes - 2; q >= 0 && some > 1; --q)
+            if ((q + 1) % some) last[q] = last[q + 1];
         for (int64_t q = 0; q < nodes; ++q)
             for (int c = 0; c < block; ++c) {
                 begin[q * block + c] = total;
@@ -168,7 +168,7 @@ FAST int polarmpm_band_factor(int64_t n, int32_t block, int32_t symmetric, const
     memset(factor, 0, sizeof(double) * begin[n] * (symmetric ? 1 : 2));
     for (int64_t k = 0; k < entries; ++k) factor[place[k]] = values[k];
     for (int64_t i = 0; i < n; ++i) U[begin[i]] *= 1.0 + shift;
-    const int64_t rows = (int64_t)block * nodes_of_panel(block);
+    const int64_t rows = rows_of_panel(block);
     for (int64_t i = 0; i < n; i += rows) {
         const int R = (int)(n - i < rows ? n - i : rows);
         const int64_t length = begin[i + 1] - begin[i];
@@ -195,20 +195,45 @@ FAST void polarmpm_band_solve(int64_t n, int32_t block, int32_t symmetric, const
 {
     const double *U = factor, *L = symmetric ? U : factor + begin[n];
     for (int64_t i = 0; i < n; ++i) work[(int64_t)position[i / block] * block + i % block] = right[i];
-    for (int64_t i = 0; i < n; ++i) {
-        const double *column = L + begin[i], value = work[i] *= column[0];
-        double *restrict behind = work + i;
-        for (int64_t k = 1; k < begin[i + 1] - begin[i]; ++k) behind[k] -= column[k] * value;
+    const int64_t rows = rows_of_panel(block), panels = (n + rows - 1) / rows;
+    for (int64_t i = 0; i < n; i += rows) {
+        const int R = (int)(n - i < rows ? n - i : rows);
+        const double *from[PANEL];
+        double value[PANEL] = {0.0}, *restrict behind = work + i + R;
+        for (int r = 0; r < R; ++r) {
+            const double *column = L + begin[i + r];
+            value[r] = work[i + r] *= column[0];
+            for (int s = r + 1; s < R; ++s) work[i + s] -= column[s - r] * value[r];
+        }
+        for (int r = 0; r < PANEL; ++r) from[r] = L + begin[i + (r < R ? r : 0)] + R - (r < R ? r : 0);
+        for (int64_t k = 0; k < begin[i + 1] - begin[i] - R; ++k) {
+            double sum = behind[k];
+            for (int r = 0; r < PANEL; ++r) sum -= value[r] * from[r][k];
+            behind[k] = sum;
+        }
     }
-    for (int64_t i = n - 1; i >= 0; --i) {
-        const double *row = U + begin[i], *behind = work + i;
-        const int64_t length = begin[i + 1] - begin[i];
-        double sum[4] = {behind[0]};
-        int64_t k = 1;
-        for (; k + 3 < length; k += 4)
-            for (int q = 0; q < 4; ++q) sum[q] -= row[k + q] * behind[k + q];
-        for (; k < length; ++k) sum[0] -= row[k] * behind[k];
-        work[i] = ((sum[0] + sum[1]) + (sum[2] + sum[3])) * row[0];
+    for (int64_t panel = panels - 1; panel >= 0; --panel) {
+        const int64_t i = panel * rows;
+        const int R = (int)(n - i < rows ? n - i : rows);
+        const int64_t length = begin[i + 1] - begin[i] - R;
+        const double *from[PANEL], *behind = work + i + R;
+        lanes_t sum[PANEL] = {{0.0}};
+        double rest[PANEL] = {0.0};
+        int64_t k = 0;
+        for (int r = 0; r < PANEL; ++r) from[r] = U + begin[i + (r < R ? r : 0)] + R - (r < R ? r : 0);
+        for (; k + LANES <= length; k += LANES) {
+            const lanes_t x = *(const near_t *)(behind + k);
+            for (int r = 0; r < PANEL; ++r) sum[r] += *(const near_t *)(from[r] + k) * x;
+        }
+        for (; k < length; ++k)
+            for (int r = 0; r < PANEL; ++r) rest[r] += from[r][k] * behind[k];
+        for (int r = R - 1; r >= 0; --r) {
+            const double *row = U + begin[i + r];
+            double left = work[i + r] - rest[r];
+            for (int l = 0; l < LANES; ++l) left -= sum[r][l];
+            for (int s = r + 1; s < R; ++s) left -= row[s - r] * work[i + s];
+            work[i + r] = left * row[0];
+        }
     }
     for (int64_t i = 0; i < n; ++i) out[i] = work[(int64_t)position[i / block] * block + i % block];
 }

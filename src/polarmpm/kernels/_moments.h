@@ -61,3 +61,46 @@ FAST void polarmpm_project(int64_t npoints, int32_t nk, int32_t nc, const int32_
             for (int c = 0; c < nc; ++c) row[c] += L * m[c];
         }
 }
+
+/* Add to sums over cells, [cell][1 + dim][1 + dim + parts], what fits of linear functions need: moments of volumes, and of
+ * values [point][parts], with 1 and the place within the cell [point][dim]. */
+void polarmpm_fit_sums(int64_t npoints, int32_t dim, int32_t parts, const int64_t *cell, const double *volume,
+                       const double *within, const double *value, double *sums)
+{
+    const int na = dim + 1, nb = na + parts;
+    for (int64_t p = 0; p < npoints; ++p) {
+        double linear[4] = {1.0}, *to = sums + cell[p] * na * nb;
+        for (int k = 0; k < dim; ++k) linear[1 + k] = within[p * dim + k];
+        for (int a = 0; a < na; ++a, to += nb) {
+            const double share = volume[p] * linear[a];
+            for (int b = 0; b < na; ++b) to[b] += share * linear[b];
+            for (int b = 0; b < parts; ++b) to[na + b] += share * value[p * parts + b];
+        }
+    }
+}
+
+/* At points the means of the functions `fitted` [node][1 + dim][parts] of their cells' corners, nodes `at`
+ * [cell][2^dim]: `smooth` [point][parts]. */
+void polarmpm_fit_values(int64_t npoints, int32_t dim, int32_t parts, const int64_t *cell, const double *within,
+                         const int64_t *corner, const int64_t *at, const double *fitted, double *smooth)
+{
+    const int corners = 1 << dim;
+    for (int64_t p = 0; p < npoints; ++p) {
+        double *to = smooth + p * parts;
+        for (int i = 0; i < parts; ++i) to[i] = 0.0;
+        for (int c = 0; c < corners; ++c) {
+            const double *f = fitted + at[cell[p] * corners + c] * (1 + dim) * parts;
+            double share = 1.0;
+            for (int k = 0; k < dim; ++k) {
+                const double x = within[p * dim + k];
+                share *= corner[c * dim + k] ? x : 1.0 - x;
+            }
+            for (int i = 0; i < parts; ++i) {
+                double there = f[i];
+                for (int k = 0; k < dim; ++k)
+                    there += (within[p * dim + k] - (double)corner[c * dim + k]) * f[(1 + k) * parts + i];
+                to[i] += share * there;
+            }
+        }
+    }
+}

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..assembly.loadedpoints import LoadedPoints
 from ..geometry.grid import box_indices
+from ..kernels import native
 from ..tools.parallel import sums_by_number
 from ..tools.rows import flat
 
@@ -22,8 +23,9 @@ def strains(system: LoadedPoints, start: np.ndarray) -> np.ndarray:
     """Green's strain increments of the points (np, d, d) since nodal increments `start` (nodes, block)."""
     i = system.interpolation
     eye = np.eye(i.layout.dim)
-    before, now = (eye + i.gather(x).gradient for x in (start, system.x))
-    change = now @ np.linalg.inv(before)
+    change = eye + i.gather(system.x).gradient
+    if start.any():
+        change = change @ np.linalg.inv(eye + i.gather(start).gradient)
     green: np.ndarray = 0.5 * (np.swapaxes(change, 1, 2) @ change - eye)
     return green
 
@@ -119,26 +121,23 @@ class Recovery:
 
     def __init__(self, system: LoadedPoints, values: np.ndarray):
         i, d = system.interpolation, system.interpolation.layout.dim
-        grid, volume, x = i.grid, i.points.volume0, i.reference.x
-        self._cells, self._corners = grid.cells_of(x), box_indices((2,) * d)
-        self._linear = np.hstack([np.ones((len(x), 1)), grid.within(x, self._cells)])
-        _, first, self._cell = np.unique(
-            grid.cell_number(self._cells), return_index=True, return_inverse=True
-        )
-        numbers = [grid.node_number(self._cells[first] + corner) for corner in self._corners]
-        known, at = np.unique(np.stack(numbers, axis=1), return_inverse=True)
-        self._at = at.reshape(len(first), len(numbers))
+        grid, x = i.grid, i.reference.x
+        cells, self._corners = grid.cells_of(x), box_indices((2,) * d)
+        self._within = np.ascontiguousarray(grid.within(x, cells))
+        _, first, self._cell = np.unique(grid.cell_number(cells), return_index=True, return_inverse=True)
+        numbers = np.stack([grid.node_number(cells[first] + corner) for corner in self._corners], axis=1)
+        known, at = np.unique(numbers, return_inverse=True)
+        self._at = at.reshape(numbers.shape)
         # over each cell, about its first corner; around a node each cell has another corner there
-        both = [*self._linear.T, *values.T]
-        of_cells = np.empty((len(first), d + 1, len(both)))
-        for a in range(d + 1):
-            for b, of in enumerate(both):
-                weighted = volume * self._linear[:, a] * of
-                of_cells[:, a, b] = np.bincount(self._cell, weighted, minlength=len(first))
-        self._shifts = np.tile(np.eye(d + 1), (len(self._corners), 1, 1))
-        self._shifts[:, 1:, 0] = -self._corners
-        moments = np.zeros((len(known), d + 1, len(both)))
-        for shift, nodes in zip(self._shifts, self._at.T, strict=True):
+        values, parts = np.ascontiguousarray(values), values.shape[1]
+        of_cells = np.zeros((len(first), d + 1, d + 1 + parts))
+        native.library().polarmpm_fit_sums(
+            len(x), d, parts, self._cell, i.points.volume0, self._within, values, of_cells
+        )
+        shifts = np.tile(np.eye(d + 1), (len(self._corners), 1, 1))
+        shifts[:, 1:, 0] = -self._corners
+        moments = np.zeros((len(known), *of_cells.shape[1:]))
+        for shift, nodes in zip(shifts, self._at.T, strict=True):
             shifted = shift @ of_cells
             shifted[:, :, : d + 1] = shifted[:, :, : d + 1] @ shift.T
             moments[nodes] += shifted
@@ -148,20 +147,19 @@ class Recovery:
 
     @property
     def smooth(self) -> np.ndarray:
-        d, matrix = self._linear.shape[1] - 1, self._matrix
+        n, d = self._within.shape
+        matrix, parts = self._matrix, self._right.shape[2]
         matrix = matrix + 1e-9 * np.trace(matrix, axis1=1, axis2=2)[:, None, None] * np.eye(d + 1)
-        fitted = np.linalg.solve(matrix, self._right)
-        out = np.zeros((len(self._linear), fitted.shape[2]))
-        for corner, shift, nodes in zip(self._corners, self._shifts, self._at.T, strict=True):
-            share, there = self._share(corner), shift.T @ fitted[nodes]
-            for a in range(d + 1):
-                out += (share * self._linear[:, a])[:, None] * there[self._cell, a]
+        fitted = np.ascontiguousarray(np.linalg.solve(matrix, self._right))
+        out = np.empty((n, parts))
+        native.library().polarmpm_fit_values(
+            n, d, parts, self._cell, self._within, self._corners.astype(np.int64), self._at, fitted, out
+        )
         return out
 
     def _share(self, corner: np.ndarray) -> np.ndarray:
         """Weights of a corner at the points (np,)."""
-        within = self._linear[:, 1:]
-        share: np.ndarray = np.prod(np.where(corner > 0, within, 1.0 - within), axis=1)
+        share: np.ndarray = np.prod(np.where(corner > 0, self._within, 1.0 - self._within), axis=1)
         return share
 
     def changes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -178,7 +176,7 @@ class Recovery:
 
     def at_points(self, of_corners: np.ndarray) -> np.ndarray:
         """Values (m,) around the corners at the points (np,)."""
-        out = np.zeros(len(self._linear))
+        out = np.zeros(len(self._within))
         for corner, nodes in zip(self._corners, self._at.T, strict=True):
             out += self._share(corner) * of_corners[nodes][self._cell]
         return out
