@@ -11,6 +11,7 @@ import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING, cast
 
 from mpi4py import MPI
 
@@ -20,7 +21,6 @@ from ..basis.base import Basis, Weights
 from ..bodies.points import Points
 from ..bodies.reference import Increments, Reference
 from ..errors import InputError
-from ..forms.plastic import PlasticForm
 from ..forms.points import PointForm
 from ..forms.projected import ProjectedForm
 from ..geometry.grid import MARGIN, Grid
@@ -37,6 +37,9 @@ from .bodyweights import patches_of_bodies, weights_of_bodies
 from .nodesets import Groups, group_points, node_sets_of, ownership_priorities, reached_cells
 from .patches import Patches
 from .pointboxes import PointBoxes, has_boxes
+
+if TYPE_CHECKING:
+    from ..forms.plastic import PlasticForm
 
 
 @dataclass
@@ -213,10 +216,10 @@ class Interpolation:
             self.pack()
             return
         for b in self.batches:
-            if isinstance(b.form, PlasticForm):
-                state = b.batch.kept["state"].copy()
-                plastic = self.points.plastic_state(b.rows)
-                state[:, b.form.elastic_size :] = b.form.pack_flow(self.reference.q[b.rows], plastic)
+            if b.form.material.plastic:  # whose module elastic bodies don't import
+                form = cast("PlasticForm", b.form)
+                state, plastic = b.batch.kept["state"].copy(), self.points.plastic_state(b.rows)
+                state[:, form.elastic_size :] = form.pack_flow(self.reference.q[b.rows], plastic)
                 native.fill(b.batch, state=state)
         for boxes in self.boxes or ():
             boxes.pack_shares()

@@ -60,4 +60,5 @@ def on_lattice(
         weak,
         np.asarray(as_force, dtype=float),
         put,
+        nodes.comm,
     )

@@ -45,7 +45,7 @@ def _multigrid(tangent: Tangent) -> LinearSolver:
     if tangent.lattice is not None:
         from .lattice import LatticeSolver  # lazy import: small problems need no multigrid
 
-        return LatticeSolver(tangent.matrix, tangent.symmetric, tangent.lattice(), tangent.far_from_symmetric)
+        return LatticeSolver(tangent.make, tangent.symmetric, tangent.lattice(), tangent.far_from_symmetric)
     return algebraic(tangent)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import cached_property
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -30,7 +32,7 @@ class LatticeSolver:
     The hierarchy of an earlier tangent serves until it costs more iterations than a new one would.
 
     Args:
-        matrix: of PETSc, for the direct solver; it belongs to the solver from now on.
+        make: makes PETSc's matrix, for the direct solver, when it is asked for first. Collective.
         symmetric, far_from_symmetric: see `DirectSolver`.
         lattice: the rows that are worked on.
 
@@ -44,10 +46,13 @@ class LatticeSolver:
     in_place = True
 
     def __init__(
-        self, matrix: PETSc.Mat, symmetric: bool, lattice: LatticeRows, far_from_symmetric: bool = False
+        self,
+        make: Callable[[], PETSc.Mat],
+        symmetric: bool,
+        lattice: LatticeRows,
+        far_from_symmetric: bool = False,
     ):
-        self.matrix, self.symmetric, self._lattice = matrix, symmetric, lattice
-        self.comm: MPI.Comm = matrix.comm.tompi4py()
+        self._make, self.symmetric, self._lattice, self.comm = make, symmetric, lattice, lattice.comm
         self.iterations = self.hierarchies = self.failures = 0
         self._far = far_from_symmetric
         self._hierarchy: Hierarchy | None = None
@@ -57,6 +62,11 @@ class LatticeSolver:
         self._methods = [_CG, _GMRES] if symmetric else [_GMRES]
         self._direct: DirectSolver | None = None
         self._to_direct = False
+
+    @cached_property
+    def matrix(self) -> PETSc.Mat:
+        """PETSc's."""
+        return self._make()
 
     # hierarchy ------------------------------------------------------------------------------------
     def factor(self) -> None:
@@ -172,5 +182,6 @@ class LatticeSolver:
     def destroy(self) -> None:
         """Release PETSc's objects."""
         self._release()
-        (self._direct or self.matrix).destroy()
+        if self._direct is not None or "matrix" in vars(self):
+            (self._direct or self.matrix).destroy()
         vars(self).pop("_lattice", None)  # which holds the entries

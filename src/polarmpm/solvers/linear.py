@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -53,6 +54,7 @@ class LatticeRows:
         weak: owned nodes at which there is hardly any of the body (owned nodes,), bool. Collective.
         as_force: by which factors (block,) the residual's components count as forces.
         put: gives PETSc's matrix the entries. Collective.
+        comm: of the ranks.
     """
 
     block: int
@@ -68,6 +70,7 @@ class LatticeRows:
     weak: Callable[[], np.ndarray]
     as_force: np.ndarray
     put: Callable[[], None]
+    comm: MPI.Comm
 
     @property
     def equal(self) -> bool:
