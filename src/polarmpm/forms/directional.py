@@ -19,7 +19,7 @@ import ufl
 from ..kernels import codegen
 from ..kernels.kernel import Kernel, PointSpace, Slots, compile_expressions
 from ..kinematics.motion import Motion
-from .initialstress import InitialStressForm
+from .initialstress import InitialKernels
 from .plastic import PlasticForm
 from .points import PointForm
 from .projected import ProjectedForm
@@ -58,10 +58,11 @@ class Direction:
         """An expression's derivative; some coefficients stay."""
         return sum(ufl.derivative(expression, c, d) for c, d in self._changes.items() if c not in without)
 
-    def compiled(self, name: str, part: Any, size: int, comm: MPI.Comm) -> Kernel:
-        """The kernel of a `Vector`, or of a list of UFL scalars. Collective."""
-        functions = {name: part if isinstance(part, list) else [part]}
-        kernels = compile_functions(self.space, name, functions, self.terminals, self.inputs, comm)
+    def compiled(self, name: str, part: Any, size: int, comm: MPI.Comm, of: str) -> Kernel:
+        """The kernel of a `Vector`, or of a list of UFL scalars; `of`: the code of the kernel of which these
+        are derivatives. Collective."""
+        functions, known = {name: part if isinstance(part, list) else [part]}, ["along", of] if of else []
+        kernels = compile_functions(self.space, name, functions, self.terminals, self.inputs, comm, known)
         assert kernels[name].outputs == size
         return kernels[name]
 
@@ -88,7 +89,7 @@ class FormAlong:
         """Of the residual (nz), with stiff scalars of L_z and L_t (nz + m), at constant pi."""
         d = self._direction
         form = d.along(codegen.integrand(self.form.residual))
-        return d.compiled("along", self._vector(form), self.form.unknowns, self.comm)
+        return d.compiled("along", self._vector(form), self.form.unknowns, self.comm, self.form.code)
 
     @cached_property
     def measure(self) -> Kernel:
@@ -96,7 +97,7 @@ class FormAlong:
         form, d = self.form, self._direction
         assert isinstance(form, ProjectedForm)
         rows = [d.along(e) for e in form.scalars_now]
-        return d.compiled("measure_along", rows, form.scalars, self.comm)
+        return d.compiled("measure_along", rows, form.scalars, self.comm, form.code)
 
     @cached_property
     def bent(self) -> Kernel:
@@ -106,7 +107,7 @@ class FormAlong:
         test = ufl.TestFunction(form.space.function_space(form.unknowns))
         e = sum(form.extra[k] * one for k, one in enumerate(form.scalars_now))
         row = d.along(ufl.derivative(e, form.z, test))
-        return d.compiled("bent_along", self._vector(row), form.unknowns, self.comm)
+        return d.compiled("bent_along", self._vector(row), form.unknowns, self.comm, form.code)
 
     @cached_property
     def moved(self) -> Kernel:
@@ -114,7 +115,8 @@ class FormAlong:
         form, d = self.form, self._direction
         assert isinstance(form, ProjectedForm)
         rows = d.along(form.moved.F)
-        return compile_expressions([rows], d.terminals, d.inputs, form.space.domain, self.comm)
+        known = ["moved along", form.code] if form.code else []
+        return compile_expressions([rows], d.terminals, d.inputs, form.space.domain, self.comm, known)
 
     @cached_property
     def moduli(self) -> Kernel:
@@ -123,7 +125,7 @@ class FormAlong:
         vector = d._changes[form.z]
         work = ufl.derivative(codegen.integrand(form.residual), form.z, vector)
         row = d.along(work, without=[form.z])
-        return d.compiled("moduli_along", self._vector(row), form.unknowns, self.comm)
+        return d.compiled("moduli_along", self._vector(row), form.unknowns, self.comm, form.code)
 
     def returned(self, region: int) -> tuple[Kernel, Kernel]:
         """On a region of the yield surface: of the local residual (nx) at constant X, and of the stresses
@@ -132,10 +134,12 @@ class FormAlong:
         assert isinstance(form, PlasticForm)
         name = form.regions[region].name
         if name not in self._returns:
-            self._returns[name] = self._returned(form.local_problem(form.regions[region]))
+            of = form.return_kernels(form.regions[region], self.comm)
+            codes = of.local.code, of.stress.code
+            self._returns[name] = self._returned(form.local_problem(form.regions[region]), *codes)
         return self._returns[name]
 
-    def _returned(self, problem: LocalProblem) -> tuple[Kernel, Kernel]:
+    def _returned(self, problem: LocalProblem, local_code: str, code: str) -> tuple[Kernel, Kernel]:
         form, nx = self.form, problem.X.ufl_shape[0]
         terminals = {**_terminals(form), problem.X: form.inputs}
         d = Direction(form.space, terminals, [*self._groups, nx])
@@ -143,8 +147,8 @@ class FormAlong:
         local = d.along(ufl.dot(ufl.as_vector(problem.residual), test), without=[problem.X])
         work = self._vector(d.along(problem.work))
         return (
-            d.compiled(f"{problem.name}_local_along", Vector(local, nx), nx, self.comm),
-            d.compiled(f"{problem.name}_work_along", work, form.unknowns, self.comm),
+            d.compiled(f"{problem.name}_local_along", Vector(local, nx), nx, self.comm, local_code),
+            d.compiled(f"{problem.name}_work_along", work, form.unknowns, self.comm, code),
         )
 
 
@@ -156,17 +160,18 @@ def _terminals(form: PointForm) -> Mapping[Any, int | tuple[int, ...]]:
 class InitialAlong:
     """The same of initial stresses; groups are z, frame and packed stress. Collective."""
 
-    def __init__(self, form: InitialStressForm, comm: MPI.Comm):
+    def __init__(self, kernels: InitialKernels, comm: MPI.Comm):
+        form, of = kernels.form, kernels.residual.code
         n, space = form.layout.unknowns, form.space
         frame = form.layout.dim**2
         d = Direction(space, form.terminals, [n, frame, form.size])
         work = ufl.derivative(form.energy, form.z, ufl.TestFunction(space.function_space(n)))
-        self.residual = d.compiled("initial_along", Vector(d.along(work), n), n, comm)
+        self.residual = d.compiled("initial_along", Vector(d.along(work), n), n, comm, of)
         # the tangent times a constant vector in the place of dz
         times = ufl.derivative(work, form.z, d._changes[form.z])
-        self.times = d.compiled("initial_times", Vector(times, n), n, comm)
+        self.times = d.compiled("initial_times", Vector(times, n), n, comm, of)
         changed = Vector(d.along(times, without=[form.z]), n)
-        self.moduli = d.compiled("initial_moduli", changed, n, comm)
+        self.moduli = d.compiled("initial_moduli", changed, n, comm, of)
 
 
 class MotionAlong:
@@ -180,7 +185,8 @@ class MotionAlong:
         space = PointSpace(state.ufl_function_space().ufl_domain())
         d = Direction(space, {state: 0, z: groups[0]}, groups)
         rows = [d.along(e) for e in motion._expressions()]
-        self._kernel = compile_expressions(rows, d.terminals, d.inputs, space.domain, comm)
+        known = ["motion along", motion._kernel.code]
+        self._kernel = compile_expressions(rows, d.terminals, d.inputs, space.domain, comm, known)
 
     def __call__(self, state: Sequence[Any], change: Sequence[Any], z: Any, dz: Any) -> tuple[Any, ...]:
         """Changes of (F, q, Gamma), of classical materials of (F,)."""

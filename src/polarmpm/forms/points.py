@@ -39,6 +39,7 @@ class PointForm:
 
     scalars: int = 0  # that are projected, see `projected`
     turns: int = 0  # of these, components of the relative rotation
+    code: str = ""  # name of the compiled residual and tangent, a digest of them
 
     def __init__(self, material: Material, dim: int, axial: bool = False):
         self.material, self.layout = material, Layout.of_points(material, dim, axial)
@@ -197,8 +198,8 @@ class PointForm:
             self.packing(comm)
         n = self.layout.unknowns
         signature = self._signature(codegen.integrand(self.iteration_tangent))
-        key = jit.digest(generator_version(), f"blocks {self._waist}", signature)
-        lib = jit.library(key, self._source, comm)
+        self.code = jit.digest(generator_version(), f"blocks {self._waist}", signature)
+        lib = jit.library(self.code, self._source, comm)
         size, inputs = n + n * (n + 1) // 2, self.inputs + (n if self.predicts else 0)
         return Kernel(lib, "residual", self.inputs, n), Kernel(lib, "blocks", inputs, size)
 

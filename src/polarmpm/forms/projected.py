@@ -277,8 +277,8 @@ class ProjectedForm(PointForm):
         signature = self._signature(codegen.integrand(self.tangent))
         # the tangent has all of the form, but what is linear in e alone
         scalars = [compat.expression_signature(e, self._order) for e in self.scalars_now]
-        name = jit.digest(generator_version(), "projected", slots, signature, *scalars)
-        return jit.library(name, self._source, comm)
+        self.code = jit.digest(generator_version(), "projected", slots, signature, *scalars)
+        return jit.library(self.code, self._source, comm)
 
     @property
     def _order(self) -> dict[Any, int]:

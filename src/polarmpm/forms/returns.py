@@ -120,11 +120,14 @@ def compile_functions(
     terminals: Slots,
     inputs: int,
     comm: MPI.Comm,
+    known: Sequence[str] = (),
 ) -> dict[str, Kernel]:
-    """Kernels of functions that are lists of UFL scalars or of forms' coefficients. Collective."""
-    order = {**{c: i for i, c in enumerate(terminals)}, space.domain: 0}
-    parts = [part for list_ in functions.values() for part in list_]
-    key = [compat.expression_signature(_expression(part), order) for part in parts]
+    """Kernels of functions that are lists of UFL scalars or of forms' coefficients; `known` as of
+    `compile_expressions`. Collective."""
+    order, key = {**{c: i for i, c in enumerate(terminals)}, space.domain: 0}, known
+    if not known:
+        parts = [part for list_ in functions.values() for part in list_]
+        key = [compat.expression_signature(_expression(part), order) for part in parts]
     layout = ",".join(f"{slot}" for slot in terminals.values())
 
     def source() -> str:

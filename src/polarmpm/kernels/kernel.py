@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -37,6 +37,11 @@ class Kernel:
         self.inputs, self.outputs = inputs, outputs
         self.address: int = ctypes.cast(getattr(lib, name), ctypes.c_void_p).value or 0
         self._library = lib  # keeps the code loaded
+
+    @property
+    def code(self) -> str:
+        """Name of its code in the cache, which is a digest of what it computes."""
+        return Path(self._library._name).stem
 
     def __call__(self, *columns: np.ndarray) -> np.ndarray:
         """Evaluate for all rows, (n, outputs). The sums over points call the code from C."""
@@ -81,11 +86,18 @@ def third(c: Any) -> Any:
 
 
 def compile_expressions(
-    expressions: list[Any], terminals: Slots, inputs: int, domain: Any, comm: MPI.Comm
+    expressions: list[Any],
+    terminals: Slots,
+    inputs: int,
+    domain: Any,
+    comm: MPI.Comm,
+    known: Sequence[str] = (),
 ) -> Kernel:
-    """One kernel that evaluates UFL expressions (any shape, flattened row by row) of its inputs."""
-    order = {c: i for i, c in enumerate(terminals)}
-    signatures = [compat.expression_signature(e, {**order, domain: 0}) for e in expressions]
+    """One kernel that evaluates UFL expressions (any shape, flattened row by row) of its inputs; `known`:
+    what tells it from others, if signatures, which take a while, needn't."""
+    order, signatures = {c: i for i, c in enumerate(terminals)}, known
+    if not known:
+        signatures = [compat.expression_signature(e, {**order, domain: 0}) for e in expressions]
     size = sum(int(np.prod(e.ufl_shape, dtype=int)) for e in expressions)
 
     def source() -> str:

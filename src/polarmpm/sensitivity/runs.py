@@ -62,8 +62,7 @@ class Sensitivity:
     Beside the run go twins, whose parameters are a little larger or smaller, through its own resets and load
     factors, with its own factors (docs/sensitivity.md). The run itself is the same to the last bit as
     without. Points and elements in statics; not with contact, in dynamics, or with assemblies "projection"
-    and "dolfinx". With method="exact" derivatives are solved for, of points without surfaces. All calls are
-    collective.
+    and "dolfinx". With method="exact" derivatives are solved for. All calls are collective.
 
     Args:
         build: called with a dict of parameters, and `arguments`; returns a problem, with its supports and
@@ -73,9 +72,9 @@ class Sensitivity:
         values: parameters by name; any names of the script's own.
         parameters: names of those by which to differentiate; default: all.
         method: "twins"; or "exact", the tangent-linear run: UFL's derivatives of the points' forms, with
-            more digits. What it doesn't carry (elements, surfaces, several bodies, bodies of revolution,
-            second gradients, rotations that get a new base, observables such as energies) raises an
-            InputError that says so. `sides` and `step` are those of twins.
+            more digits. What it doesn't carry (of points several bodies, bodies of revolution, second
+            gradients, rotations that get a new base; initial stresses; surfaces along the path; observables
+            such as energies) raises an InputError that says so. `sides` and `step` are those of twins.
         sides: 2: twins with a larger and a smaller value; 1: with a larger one only, at half the cost, and
             to fewer digits.
         step: of ln m between twin and run; default 3e-5, on one side 1e-6. Where it turns out to be too

@@ -144,7 +144,7 @@ class Linearised:
         """Let a batch know the kernels of its initial stresses. Collective."""
         kernels = self.system.initial.kernels[k]
         if kernels.form not in self._initial:
-            self._initial[kernels.form] = InitialAlong(kernels.form, self.problem.comm)
+            self._initial[kernels.form] = InitialAlong(kernels, self.problem.comm)
         self.batches[k].initial = kernels, self._initial[kernels.form]
 
     def precondition(self, forces: np.ndarray) -> np.ndarray:
