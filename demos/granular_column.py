@@ -1,9 +1,10 @@
 """Collapse of a column of aluminium bars on a rough floor, as in an experiment, on three grids. SI units.
 
 Bui et al. 2008: 0.2 x 0.1 m of bars of 1 and 1.5 mm, two-dimensional sand, at a wall, let go at once.
-Friction of 19.8 degrees in plane strain, no dilatancy; a cohesion of a hundredth of the weight's stress
-keeps points at the front from falling apart. The same with microrotations (`--micropolar`), of bars that
-turn; and columns of other shapes (`--aspect`), whose run-out is that of Lube et al. 2005.
+Friction of 19.8 degrees in plane strain, no dilatancy; a cohesion of a hundredth of the weight's stress, or
+what `--cohesion` says, keeps points at the front from falling apart. The same with microrotations
+(`--micropolar`), of bars that turn; and columns of other shapes (`--aspect`), whose run-out is to be laid
+beside that of Lube et al. 2005.
 """
 
 import math
@@ -130,7 +131,7 @@ def main(argv=None):
         argv=argv,
         more={
             "--cells": {"type": float, "nargs": "+", "default": [0.01, 0.005, 0.0025], "help": "sizes (m)"},
-            "--cohesion": {"type": float, "default": 20.0, "help": "(Pa)"},
+            "--cohesion": {"type": float, "help": "(Pa); default: 20 of this column, more of higher ones"},
             "--ghost": {"type": float, "default": 1e-3, "help": "ghost penalty as a share of E"},
             "--aspect": {"type": float, "default": HEIGHT / WIDTH, "help": "height over width"},
             "--time": {"type": float, "default": 0.7, "help": "at which runs end at the latest (s)"},
@@ -140,6 +141,8 @@ def main(argv=None):
         },
     )
     args.dt = args.time / args.steps
+    if args.cohesion is None:
+        args.cohesion = 20.0 * args.aspect * WIDTH / HEIGHT
     folder = demo.output_folder(args, MPI.COMM_WORLD)
     solved = [solve(cell, args, folder) for cell in args.cells]
     draw(solved, folder / "granular_column.png")

@@ -1,6 +1,7 @@
 """Contact of bodies with rigid obstacles, of points and of elements."""
 
 import re
+from contextlib import nullcontext
 
 from mpi4py import MPI
 
@@ -330,3 +331,25 @@ def test_a_ring_of_sites_counts_a_whole_turn(on):
     across = scipy.optimize.brentq(lambda t: mu * (t - 1 / t) + lam * np.log(t * t * along) / t, 0.9, 1.2)
     stress = mu * (along - 1 / along) + lam * np.log(across**2 * along) / along
     assert plate.force[1] == pytest.approx(np.pi * stress, rel=2e-4)
+
+
+@pytest.mark.parametrize("elements", [False, True])
+def test_an_obstacle_within_the_body_is_refused(elements):
+    """The boundary doesn't see it."""
+    if elements:
+        square = mesh.create_unit_square(COMM, 10, 10, mesh.CellType.quadrilateral)
+        problem = pm.QuasiStaticFEM(pm.Elements(square, material=NEO_HOOKEAN, degree=1))
+    else:
+        grid = pm.Grid.box((0, 0), (1, 1), 0.1, comm=COMM)
+        problem = pm.QuasiStatic(grid, pm.seed(grid, material=NEO_HOOKEAN, bounds=((0, 0), (1, 1))))
+    problem.obstacle(pm.Sphere((0.5, 0.5), 0.2))
+    with pytest.raises(pm.InputError, match="begins within the body"):
+        problem.attempt(1.0)
+
+
+def test_a_body_that_begins_a_little_inside_is_told():
+    problem = block()
+    problem.obstacle(lambda x: x[1] - LOW - 0.1)
+    told = pytest.warns(pm.TrustWarning, match=re.escape("0.5 cells; it is pushed out"))
+    with told if COMM.rank == 0 else nullcontext():
+        problem.system_at(1.0)

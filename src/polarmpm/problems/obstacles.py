@@ -45,6 +45,7 @@ def add_obstacle(problem: Any, phi: Any, on: Any, options: dict[str, Any]) -> Ob
         made = RigidObstacle(*of, aslant=aslant, body=body)
         if not body.taken:
             problem.add(body)
+    made.whole = on is None
     problem.add(made)
     return made
 

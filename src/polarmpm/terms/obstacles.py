@@ -10,7 +10,7 @@ from mpi4py import MPI
 import numpy as np
 
 from ..conditions.amplitudes import Amplitude
-from ..errors import InputError, LocalFailure
+from ..errors import InputError, LocalFailure, TrustWarning
 from ..forms.contact import CONSTANTS, ContactForm, Law, pose_row
 from ..geometry.shapes import Level, Shape
 from ..geometry.surfaces import Surface
@@ -19,6 +19,7 @@ from ..kinematics import rotations
 from ..kinematics.layout import Layout
 from ..kinematics.moments import moments
 from ..tools import checks
+from ..tools.parallel import warn_on_one_rank
 from .base import Piece, Setting
 from .obstaclepieces import SitePiece
 from .settings import GridSetting
@@ -26,6 +27,7 @@ from .sites import Sites
 from .surfaceterms import undeformed_area
 
 _REACH = 2.0  # cells: sites that are nearer to the obstacle when increments begin to count may touch it
+_WITHIN = 0.45  # cells by which sites may lie in the obstacle at first, and points deeper than these
 _LEAST = 0.1  # share of a corner's area, at least, that an obstacle beside it sees
 
 
@@ -53,6 +55,7 @@ class Obstacle(Sites):
     external = True
     proportional = False
     renew = False
+    whole = False  # its sites are all of the body's boundary
     piece: type[SitePiece] = SitePiece
 
     def __init__(
@@ -224,6 +227,7 @@ class Obstacle(Sites):
         gap = told["gap"][:, 0]
         if not self._checked:
             self._check_start(gap)
+            self._check_within(setting, max(0.0, -float(np.nanmin(gap))))
             self.seen_area = self.next_area = self._area_towards(told["normal"])
         self.area_now = self.seen_area
         self._near, self.renew = gap < _REACH * self._size, False
@@ -250,10 +254,42 @@ class Obstacle(Sites):
                 f"{self.name}: the body begins inside of it: its site at {place} lies {-gap[deepest]:.4g} m "
                 f"deep, more than a cell ({self._size:.4g} m){hint}"
             )
+        if gap[deepest] < -_WITHIN * self._size:
+            text = (
+                f"{self.name}: the body begins inside of it: its site at {place} lies {-gap[deepest]:.4g} m "
+                f"deep, {-gap[deepest] / self._size:.2g} cells; it is pushed out at once"
+            )
+            warn_on_one_rank(self.comm, text, TrustWarning)
         if self.law.barrier and gap[deepest] <= 0.0:
             raise InputError(
                 f"{self.name}: barrier: the body touches it from the start: its site at {place} has the gap "
                 f"{gap[deepest]:.4g} m; a barrier needs a positive one"
+            )
+
+    def _check_within(self, setting: Setting, deepest: float) -> None:
+        """Raise InputError where the obstacle begins within the body, whose boundary doesn't see it.
+        Collective.
+
+        Args:
+            deepest: depth of the deepest site in the obstacle (m).
+        """
+        if not self.whole:
+            return
+        points = getattr(setting, "points", None) or setting.elements.points  # type: ignore[attr-defined]
+        found: list[float] = [-np.inf]
+        if len(points):
+            y = np.zeros((len(points), self.layout.block))
+            y[:, : self.layout.dim] = points.x - self._data[0][0]
+            gap = self.tell(y, np.zeros(len(points), dtype=np.int64))["gap"][:, 0]
+            depth = np.nan_to_num(-gap, nan=-np.inf)
+            at = int(np.argmax(depth))
+            found = [float(depth[at]), *points.x[at].tolist()]
+        found = max(self.comm.allgather(found))
+        if found[0] > deepest + _WITHIN * self._size:
+            place = tuple(float(round(c, 9)) for c in found[1:])
+            raise InputError(
+                f"{self.name}: it begins within the body: {place} lies {found[0]:.4g} m deep in it, "
+                f"the body's surface {deepest:.4g} m; cut a hole there, or give the sites that may touch (on)"
             )
 
     # a step -------------------------------------------------------------------------------------------
