@@ -20,7 +20,7 @@ from polarmpm.study import commandline as demo
 
 WIDTH, HEIGHT = 0.2, 0.1  # m
 DENSITY, GRAVITY = 2650.0, 9.81  # kg/m^3, m/s^2
-E, NU, PHI, LENGTH = 0.84e6, 0.3, math.radians(19.8), 1.3e-3  # Pa, -, -, m
+E, NU, PHI, LENGTH = 0.84e6, 0.3, 19.8, 1.3e-3  # Pa, -, degrees, m
 LAM, MU = E * NU / (1 + NU) / (1 - 2 * NU), 0.5 * E / (1 + NU)
 FRONT = 0.44  # m, in the experiment
 # digitised, to 2 mm
@@ -31,7 +31,7 @@ SURFACE = np.column_stack(
 
 def material(args):
     """The bars: Drucker and Prager's cone that fits their friction in plane strain."""
-    options = {"phi": PHI, "psi": 0.0, "c": args.cohesion, "cone": "plane strain"}
+    options = {"phi": math.radians(args.phi), "psi": 0.0, "c": args.cohesion, "cone": "plane strain"}
     if not args.micropolar:
         return pm.DruckerPrager(pm.Hencky(lam=LAM, mu=MU), **options)
     elastic = pm.MicropolarElastic.bounded_stiffness(lam=LAM, mu=MU, kappa=MU / 2, l_b=args.length)
@@ -132,6 +132,7 @@ def main(argv=None):
         more={
             "--cells": {"type": float, "nargs": "+", "default": [0.01, 0.005, 0.0025], "help": "sizes (m)"},
             "--cohesion": {"type": float, "help": "(Pa); default: 20 of this column, more of higher ones"},
+            "--phi": {"type": float, "default": PHI, "help": "angle of friction (degrees)"},
             "--ghost": {"type": float, "default": 1e-3, "help": "ghost penalty as a share of E"},
             "--aspect": {"type": float, "default": HEIGHT / WIDTH, "help": "height over width"},
             "--time": {"type": float, "default": 0.7, "help": "at which runs end at the latest (s)"},

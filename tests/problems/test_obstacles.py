@@ -353,3 +353,11 @@ def test_a_body_that_begins_a_little_inside_is_told():
     told = pytest.warns(pm.TrustWarning, match=re.escape("0.5 cells; it is pushed out"))
     with told if COMM.rank == 0 else nullcontext():
         problem.system_at(1.0)
+
+
+def test_a_point_alone_is_refused():
+    grid = pm.Grid((0.0, 0.0), (1.0, 1.0), (2, 2), COMM)
+    points = pm.seed(grid, bounds=((0.5, 0.5), (1.0, 1.0)), material=NEO_HOOKEAN, points_per_cell=1)
+    problem = pm.QuasiStatic(grid, points)
+    with pytest.raises(pm.InputError, match="one material point alone"):
+        problem.obstacle(pm.HalfSpace((0, 0), (0, 1)))
