@@ -1,9 +1,10 @@
 """Collapse of a column of aluminium bars on a rough floor, as in an experiment, on three grids. SI units.
 
 Bui et al. 2008: 0.2 x 0.1 m of bars of 1 and 1.5 mm, two-dimensional sand, at a wall, let go at once.
-Friction of 19.8 degrees in plane strain, no dilatancy; a cohesion of a hundredth of the weight's stress
-keeps points at the front from falling apart. The same with microrotations (`--micropolar`), of bars that
-turn; and columns of other shapes (`--aspect`), whose run-out is that of Lube et al. 2005.
+Friction of 19.8 degrees in plane strain, no dilatancy; a cohesion of a hundredth of the weight's stress, or
+what `--cohesion` says, keeps points at the front from falling apart. The same with microrotations
+(`--micropolar`), of bars that turn; and columns of other shapes (`--aspect`), whose run-out is to be laid
+beside that of Lube et al. 2005.
 """
 
 import math
@@ -19,7 +20,7 @@ from polarmpm.study import commandline as demo
 
 WIDTH, HEIGHT = 0.2, 0.1  # m
 DENSITY, GRAVITY = 2650.0, 9.81  # kg/m^3, m/s^2
-E, NU, PHI, LENGTH = 0.84e6, 0.3, math.radians(19.8), 1.3e-3  # Pa, -, -, m
+E, NU, PHI, LENGTH = 0.84e6, 0.3, 19.8, 1.3e-3  # Pa, -, degrees, m
 LAM, MU = E * NU / (1 + NU) / (1 - 2 * NU), 0.5 * E / (1 + NU)
 FRONT = 0.44  # m, in the experiment
 # digitised, to 2 mm
@@ -30,7 +31,7 @@ SURFACE = np.column_stack(
 
 def material(args):
     """The bars: Drucker and Prager's cone that fits their friction in plane strain."""
-    options = {"phi": PHI, "psi": 0.0, "c": args.cohesion, "cone": "plane strain"}
+    options = {"phi": math.radians(args.phi), "psi": 0.0, "c": args.cohesion, "cone": "plane strain"}
     if not args.micropolar:
         return pm.DruckerPrager(pm.Hencky(lam=LAM, mu=MU), **options)
     elastic = pm.MicropolarElastic.bounded_stiffness(lam=LAM, mu=MU, kappa=MU / 2, l_b=args.length)
@@ -130,7 +131,8 @@ def main(argv=None):
         argv=argv,
         more={
             "--cells": {"type": float, "nargs": "+", "default": [0.01, 0.005, 0.0025], "help": "sizes (m)"},
-            "--cohesion": {"type": float, "default": 20.0, "help": "(Pa)"},
+            "--cohesion": {"type": float, "help": "(Pa); default: 20 of this column, more of higher ones"},
+            "--phi": {"type": float, "default": PHI, "help": "angle of friction (degrees)"},
             "--ghost": {"type": float, "default": 1e-3, "help": "ghost penalty as a share of E"},
             "--aspect": {"type": float, "default": HEIGHT / WIDTH, "help": "height over width"},
             "--time": {"type": float, "default": 0.7, "help": "at which runs end at the latest (s)"},
@@ -140,6 +142,8 @@ def main(argv=None):
         },
     )
     args.dt = args.time / args.steps
+    if args.cohesion is None:
+        args.cohesion = 20.0 * args.aspect * WIDTH / HEIGHT
     folder = demo.output_folder(args, MPI.COMM_WORLD)
     solved = [solve(cell, args, folder) for cell in args.cells]
     draw(solved, folder / "granular_column.png")

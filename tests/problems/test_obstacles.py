@@ -1,6 +1,7 @@
 """Contact of bodies with rigid obstacles, of points and of elements."""
 
 import re
+from contextlib import nullcontext
 
 from mpi4py import MPI
 
@@ -332,15 +333,31 @@ def test_a_ring_of_sites_counts_a_whole_turn(on):
     assert plate.force[1] == pytest.approx(np.pi * stress, rel=2e-4)
 
 
-@pytest.mark.parametrize("kind", ["points", "elements"])
-def test_an_obstacle_in_the_middle_of_a_body(kind):
-    """No site on the boundary would ever feel it: the run went on as if it weren't there."""
+@pytest.mark.parametrize("elements", [False, True])
+def test_an_obstacle_within_the_body_is_refused(elements):
+    """The boundary doesn't see it."""
+    if elements:
+        square = mesh.create_unit_square(COMM, 10, 10, mesh.CellType.quadrilateral)
+        problem = pm.QuasiStaticFEM(pm.Elements(square, material=NEO_HOOKEAN, degree=1))
+    else:
+        grid = pm.Grid.box((0, 0), (1, 1), 0.1, comm=COMM)
+        problem = pm.QuasiStatic(grid, pm.seed(grid, material=NEO_HOOKEAN, bounds=((0, 0), (1, 1))))
+    problem.obstacle(pm.Sphere((0.5, 0.5), 0.2))
+    with pytest.raises(pm.InputError, match="begins within the body"):
+        problem.attempt(1.0)
+
+
+def test_a_body_that_begins_a_little_inside_is_told():
     problem = block()
-    if kind == "elements":
-        square = mesh.create_unit_square(COMM, 6, 6)
-        problem = pm.QuasiStaticFEM(pm.Elements(square, material=NEO_HOOKEAN))
-    problem.obstacle(pm.Sphere((0.6, 0.6), 0.15))
-    with pytest.raises(
-        pm.InputError, match="obstacle 1: the body begins inside of it: a point of the body, at"
-    ):
-        next(problem.march(1, progress=False))
+    problem.obstacle(lambda x: x[1] - LOW - 0.1)
+    told = pytest.warns(pm.TrustWarning, match=re.escape("0.5 cells; it is pushed out"))
+    with told if COMM.rank == 0 else nullcontext():
+        problem.system_at(1.0)
+
+
+def test_a_point_alone_is_refused():
+    grid = pm.Grid((0.0, 0.0), (1.0, 1.0), (2, 2), COMM)
+    points = pm.seed(grid, bounds=((0.5, 0.5), (1.0, 1.0)), material=NEO_HOOKEAN, points_per_cell=1)
+    problem = pm.QuasiStatic(grid, points)
+    with pytest.raises(pm.InputError, match="one material point alone"):
+        problem.obstacle(pm.HalfSpace((0, 0), (0, 1)))

@@ -156,7 +156,8 @@ class NodalMasses(NamedTuple):
         place: entries between the beginning of the row and the block of the pair in the pattern (n,).
         sums: (k, n).
         symmetric: the other half isn't there.
-        matrices: the sums as sparse matrices, from the first product on.
+        matrices: from the first product on, the first sums as a sparse matrix, and the last ones, or their
+            share of the first.
     """
 
     row: np.ndarray
@@ -191,22 +192,31 @@ class NodalMasses(NamedTuple):
     def times(self, x: np.ndarray, dim: int) -> np.ndarray:
         """Products with nodal values (nodes, block): the first sums with displacements, the second ones with
         rotations, if there are any."""
+        if not self.matrices:
+            self.matrices.extend(self._sparse(len(x), self.sums[:1]))
+            share = self.sums[-1].sum() / self.sums[0].sum() if self.sums.size else 1.0
+            if np.allclose(self.sums[-1], share * self.sums[0], rtol=1e-14, atol=0.0):
+                self.matrices.append(share)  # one product does
+            else:
+                self.matrices.extend(self._sparse(len(x), self.sums[1:]))
+        first, second = self.matrices
+        if isinstance(second, float):
+            out = np.asarray(first @ x)
+            out[:, dim:] *= second
+            return out
+        return np.hstack([first @ x[:, :dim], second @ x[:, dim:]])
+
+    def _sparse(self, nodes: int, sums: np.ndarray) -> Iterator[Any]:
+        """Sums (k, n) as sparse matrices of both halves."""
         from scipy.sparse import csr_matrix
 
-        if not self.matrices:
-            for values in self.sums:
-                row, column, value = self.row, self.column, values
-                if self.symmetric:
-                    other = row != column
-                    row, column = np.append(row, column[other]), np.append(column, row[other])
-                    value = np.append(value, value[other])
-                self.matrices.append(csr_matrix((value, (row, column)), shape=(len(x), len(x))))
-        if dim == x.shape[1]:
-            return np.asarray(self.matrices[0] @ x)
-        out = np.zeros_like(x)
-        for matrix, part in zip(self.matrices, (slice(0, dim), slice(dim, None)), strict=False):
-            out[:, part] = matrix @ x[:, part]
-        return out
+        other = self.row != self.column
+        for value in sums:
+            row, column = self.row, self.column
+            if self.symmetric:
+                row, column = np.append(row, column[other]), np.append(column, row[other])
+                value = np.append(value, value[other])
+            yield csr_matrix((value, (row, column)), shape=(nodes, nodes))
 
     def entries(self, system: Any, pairs: list[list[tuple[int, int]]]) -> np.ndarray:
         """As the values of a system's pattern, without rows and columns of prescribed unknowns, but for the

@@ -45,6 +45,7 @@ def add_obstacle(problem: Any, phi: Any, on: Any, options: dict[str, Any]) -> Ob
         made = RigidObstacle(*of, aslant=aslant, body=body)
         if not body.taken:
             problem.add(body)
+    made.whole = on is None
     problem.add(made)
     return made
 
@@ -133,6 +134,13 @@ def _sites(problem: Any, name: str, on: Any) -> tuple[Surface, np.ndarray | None
             on = _everywhere
         return problem._surface_of(on), None
     if on is None:
+        points = problem.points
+        counts = np.bincount(points.body, minlength=points.bodies) if points.bodies > 1 else len(points)
+        if np.any(problem.comm.allreduce(counts) == 1):
+            raise InputError(
+                f"{name}: a body is one material point alone: nodes around it move without it, and nothing "
+                "holds it; take more points, or smaller cells"
+            )
         x, area, normal, parents = outer_corners(problem.points)
         return Surface(x, area, normal), parents
     surface = surface_given(problem, name, on)

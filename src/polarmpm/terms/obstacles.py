@@ -9,9 +9,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..bodies.points import Points
 from ..conditions.amplitudes import Amplitude
-from ..errors import InputError, LocalFailure
+from ..errors import InputError, LocalFailure, TrustWarning
 from ..forms.contact import CONSTANTS, ContactForm, Law, pose_row
 from ..geometry.shapes import Level, Shape
 from ..geometry.surfaces import Surface
@@ -20,6 +19,7 @@ from ..kinematics import rotations
 from ..kinematics.layout import Layout
 from ..kinematics.moments import moments
 from ..tools import checks
+from ..tools.parallel import warn_on_one_rank
 from .base import Piece, Setting
 from .obstaclepieces import SitePiece
 from .settings import GridSetting
@@ -27,7 +27,7 @@ from .sites import Sites
 from .surfaceterms import undeformed_area
 
 _REACH = 2.0  # cells: sites that are nearer to the obstacle when increments begin to count may touch it
-_AT_ONCE = 100_000  # points that are asked for their depth at a time
+_WITHIN = 0.45  # cells by which sites may lie in the obstacle at first, and points deeper than these
 _LEAST = 0.1  # share of a corner's area, at least, that an obstacle beside it sees
 
 
@@ -55,6 +55,7 @@ class Obstacle(Sites):
     external = True
     proportional = False
     renew = False
+    whole = False  # its sites are all of the body's boundary
     piece: type[SitePiece] = SitePiece
 
     def __init__(
@@ -226,7 +227,7 @@ class Obstacle(Sites):
         gap = told["gap"][:, 0]
         if not self._checked:
             self._check_start(gap)
-            self._check_within(gap, setting.points)
+            self._check_within(setting, max(0.0, -float(np.nanmin(gap))))
             self.seen_area = self.next_area = self._area_towards(told["normal"])
         self.area_now = self.seen_area
         self._near, self.renew = gap < _REACH * self._size, False
@@ -253,35 +254,42 @@ class Obstacle(Sites):
                 f"{self.name}: the body begins inside of it: its site at {place} lies {-gap[deepest]:.4g} m "
                 f"deep, more than a cell ({self._size:.4g} m){hint}"
             )
+        if gap[deepest] < -_WITHIN * self._size:
+            text = (
+                f"{self.name}: the body begins inside of it: its site at {place} lies {-gap[deepest]:.4g} m "
+                f"deep, {-gap[deepest] / self._size:.2g} cells; it is pushed out at once"
+            )
+            warn_on_one_rank(self.comm, text, TrustWarning)
         if self.law.barrier and gap[deepest] <= 0.0:
             raise InputError(
                 f"{self.name}: barrier: the body touches it from the start: its site at {place} has the gap "
                 f"{gap[deepest]:.4g} m; a barrier needs a positive one"
             )
 
-    def _check_within(self, gap: np.ndarray, points: Points) -> None:
-        """Raise InputError where the obstacle lies within the body, so that no site, of gaps (n,), sees it.
-        Collective."""
-        most = self._size if np.nanmin(gap) < 0.0 else 1e-6 * self._size
-        depth, data = np.zeros(len(points)), self._data
-        for k in range(0, len(points), _AT_ONCE):
-            x = points.x[k : k + _AT_ONCE]
-            self._data = [x, *(np.repeat(a[:1], len(x), axis=0) for a in data[1:])]
-            told = self.tell(np.zeros((len(x), self.layout.block)), np.arange(len(x)))
-            depth[k : k + _AT_ONCE] = -told["gap"][:, 0]
-        self._data = data
-        deep = np.flatnonzero(depth > most)[:1]
-        found = [
-            one
-            for one in self.comm.allgather([*zip(depth[deep], points.x[deep].tolist(), strict=True)])
-            if one
-        ]
-        if found:
-            depth_there, x_there = found[0][0]
+    def _check_within(self, setting: Setting, deepest: float) -> None:
+        """Raise InputError where the obstacle begins within the body, whose boundary doesn't see it.
+        Collective.
+
+        Args:
+            deepest: depth of the deepest site in the obstacle (m).
+        """
+        if not self.whole:
+            return
+        points = setting.points
+        found: list[float] = [-np.inf]
+        if len(points):
+            y = np.zeros((len(points), self.layout.block))
+            y[:, : self.layout.dim] = points.x - self._data[0][0]
+            gap = self.tell(y, np.zeros(len(points), dtype=np.int64))["gap"][:, 0]
+            depth = np.nan_to_num(-gap, nan=-np.inf)
+            at = int(np.argmax(depth))
+            found = [float(depth[at]), *points.x[at].tolist()]
+        found = max(self.comm.allgather(found))
+        if found[0] > deepest + _WITHIN * self._size:
+            place = tuple(float(round(c, 9)) for c in found[1:])
             raise InputError(
-                f"{self.name}: the body begins inside of it: a point of the body, at "
-                f"{tuple(float(round(c, 9)) for c in x_there)}, lies {depth_there:.4g} m deep, where no "
-                "site on the body's boundary sees it; is it in the right place?"
+                f"{self.name}: it begins within the body: {place} lies {found[0]:.4g} m deep in it, "
+                f"the body's surface {deepest:.4g} m; cut a hole there, or give the sites that may touch (on)"
             )
 
     # a step -------------------------------------------------------------------------------------------
