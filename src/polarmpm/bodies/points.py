@@ -79,7 +79,8 @@ class Points(Several):
             whole turns, and F and the wryness have their hoop components in the third row and column.
         regions, surfaces: physical groups of the mesh that the points come from; see `region` and `surface`.
         lattices: graded grids that the points were seeded on, with the points a cell (d,).
-        lineage: which points have been split by re-gridding, see `Lineage`; None: none.
+        lineage: which points have been split, by re-gridding or as their boxes are as large as a cell, see
+            `Lineage`; None: none.
         arrangements: how often points have joined or been assigned a material; a problem is made of one.
 
     A copy (`copy.copy`, `copy.deepcopy`) is a body of its own, on the same communicator. Selections of the

@@ -100,6 +100,7 @@ class QuasiStatic(Regridded):
             unknowns.
         boxes: points integrate the strain energy over their own boxes (docs/theory.md), so that few of them
             see that a thin body bends; by default with all bases that have second derivatives, the splines.
+            Points whose boxes are as large as a cell are split at the first balanced reset (docs/theory.md).
         locking: "auto": materials that lock on coarse cells (docs/stability.md) see the mean volume, and
             relative rotation, of a patch of cells instead of their points' own; "always": all do; None: none.
         regrid: a policy of other grids in the course of the run, such as `AlongBands` or `FollowBody`; or a
