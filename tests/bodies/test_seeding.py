@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import warnings
+from contextlib import nullcontext
 from functools import partial
 
 from mpi4py import MPI
@@ -174,6 +176,23 @@ def test_whole_boxes_by_their_centres():
     assert len(x) == 5 * 2
     np.testing.assert_array_equal(points.volume0, 0.0625)
     np.testing.assert_array_equal(points.half_axes0, np.tile(0.125 * np.eye(2), (len(points), 1, 1)))
+
+
+@pytest.mark.parametrize("options", [{"cut": False}, {"layout": "gauss"}])
+def test_a_staircase_that_is_another_body_is_told(options):
+    """A strip at 45 degrees, whose steps all lie on one side; a straight one, and a thick one, are right."""
+
+    def strip(x: np.ndarray) -> np.ndarray:
+        return np.abs(x[:, 1] - x[:, 0] + 0.14) <= 0.7
+
+    grid = pm.Grid.box((0, 0), (8, 8), 1.0)
+    with pytest.warns(pm.TrustWarning, match="staircase") if COMM.rank == 0 else nullcontext():
+        pm.seed(grid, strip, material=MICROPOLAR, points_per_cell=4, **options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pm.seed(grid, strip, material=MICROPOLAR)
+        pm.seed(grid, lambda x: np.abs(x[:, 1] - 4.0) <= 1.0, material=MICROPOLAR, **options)
+        pm.seed(grid, lambda x: x[:, 1] <= 4.0 + 0.3 * x[:, 0], material=MICROPOLAR, **options)
 
 
 def test_ids_do_not_depend_on_the_ranks():

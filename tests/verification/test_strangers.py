@@ -94,6 +94,16 @@ def test_stresses_tell_how_tents_fail_in_a_flowing_cylinder(benchmarks, cell, wr
     assert made.problem.box_record.grid.excess < 0.05
 
 
+@pytest.mark.parametrize(("cell", "wrong"), [(4.0, True), (1.0, False)])
+def test_rough_strains_tell_a_beam_of_a_few_cells(benchmarks, cell, wrong):
+    """An eighth off with 2 1/2 cells along a beam that bends far, .4 % with ten; boxes see neither."""
+    scenes, records = benchmarks["scenes"], benchmarks["records"]
+    made = records.run(lambda: scenes.beam(cell, 3), 20, keep=True)
+    assert bool(made.warned) == wrong
+    assert made.unresolved < 0.4
+    assert (made.problem.box_record.grid.rough > 0.15) == wrong
+
+
 def by_tents(benchmarks, build):
     problem, read = benchmarks["strangers"].by_tents(build, "mpm")
     return problem, lambda: read()[0]

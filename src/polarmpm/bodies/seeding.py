@@ -11,13 +11,13 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..errors import InputError, PointsOutsideGrid
+from ..errors import InputError, PointsOutsideGrid, TrustWarning
 from ..geometry.grid import Grid, box_indices
 from ..materials.base import Material, check_material
 from ..tools import checks
 from ..tools.machine import check_memory
 from ..tools.meetings import collective
-from ..tools.parallel import errors_on_all_ranks, known_anywhere, reduced
+from ..tools.parallel import errors_on_all_ranks, known_anywhere, reduced, warn_on_one_rank
 from .cutboxes import half_axes, inside_parts
 from .partition import distribute
 from .points import Points
@@ -28,6 +28,7 @@ _MOST = 2**32  # candidates of a rank: minutes to hours of search
 _BYTES = 300  # of a point until a problem is made of it
 _GAUSS = 100  # points a direction of Gauss' rule
 _SEEN = {2: 11, 3: 9}  # parts of a cell a direction, by the dimension
+_STAIRCASE = 0.1  # change of a thin body's second moments by boxes that aren't cut, above which it's told
 _ROUNDING = 1e-9  # of a box's half lengths: bounds that near to its faces are on them
 
 Inside = Callable[[np.ndarray], np.ndarray]
@@ -72,6 +73,9 @@ def seed(
         InputError: an argument is out of range, no point lies inside the body, or more points or candidates
             than this machine can have. What `inside` itself raises is raised on its rank, and as
             `ErrorOnAnotherRank` on the others.
+
+    Warns:
+        TrustWarning: boxes aren't cut, and their staircase is another body.
     """
     checks.instance("grid", grid, Grid, "a background grid, such as Grid.box makes it, is")
     check_material(material, grid.dim)
@@ -88,6 +92,8 @@ def seed(
     body = _Body(inside, corners, cut and layout == "uniform", _parts(per_cell))
     made = _found(_Candidates(searched, per_cell, xi, share), body)
     _check_found(grid, made, "bounds" if inside is None else "inside")
+    if inside is not None and not body.cut:
+        _warn_of_staircase(searched, per_cell, body, made)
     if layout != "uniform":
         made.axes = np.zeros_like(made.axes)
     points = made.points(material, grid.comm, checks.flag("axisymmetric", axisymmetric))
@@ -101,6 +107,31 @@ def _check_found(grid: Grid, made: _Boxes, of: str) -> None:
     if not grid.comm.allreduce(len(made.x)):
         raise InputError(
             f"{of}: none of the candidate points between {grid.lower} and {grid.upper} is in the body"
+        )
+
+
+def _warn_of_staircase(searched: Grid, per_cell: np.ndarray, body: _Body, made: _Boxes) -> None:
+    """Warn where a staircase of boxes is another body than what is cut of them. Collective.
+
+    A surface that is moved, on the whole, by a share v of a body's thickness changes its second moments by
+    3 v; one that is moved to and fro by a share s changes them by 3 s^2.
+    """
+    boxes = _Candidates(searched, per_cell, *_cell_layout("uniform", per_cell))
+    exact = _found(boxes, replace(body, cut=True))
+    with errors_on_all_ranks(searched.comm):
+        x, _, volume = boxes.at(of := np.unique(exact.of))
+        part = np.bincount(np.searchsorted(of, exact.of), exact.volume, minlength=len(of))
+        amiss = np.abs(np.where(_keep(x, body.inside, None), volume, 0.0) - part).sum() if len(of) else 0.0
+    sums = np.array([exact.volume.sum(), made.volume.sum(), amiss])
+    searched.comm.Allreduce(MPI.IN_PLACE, sums)
+    moved, scattered = sums[1] / sums[0] - 1.0, sums[2] / sums[0]
+    if 3.0 * (abs(moved) + scattered**2) > _STAIRCASE:
+        warn_on_one_rank(
+            searched.comm,
+            f"seed: boxes that aren't cut make a staircase, {100 * moved:+.1f} % of the body's volume away "
+            f"from it, and {100 * scattered:.0f} % of it amiss: a thin body bends differently by more than a "
+            "tenth; take cut=True with layout='uniform', or more points a cell",
+            TrustWarning,
         )
 
 

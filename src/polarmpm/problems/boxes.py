@@ -84,6 +84,7 @@ class BoxRecord:
         """
         self.grid.look(system, start)
         if system.interpolation.boxes is None:
+            self.grid.weigh(0.0)
             tents = not system.interpolation.basis.fills_boxes
             if not (self.largest[1] or (tents and system.inertia is not None)):
                 self._tents = tents
@@ -101,7 +102,9 @@ class BoxRecord:
         most = max(float(sums[1]), abs(float(sums[2])), np.finfo(float).tiny)
         tiny = 1e-12 * most / max(1, self.points.total)  # points on which nothing happens
         self.points.unresolved = np.minimum(np.abs(inside) / np.maximum(np.abs(whole), tiny), HOPELESS)
-        return float(sums[0]) / most
+        share = float(sums[0]) / most
+        self.grid.weigh(share)
+        return share
 
     def refusal(self, share: float | None) -> str:
         """Why a solution with such a share is none; empty where it may be one."""
