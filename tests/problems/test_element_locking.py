@@ -31,6 +31,7 @@ CASES = [
     ("hexahedron", 1, NEO_HOOKEAN),
     ("quadrilateral", 1, plasticity.cylinder(plasticity.HENCKY)),
     ("hexahedron", 1, plasticity.cylinder(NEO_HOOKEAN)),
+    ("quadrilateral", 1, plasticity.cone(plasticity.HENCKY)),
 ]
 
 
