@@ -183,6 +183,7 @@ class SummedElements(OnPattern, ElementSystem):
         for k, scalars in enumerate(self.projected):
             if scalars is None:
                 continue
+            self.forms.bound(k)
             measure = scalars.place(self.x, None)
             linear, mapping = None if predicted is None else predicted[k], self._mappings[k]
             own = measure, None, mapping, linear, self.x

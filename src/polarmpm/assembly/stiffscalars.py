@@ -122,7 +122,7 @@ class StiffScalars:
         self.form, self.patches, self._interpolation = form, patches, interpolation
         self.kernels = form.compile_scalars(comm)
         n = len(self._batch.rows)
-        self._parameters = np.tile(self._batch.batch.kept["param"], (n, 1))
+        self._tiled: np.ndarray = np.zeros((0, 0))
         self._z: np.ndarray = np.zeros((n, form.layout.unknowns))
         self._zk: np.ndarray | None = None
         self._both: np.ndarray | None = None
@@ -143,6 +143,16 @@ class StiffScalars:
         m, turn = self.form.scalars, self._turn
         first = self.form.state_size + which * m
         self._state[:, first : first + m] = values if turn is None else np.einsum("pij,pi->pj", turn, values)
+
+    @property
+    def _parameters(self) -> np.ndarray:
+        """The material's numbers (n, nparam), which may change between steps."""
+        own = self._batch.batch.kept["param"]
+        if self._tiled.shape != (len(self._batch.rows), len(own)) or not np.array_equal(
+            self._tiled[:1].ravel(), own
+        ):
+            self._tiled = np.tile(own, (len(self._batch.rows), 1))
+        return self._tiled
 
     @property
     def _turn(self) -> np.ndarray | None:
