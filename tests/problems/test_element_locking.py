@@ -31,6 +31,7 @@ CASES = [
     ("hexahedron", 1, NEO_HOOKEAN),
     ("quadrilateral", 1, plasticity.cylinder(plasticity.HENCKY)),
     ("hexahedron", 1, plasticity.cylinder(NEO_HOOKEAN)),
+    ("quadrilateral", 1, plasticity.cone(plasticity.HENCKY)),
 ]
 
 
@@ -173,6 +174,23 @@ def test_a_footing_on_elements_finds_its_limit_by_default(cell, degree):
     list(problem.march(4, progress=False))
     width = 1 + 0.125 / degree
     assert -problem.reaction(held).force[1] / width == pytest.approx(2 + np.pi, rel=0.06)
+
+
+def test_a_footing_on_soil_that_dilates_finds_its_limit():
+    """Prandtl: N_c = 14.835, psi = phi = 20 degrees; 8 % more, and rising, if whole volumes are averaged."""
+    elastic = pm.Hencky.from_engineering(E=1e4, nu=0.3)
+    soil = plasticity.cone(elastic, 20.0, 20.0, k=None, c=1.0, cone="plane strain")
+    body = pm.Elements(box("quadrilateral", (28, 14), (7.0, 3.5)), material=soil, degree=1)
+    problem = pm.QuasiStaticFEM(body)
+    for x in (0.0, 7.0):
+        problem.fix(pm.plane(x=x), ux=0)
+    problem.fix(pm.plane(y=0.0), u=0)
+    held = problem.fix(lambda x: (x[:, 0] < 1 + 1e-6) & (x[:, 1] > 3.5 - 1e-6), ux=0, uy=-0.02)
+    loads = [
+        -problem.reaction(held).force[1] / 1.125 for _ in problem.march(8, adaptive=True, progress=False)
+    ]
+    assert loads[-1] == pytest.approx(14.835, rel=0.03)
+    assert loads[-1] < 1.01 * loads[len(loads) // 2 - 1]
 
 
 def test_plastic_elements_that_nothing_cures_warn():

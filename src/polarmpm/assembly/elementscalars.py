@@ -61,7 +61,7 @@ class ElementPatches(Patches):
             raise MemoryError("no memory for the sums over elements")
         return out
 
-    def add_tangent(
+    def _add_products(
         self, b: np.ndarray, g: np.ndarray, h: np.ndarray, matrix: native.Matrix, lifted: np.ndarray | None
     ) -> None:
         own = ctypes.byref(self.elements), ctypes.byref(self._structure), b, g, h, ctypes.byref(matrix)
@@ -85,6 +85,10 @@ class QuadraturePoints:
     def unknowns(self, batch: PointBatch, x: np.ndarray) -> np.ndarray:
         """z (n, nz) of a material's points at nodal increments x (nodes, block)."""
         return self._forms.unknowns(self._rows[id(batch.batch)], x)
+
+    def volume_before(self, batch: PointBatch) -> np.ndarray:
+        """t (n,) of a material's points at the last converged step, from which increments count."""
+        return np.zeros(len(batch.rows))
 
     @property
     def reference(self) -> Points:

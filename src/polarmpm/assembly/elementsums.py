@@ -163,7 +163,8 @@ class SummedElements(OnPattern, ElementSystem):
             if tangent:
                 assert patched.g is not None
                 assert patched.h is not None
-                scalars.patches.add_tangent(patched.b, patched.g, patched.h, self.pattern.matrix, lifted)
+                own = patched.b, patched.g, patched.h
+                scalars.patches.add_tangent(*own, self.pattern.matrix, lifted, patched.row)
 
     def _return(self, k: int, tangent: bool) -> Yielding:
         """What of a material's points yields. Collective.
@@ -183,10 +184,11 @@ class SummedElements(OnPattern, ElementSystem):
         for k, scalars in enumerate(self.projected):
             if scalars is None:
                 continue
+            self.forms.bound(k)
             measure = scalars.place(self.x, None)
-            yielding = None if self._mappings[k] is None else self._return(k, tangent)
-            linear = None if predicted is None else predicted[k]
-            self._patched[k] = scalars.evaluate(measure, None, yielding, linear, self.x, tangent=tangent)
+            linear, mapping = None if predicted is None else predicted[k], self._mappings[k]
+            own = measure, None, mapping, linear, self.x
+            self._patched[k] = scalars.evaluate(*own, tangent=tangent, timer=self.timer)
         if tangent and any(scalars is not None for scalars in self.projected):
             self.step.projected = [
                 None if p is None or p.h is None else Linear(self.x, p.exact, p.h) for p in self._patched

@@ -248,6 +248,13 @@ class Interpolation:
         return z
 
     # between nodes and points ---------------------------------------------------------------------
+    def volume_before(self, batch: PointBatch) -> np.ndarray:
+        """The first stiff scalar's projected value (n,) at the last converged step, that of a volume."""
+        rows, r = batch.rows, self.reference
+        gain = np.linalg.det(self.points.F[rows]) / np.linalg.det(r.F[rows])
+        found: np.ndarray = np.log(gain) + r.stiff_scalars[rows, 0]
+        return found
+
     def gather(self, x: np.ndarray) -> Increments:
         """Increments at this rank's points from nodal values (nodes, block)."""
         layout, n, second = self.layout, len(self.points), None

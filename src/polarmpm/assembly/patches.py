@@ -66,6 +66,13 @@ class Patches:
         found: np.ndarray = np.add.reduceat(values[self._order], self._starts, axis=0)
         return found
 
+    def largest(self, values: np.ndarray) -> np.ndarray:
+        """Largest (patches,) of values (n,) in each patch."""
+        if not self.count:
+            return np.zeros(0)
+        found: np.ndarray = np.maximum.reduceat(values[self._order], self._starts)
+        return found
+
     @cached_property
     def _weighted(self) -> np.ndarray:
         """V0 phi_a (n, functions)."""
@@ -235,9 +242,25 @@ class Patches:
         return out
 
     def add_tangent(
+        self,
+        b: np.ndarray,
+        g: np.ndarray,
+        h: np.ndarray,
+        matrix: native.Matrix,
+        lifted: np.ndarray | None,
+        row: np.ndarray | None = None,
+    ) -> None:
+        """Add sum g b^T + b h^T over all modes to a matrix; with a `row` g row^T in the place of g b^T."""
+        if row is None:
+            self._add_products(b, g, h, matrix, lifted)
+        else:
+            none = np.zeros_like(b)
+            self._add_products(row, g, none, matrix, lifted)
+            self._add_products(b, none, h, matrix, lifted)
+
+    def _add_products(
         self, b: np.ndarray, g: np.ndarray, h: np.ndarray, matrix: native.Matrix, lifted: np.ndarray | None
     ) -> None:
-        """Add sum g b^T + b h^T over all modes to a matrix."""
         own = ctypes.byref(self._structure), self.dim, self.block, b, g, h, ctypes.byref(matrix), lifted
         if native.library().polarmpm_add_patches(*own):
             raise MemoryError("no memory for the sums over patches")

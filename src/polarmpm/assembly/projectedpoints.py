@@ -54,13 +54,10 @@ class ProjectedPoints(NodalSystem):
             if projected is None:
                 continue
             boxes, mapping = self._boxes_of(k), self.mappings[k]
-            measure, yielding = projected.place(self.x, boxes), None
-            if mapping is not None:
-                with self.timer("return mapping"):
-                    inputs = self.interpolation.kernel_inputs(self.interpolation.batches[k], self.x)
-                    yielding = mapping.evaluate(inputs, tangent)
+            measure = projected.place(self.x, boxes)
             linear = None if predicted is None else predicted[k]
-            self._patched[k] = projected.evaluate(measure, boxes, yielding, linear, self.x, tangent=tangent)
+            own = measure, boxes, mapping, linear, self.x
+            self._patched[k] = projected.evaluate(*own, tangent=tangent, timer=self.timer)
         if tangent and any(form.scalars for form in forms):
             self.step.projected = [
                 None if p is None or p.h is None else Linear(self.x, p.exact, p.h) for p in self._patched
@@ -78,7 +75,7 @@ class ProjectedPoints(NodalSystem):
             if matrix is not None:
                 assert found.g is not None
                 assert found.h is not None
-                patches.add_tangent(found.b, found.g, found.h, matrix, lifted)
+                patches.add_tangent(found.b, found.g, found.h, matrix, lifted, found.row)
 
     def holding_energy(self, x: np.ndarray) -> float:
         """Energy (J) that holds points to their patches at increments x (nodes, block), on this rank."""

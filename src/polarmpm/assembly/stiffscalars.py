@@ -7,6 +7,8 @@ means of the boxes' rule (`assembly.pointboxes`), at one t and one pi for the bo
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -19,12 +21,13 @@ from ..kernels import native
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from ..tools.rows import flat
+from .elasticvolumes import ElasticVolumes, Settled
 from .interpolation import Interpolation, PointBatch
 from .patches import Patches
 from .pointboxes import PointBoxes
 
 if TYPE_CHECKING:
-    from ..forms.returnmapping import Yielding
+    from ..forms.returnmapping import ReturnMapping, Yielding
 
 
 @dataclass
@@ -44,6 +47,11 @@ class Mean:
         odd = None if self.odd is None else self.odd[:, :, first:end]
         both = None if self.both is None else self.both[:, :, first:end]
         return Mean(self.at_points[:, first:end], even, odd, both)
+
+    def over(self, slopes: np.ndarray) -> Mean:
+        """The same over one number for each point (n,)."""
+        parts = (self.at_points, self.even, self.odd, self.both)
+        return Mean(*(None if a is None else a / slopes.reshape(-1, *[1] * (a.ndim - 1)) for a in parts))  # type: ignore[arg-type]
 
     def turned(self, turn: np.ndarray | None, nz: int) -> Mean:
         """The same of turned scalars s' = turn s (turn (n, m, m); None: they stay): columns are those of m
@@ -83,6 +91,7 @@ class Evaluated:
 
     Attributes:
         b, g, h: vectors of the modes, see `patches`; the latter two with a tangent only.
+        row: what g is multiplied by in the place of b, where points dilate.
         exact: factors (patches, modes) of pi.
         taken: of the pi that the points' kernels take.
         returned: of points that yield, in the place of the kernels: rows of the batch, and what `native`
@@ -95,10 +104,11 @@ class Evaluated:
     g: np.ndarray | None = None
     h: np.ndarray | None = None
     returned: tuple[np.ndarray, np.ndarray] | None = None
+    row: np.ndarray | None = None
 
 
 class StiffScalars:
-    """Stiff scalars of a batch between two resets.
+    """Stiff scalars of a batch between two resets; `dilates`: whether its points share volumes out.
 
     Args:
         k: number of the batch.
@@ -112,12 +122,15 @@ class StiffScalars:
         self.form, self.patches, self._interpolation = form, patches, interpolation
         self.kernels = form.compile_scalars(comm)
         n = len(self._batch.rows)
-        self._parameters = np.tile(self._batch.batch.kept["param"], (n, 1))
+        self._tiled: np.ndarray = np.zeros((0, 0))
         self._z: np.ndarray = np.zeros((n, form.layout.unknowns))
         self._zk: np.ndarray | None = None
         self._both: np.ndarray | None = None
         self._value_slots: list[int] = []
         self._turns: tuple[np.ndarray, np.ndarray] | None = None  # of these microrotations
+        self._comm = comm
+        self.dilates = False  # points did so, and shared volumes out, in the last evaluation
+        self._shared: tuple[np.ndarray, np.ndarray] | None = None  # nodal values, and t of points that dilate
 
     # at the points --------------------------------------------------------------------------------
     @property
@@ -130,6 +143,16 @@ class StiffScalars:
         m, turn = self.form.scalars, self._turn
         first = self.form.state_size + which * m
         self._state[:, first : first + m] = values if turn is None else np.einsum("pij,pi->pj", turn, values)
+
+    @property
+    def _parameters(self) -> np.ndarray:
+        """The material's numbers (n, nparam), which may change between steps."""
+        own = self._batch.batch.kept["param"]
+        if self._tiled.shape != (len(self._batch.rows), len(own)) or not np.array_equal(
+            self._tiled[:1].ravel(), own
+        ):
+            self._tiled = np.tile(own, (len(self._batch.rows), 1))
+        return self._tiled
 
     @property
     def _turn(self) -> np.ndarray | None:
@@ -160,8 +183,22 @@ class StiffScalars:
             self._value_slots = [] if self._both is None else boxes.value_slots
         measure = self._mean(self.kernels.measure, boxes)
         values = measure.whole[:, : self.form.scalars]
-        self._put(0, self.patches.at_points(self.patches.moments(values)))
+        t = self.patches.at_points(self.patches.moments(values))
+        if self.shares:
+            if self._shared is not None and np.array_equal(self._shared[0], x):
+                t = self._shared[1][:, None]
+            else:
+                before = self._interpolation.volume_before(self._batch)[:, None]
+                t += before - self.patches.at_points(self.patches.moments(before))
+        self._put(0, t)
         return measure
+
+    @property
+    def shares(self) -> bool:
+        """Whether points share the volumes of their patches out (`elasticvolumes`): of patches with linear
+        functions they needn't."""
+        one = self.form.scalars == 1 and self.patches.values.shape[1] == 1
+        return one and self.form.material.yields
 
     # sums -----------------------------------------------------------------------------------------
     def _vectors(self, mean: Mean, kernels: native.PointKernels) -> np.ndarray:
@@ -176,20 +213,27 @@ class StiffScalars:
         self,
         measure: Mean,
         boxes: PointBoxes | None,
-        yielding: Yielding | None,
+        mapping: ReturnMapping | None,
         before: Linear | None,
         x: np.ndarray,
         *,
         tangent: bool,
+        timer: Callable[[str], AbstractContextManager[None]],
     ) -> Evaluated:
-        """Put pi into the state, and find what patches add.
+        """Put t and pi into the state, and find what patches add. Collective.
 
         Args:
             measure: from `place`.
-            yielding: what the return mapping has found.
             before: where the last tangent is at hand, its prediction of pi is taken.
         """
         m, nz, n = self.form.scalars, self.form.layout.unknowns, len(self._z)
+        yielding, settled = None, None
+        if mapping is not None:
+            with timer("return mapping"):
+                if self.shares:
+                    yielding, settled = self._settle(mapping, measure, x, tangent=tangent)
+                else:
+                    yielding = mapping.evaluate(np.hstack(self._inputs(self._z)), tangent)
         kernels = native.PointKernels()
         if boxes is not None:
             boxes.put(kernels, None)
@@ -211,17 +255,59 @@ class StiffScalars:
         self._put(1, self.patches.at_points(taken))
         modes = len(exact), self.patches.modes
         found = Evaluated(b, exact.reshape(modes), taken.reshape(modes))
-        if tangent:
+        local = None
+        if tangent and settled is not None:
+            local = self._share(found, settled, (tz, zt, tt), kernels)
+        elif tangent:
             found.g = self._vectors(zt, kernels)
             matrices = self.patches.products(tt.whole.reshape(n, m, m))
             of_z = found.g if zt.at_points is tz.at_points else self._vectors(tz, kernels)
             found.h = of_z + self.patches.combined(matrices, b)
         if yielding is not None and len(yielding.rows):
-            found.returned = yielding.rows, self._returned(yielding, measure, tangent=tangent)
+            found.returned = yielding.rows, self._returned(yielding, measure, local, tangent=tangent)
         return found
 
-    def _returned(self, y: Yielding, measure: Mean, *, tangent: bool) -> np.ndarray:
-        """Of the points that yield: L_z (k, nz), with the tangent also L_zz (k, nz nz)."""
+    def _settle(
+        self, mapping: ReturnMapping, measure: Mean, x: np.ndarray, *, tangent: bool
+    ) -> tuple[Yielding, Settled | None]:
+        """Put t into the state; what yields, and what `elasticvolumes` finds. Collective."""
+        nz, conjugate = self.form.layout.unknowns, self.kernels.conjugate
+
+        def evaluate(t: np.ndarray, tangent: bool, among: np.ndarray | None) -> tuple[Yielding, np.ndarray]:
+            self._put(0, t[:, None])
+            inputs = self._inputs(self._z)
+            taken = inputs if among is None else tuple(np.ascontiguousarray(a[among]) for a in inputs)
+            return mapping.evaluate(np.hstack(taken), tangent, among), conjugate(*taken)
+
+        def bulk() -> np.ndarray:
+            self._put(0, before[:, None])
+            found: np.ndarray = conjugate(*self._inputs(np.zeros_like(self._z)))[:, 1 + nz]
+            return found
+
+        before = self._interpolation.volume_before(self._batch)
+        volumes = ElasticVolumes(self.patches, nz, self._comm, evaluate)
+        t, y, settled = volumes.settle(measure.whole[:, 0], before, bulk, tangent=tangent)
+        self._put(0, t[:, None])
+        self._shared, mapping.yielding, self.dilates = (x.copy(), t), y, settled is not None
+        return y, settled
+
+    def _share(
+        self, found: Evaluated, s: Settled, of: tuple[Mean, Mean, Mean], kernels: native.PointKernels
+    ) -> np.ndarray:
+        """The patches' part of the tangent where points share volumes out; L_zt f_z / f_t (n, nz, nz)."""
+        patches, plain = self.patches, native.PointKernels()
+        tz, zt, tt = of
+        by_z = s.by_z / s.by_t[:, None]
+        found.g = self._vectors(zt.over(s.by_t), kernels)
+        found.row = patches.combined(s.inverse(patches), found.b + self._vectors(Mean(by_z), plain))
+        matrices = patches.products(tt.whole[:, :, None] / s.by_t[:, None, None])
+        left = self._vectors(tz, kernels) - self._vectors(Mean(tt.whole * by_z), plain)
+        found.h = left + patches.combined(matrices, found.row)
+        local: np.ndarray = zt.at_points[:, :, None] * by_z[:, None, :]
+        return local
+
+    def _returned(self, y: Yielding, measure: Mean, local: np.ndarray | None, *, tangent: bool) -> np.ndarray:
+        """Of the points that yield: L_z (k, nz), with the tangent also L_zz (k, nz nz) less `local`."""
         m, nz, k = self.form.scalars, self.form.layout.unknowns, len(y.rows)
         first = self.form.state_size + m
         pi = self._state[y.rows, first : first + m]
@@ -232,6 +318,8 @@ class StiffScalars:
         if not tangent:
             return np.ascontiguousarray(residual)
         moduli = y.returned[:, nz + m :].reshape(k, nz + m, nz + m)[:, :nz, :nz].copy()
+        if local is not None:
+            moduli -= local[y.rows]
         bent = self.kernels.curvature(*(a[y.rows] for a in self._inputs(self._z)))
         upper = np.triu_indices(nz)
         curvature = np.zeros((k, nz, nz))

@@ -68,6 +68,11 @@ class Yielding:
         keep = ~left_out
         return Yielding(*(getattr(self, f.name)[keep] for f in fields(self)))
 
+    def joined(self, other: Yielding) -> Yielding:
+        """Both, of different points."""
+        both = (np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self))
+        return Yielding(*both)
+
 
 class ReturnMapping:
     """Return mapping for the points of one elastoplastic material. Collective.
@@ -89,8 +94,9 @@ class ReturnMapping:
         self.yielding: Yielding | None = None
 
     # evaluation -----------------------------------------------------------------------------------
-    def evaluate(self, inputs: np.ndarray, tangent: bool) -> Yielding:
-        """Solve the local problems of the points that yield, for inputs (n, form.inputs) of all points.
+    def evaluate(self, inputs: np.ndarray, tangent: bool, among: np.ndarray | None = None) -> Yielding:
+        """Solve the local problems of the points that yield, for inputs (n, form.inputs) of all points, or of
+        some of them (rows `among`).
 
         Raises:
             LocalFailure: at some points there is no solution; the message has their ids. On every rank.
@@ -104,7 +110,8 @@ class ReturnMapping:
             finite = np.all(np.isfinite(trial[:, :known]), axis=1) & (f < most)
         least = -_YIELD if self.start_elastic else _YIELD
         rows = np.flatnonzero((f > least * modulus) & finite)
-        lost = self.ids[~finite]
+        ids = self.ids if among is None else self.ids[among]
+        lost = ids[~finite]
         y = Yielding(
             rows,
             np.ascontiguousarray(inputs[rows]),
@@ -116,11 +123,13 @@ class ReturnMapping:
         open_ = self._solve_all(y, tangent)
         # on the surface to rounding, with no flow to speak of: elastic
         idle = open_ & (f[rows] <= -_YIELD * modulus)
-        failed = np.concatenate([lost, self.ids[rows[open_ & ~idle]]])
+        failed = np.concatenate([lost, ids[rows[open_ & ~idle]]])
         everywhere = np.sort(np.concatenate(self.comm.allgather(failed)))
         if len(everywhere):
             names = ", ".join(map(str, everywhere[:10])) + (" ..." if len(everywhere) > 10 else "")
             raise LocalFailure(f"return mapping failed at {len(everywhere)} point(s): {names}")
+        if among is not None:
+            y.rows = among[y.rows]
         self.yielding = y.without(idle)
         return self.yielding
 

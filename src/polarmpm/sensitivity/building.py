@@ -163,6 +163,10 @@ def check_step(problem: Any, leader: Any) -> None:
     """Raise InputError after a step that the tangent-linear run doesn't carry."""
     if leader.rebased and leader.on_grid:
         raise _not_carried("rotations that get a new base between resets (`rotation_limit`)")
+    if any(s is not None and s.dilates for s in getattr(problem.system, "projected", ())):
+        raise _not_carried(
+            "plastic flow that dilates and shares the volumes of cells out (locking=None: carried)"
+        )
     path = leader.record.path
     if path is not None and path.relaxed is not None:
         raise _not_carried("steps along the path that begin with much out of balance")
