@@ -79,3 +79,22 @@ def test_what_is_missing_is_named(missing):
     assert found.returncode == 1
     assert f"polarmpm needs {missing}" in found.stderr
     assert "python3-dolfinx" in found.stderr
+
+
+@pytest.mark.timeout(120)
+def test_a_reader_that_goes_away():
+    """As `head` does: PETSc's handler ended the process, with a page of text."""
+    script = "import polarmpm\nfor k in range(100000):\n    print(k, flush=True)\n"
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        assert run.stdout.readline() == "0\n"
+        run.stdout.close()
+        said = run.stderr.read()
+    assert "PETSC ERROR" not in said
+    assert "BrokenPipeError" in said
+
+
+def test_the_version_is_an_option_too(capsys):
+    assert command.main(["--version"]) == 0
+    assert f"polarmpm {pm.__version__}" in capsys.readouterr().out

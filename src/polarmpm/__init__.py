@@ -65,9 +65,10 @@ from .terms.ghost import GhostPenalty
 from .terms.obstacles import Obstacle
 from .terms.rigid import RigidBody
 from .terms.surfaceterms import SurfaceTerm
-from .tools import ends
+from .tools import ends, interrupts
 
 ends.install()
+interrupts.heed_pipes()
 
 if TYPE_CHECKING:
     from . import geotechnics

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import runpy
 import shutil
 import site
@@ -113,6 +114,7 @@ def demos(name: str | None, arguments: Sequence[str]) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m polarmpm", description=__doc__)
+    parser.add_argument("--version", action="store_true", help="the same as version")
     commands = parser.add_subparsers(dest="command")
     commands.add_parser("version", help="what is installed (also without a command)")
     cached = commands.add_parser("cache", help="where compiled code is kept")
@@ -135,4 +137,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        status = main()
+        sys.stdout.flush()
+    except BrokenPipeError:  # whoever reads has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        status = 0
+    sys.exit(status)

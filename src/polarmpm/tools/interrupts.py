@@ -1,4 +1,4 @@
-"""Signals wait while something is done that must not be left half done."""
+"""Signals: they wait while something is done that must not be left half done, and Python hears of pipes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,15 @@ from typing import Any
 
 _NAMES = ("SIGINT", "SIGTERM", "SIGALRM", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGVTALRM", "SIGPROF")
 _SIGNALS = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
+
+
+def heed_pipes() -> None:
+    """Let Python hear of a reader that has gone, as of `script.py | head`, in place of PETSc, which ends the
+    process with a page of text."""
+    if hasattr(signal, "SIGPIPE") and threading.current_thread() is threading.main_thread():
+        known = signal.getsignal(signal.SIGPIPE)  # Python's own, whatever PETSc has put in its place
+        if known is not None:
+            signal.signal(signal.SIGPIPE, known)
 
 
 @contextmanager
