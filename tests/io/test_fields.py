@@ -109,14 +109,14 @@ def test_mean_pressure_and_tables(folder):
 # what is computed -----------------------------------------------------------------------------------
 def test_only_what_is_asked_is_compiled(monkeypatch):
     """Energy and stresses come together, every other field by itself, and each of them once."""
-    problem, made = by_points(), []
-    compile_ = FieldForm.compile
+    made, compile_ = [], FieldForm.compile
 
     def counted(self: FieldForm, comm: Any) -> Any:
         made.append([field.name for field in self.fields])
         return compile_(self, comm)
 
     monkeypatch.setattr(FieldForm, "compile", counted)
+    problem = by_points()
     problem.energy()
     assert list(problem.fields()) == ["energy", "stress", "couple_stress"]
     assert list(problem.fields("stress")) == ["stress"]

@@ -217,7 +217,7 @@ def user(energy: Any) -> pm.QuasiStatic:
 
 def test_an_energy_that_is_not_finite(monkeypatch):
     """At no strain already, in the points' boxes too. (Problems refuse it; others come to that later.)"""
-    monkeypatch.setattr(points_problem, "try_energy", lambda material: None)
+    monkeypatch.setattr(points_problem, "try_energy", lambda material, comm: None)
     error = failure(user(lambda E, G, p: p.a * ufl.ln(ufl.tr(E)) + ufl.inner(E, E) + ufl.inner(G, G)))
     assert kinds(error) == ["not finite"]
     assert "UserEnergy" in str(error)
@@ -232,7 +232,7 @@ def test_an_energy_that_is_not_finite(monkeypatch):
     ],
 )
 def test_unknowns_without_stiffness(energy, unknowns, monkeypatch):
-    monkeypatch.setattr(points_problem, "try_energy", lambda material: None)
+    monkeypatch.setattr(points_problem, "try_energy", lambda material, comm: None)
     finding = failure(user(energy)).findings[0]
     assert finding.kind == "linear system"
     assert finding.unknowns == unknowns
