@@ -116,3 +116,11 @@ def test_what_the_headers_lack_is_named():
 def test_declarations_that_cannot_be_read_are_refused(text):
     with pytest.raises(ValueError, match=r"Owner: the declaration .* can't be read"):
         structures._declarations("Owner", text)
+
+
+def test_addresses():
+    a = np.arange(6.0).reshape(2, 3)
+    fixed = a.copy()
+    fixed.flags.writeable = False
+    for array in (a, a[1], a[:0], fixed, np.zeros(4, dtype=bool)):
+        assert native.address(array) == array.ctypes.data

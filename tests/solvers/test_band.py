@@ -22,9 +22,9 @@ def rows_of(dense, block, symmetric):
     return Rows(block, indptr, column.astype(np.int32), dense[row, column].copy(), lambda: None)
 
 
-def strip(block, symmetric, seed):
+def strip(block, symmetric, seed, nodes=40):
     """A definite matrix of nodes in a strip, in any order, one of them alone."""
-    rng, nodes = np.random.default_rng(seed), 40
+    rng = np.random.default_rng(seed)
     place = rng.permutation(nodes)
     near = np.abs(place[:, None] - place) <= 3
     near[0] = near[:, 0] = False
@@ -36,9 +36,10 @@ def strip(block, symmetric, seed):
 
 
 @pytest.mark.parametrize("symmetric", [True, False])
-@pytest.mark.parametrize("block", [1, 2, 3, 5, 6])
-def test_solves(block, symmetric):
-    dense = strip(block, symmetric, 10 * block)
+@pytest.mark.parametrize(("block", "nodes"), [(1, 40), (1, 3), (2, 40), (3, 41), (5, 40), (6, 40), (9, 7)])
+def test_solves(block, nodes, symmetric):
+    """Also where the last panel of rows isn't whole, and where a node has more unknowns than a panel."""
+    dense = strip(block, symmetric, 10 * block, nodes)
     right = np.random.default_rng(1).normal(size=len(dense))
     band = Band(rows_of(dense, block, symmetric), symmetric)
     assert band.pays

@@ -78,6 +78,7 @@ class LinearisedElements(Linearised):
         batch.begin(start.q, total, start.F)
         states = self.problem.forms._states
         found: At = batch.at(self.x, states[k], system._kernels[k], system._mappings[k])
+        self.compile_returns(k, found)
         return found
 
     def forces(

@@ -9,14 +9,15 @@ preconditions.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
 
 from ..assembly.batchrates import BatchRates
 from ..assembly.ratestate import At, Change
-from ..assembly.system import NodalSystem
 from ..forms.directional import FormAlong, InitialAlong, MotionAlong
 from ..terms.ghost import GhostFaces
 from . import building
@@ -24,9 +25,7 @@ from .balance import Carried, closing_change
 from .leading import Lead, Leader
 from .pointrates import PointRates
 from .readers import Reader
-
-ENOUGH = 1e-9  # imbalance of the linear equation, over that of its right-hand side
-_STALLED, _MOST = 0.5, 25  # ratio of imbalances above which an iteration brings nothing; iterations
+from .solving import preconditioned, solve
 
 
 class Linearised:
@@ -130,8 +129,23 @@ class Linearised:
             if system.initial is not None and system.initial._any:
                 self.take_initial(k)
                 batch.take_initial(at, system.initial._packed[k])
+            if yielding:
+                self.compile_returns(k, at)
             out.append(at)
         return out
+
+    def compile_returns(self, k: int, at: At) -> None:
+        """Compile for all ranks what a batch's points need that yield on any. Collective."""
+        along = self.along[k]
+        if self.mappings[k] is None:
+            return
+        used = np.zeros(len(along.form.regions), dtype=np.int32)  # type: ignore[attr-defined]
+        used[[] if at.yielding is None else np.unique(at.yielding.region)] = 1
+        self.problem.comm.Allreduce(MPI.IN_PLACE, used, op=MPI.MAX)
+        for region in np.flatnonzero(used):
+            along.returned(int(region))
+        if along.form.scalars and np.any(used):
+            _ = along.bent
 
     def put_couples(self, at: list[At], couples: np.ndarray) -> None:
         """Let dead couples (np, r) act where they are no plain loads."""
@@ -385,63 +399,3 @@ def load_growth(problem: Any) -> tuple[np.ndarray, np.ndarray]:
     Collective."""
     begin, end = (problem._loads_at(factor) for factor in (0.0, 1.0))
     return end[0] - begin[0], end[1] - begin[1]
-
-
-def solve(
-    system: NodalSystem,
-    aim: np.ndarray,
-    products: Callable[[np.ndarray], np.ndarray],
-    start: np.ndarray,
-    known: list[tuple[np.ndarray, ...]],
-) -> tuple[np.ndarray, float, np.ndarray]:
-    """Increments (nodes, block) from `start` on, at which free unknowns have no residual, what is left
-    over the first, and the residual (nodes, block) of all: conjugate residuals, with the factor at hand.
-    Collective.
-
-    Args:
-        aim: residual (nodes, block) at the start.
-        products: the matrix times increments.
-        known: directions of earlier solutions with the same matrix, and their products, on
-            free unknowns and on all; more are added.
-    """
-    own = slice(0, system.owned)
-
-    def dot(a: np.ndarray, b: np.ndarray) -> float:
-        return float(system.comm.allreduce(float(np.sum(a[own] * b[own] * system.as_force**2))))
-
-    x, r, rest = start, system.on_free(aim), aim
-    first = size = np.sqrt(dot(r, r))
-
-    def improve(direction: np.ndarray, image: np.ndarray, forces: np.ndarray) -> None:
-        nonlocal x, r, rest
-        share = dot(image, r)
-        x, r, rest = x - share * direction, r - share * image, rest - share * forces
-
-    for one in known:
-        improve(*one)
-    for _ in range(_MOST):
-        before, size = size, np.sqrt(dot(r, r))
-        if not size > ENOUGH * first or (_STALLED * before < size < 1e-8 * first):
-            break
-        z = preconditioned(system, r)
-        forces = products(z)
-        az = system.on_free(forces)
-        for other, image, own_forces in known:
-            share = dot(image, az)
-            z, az, forces = z - share * other, az - share * image, forces - share * own_forces
-        length = np.sqrt(dot(az, az))
-        if not length > 0.0:
-            break
-        known.append((z / length, az / length, forces / length))
-        improve(*known[-1])
-    size = np.sqrt(dot(r, r))
-    return x, size / first if first > 0.0 else 0.0, rest
-
-
-def preconditioned(system: Any, forces: np.ndarray) -> np.ndarray:
-    step = np.zeros_like(forces)
-    own = system.owned
-    step[:own] = system.solve_again(system.on_free(forces)[:own])
-    system.complete(step)
-    step[system.prescribed.fixed] = 0.0
-    return step
