@@ -172,6 +172,29 @@ def test_restart_goes_on_to_the_same_digits(folder):
         assert_repeated(again, once)
 
 
+def test_restart_where_sites_have_moved_to_other_cells(folder):
+    """What carries sites is found where they were when increments began to count."""
+    states = []
+    for restarted in (False, True):
+        grid = pm.Grid.box((0, 0), (3, 3), 0.25, COMM)
+        points = pm.seed(grid, bounds=((0, 0), (2, 1)), material=NEO_HOOKEAN)
+        points.join(pm.seed(grid, bounds=((0.1, 1), (2.1, 2)), material=NEO_HOOKEAN), apart=True)
+        problem = pm.QuasiStatic(grid, points)
+        problem.fix(pm.plane(y=0), u=0)
+        problem.body_load(force=(0, -10.0))
+        contact = problem.contact(friction=0.5)
+        if restarted:
+            pm.load_restart(problem, folder / "a.h5")
+        else:
+            list(problem.march(2, to=0.5, progress=False))
+            pm.save_restart(problem, folder / "a.h5")
+        list(problem.march(1, to=0.75, progress=False))
+        states.append((by_id(points, points.x), contact.pressure))
+    assert states[0][1].max() > 1.0
+    for once, again in zip(*states, strict=True):
+        assert_repeated(again, once)
+
+
 def test_stack_in_space_with_three_bodies():
     """Blocks under their own weight: what they carry grows downwards; their points' faces find each other."""
     grid = pm.Grid.box((0, 0, 0), (1.2, 1.2, 1.6), 0.4, COMM)

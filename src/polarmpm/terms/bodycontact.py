@@ -190,8 +190,9 @@ class BodyContact(Sites):
             before = np.einsum("nji,nj->ni", self.F, self.surface.normal)
             before /= np.linalg.norm(before, axis=1, keepdims=True)
             self.surface = Surface(self.surface.x, self.surface.area, before)
-        # functions of cells that the body hardly enters would let a pressure turn its surface
-        behind = self.x - _BEHIND * self._size * self.normals()
+        # functions of cells that the body hardly enters would let a pressure turn its surface; where the body
+        # was when increments began to count, which a restarted run knows, too
+        behind = self.surface.x + self._u_at - _BEHIND * self._size * self.normals(self._F_at)
         self._cells, self._behind = setting.cells_behind(self.name, self.parents, self.body, behind)
         self._look()
         if not self._checked:
