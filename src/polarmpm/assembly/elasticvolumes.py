@@ -30,9 +30,10 @@ from .patches import Patches
 if TYPE_CHECKING:
     from ..forms.returnmapping import Yielding
 
-_MOST = 25  # iterations; patches that need more have the whole volume projected
+_MOST = 15  # iterations; patches that need more have the whole volume projected
 _ACCURACY = 1e-10  # of the step's changes of volume
 _LEAST = 1e-13  # a change of volume that is rounding
+_STEEPEST = 1.5  # f_t; of stable points it is at most 1
 _OWN = 2e-3  # w, for f_t not to vanish where only the volume flows
 
 Evaluate = Callable[[np.ndarray, bool, np.ndarray | None], tuple["Yielding", np.ndarray]]
@@ -40,10 +41,11 @@ Evaluate = Callable[[np.ndarray, bool, np.ndarray | None], tuple["Yielding", np.
 
 @dataclass
 class Settled:
-    """Derivatives of f at the points: f_t (n,) and f_z (n, nz)."""
+    """Derivatives of f at the points: f_t (n,) and f_z (n, nz); whether stability is lost there (n,)."""
 
     by_t: np.ndarray
     by_z: np.ndarray
+    lost: np.ndarray
 
     def inverse(self, patches: Patches) -> np.ndarray:
         """N^-1 (patches, functions, functions)."""
@@ -111,7 +113,8 @@ class ElasticVolumes:
         f[rows] += taken * (y.returned[:, nz] - elastic[rows, 0])
         by_t[rows] += taken * (moduli[:, nz, nz] - elastic[rows, 1 + nz])
         by_z[rows] = taken[:, None] * (moduli[:, nz, :nz] - elastic[rows, 1 : 1 + nz])
-        return f, Settled(np.maximum(by_t, 0.5 * _OWN), by_z)
+        lost = (by_t < 0.0) | (by_t > _STEEPEST)
+        return f, Settled(np.maximum(by_t, 0.5 * _OWN), by_z, lost)
 
     def _most(self, values: np.ndarray) -> np.ndarray:
         """Largest (patches,) of values (n,) in each patch."""
@@ -134,6 +137,7 @@ class ElasticVolumes:
         given_up: np.ndarray = np.zeros(patches.count, dtype=bool)
         for _ in range(_MOST):
             away = self._most(np.abs(f - before - self._averaged(f - before)))
+            given_up |= self._most(settled.lost.astype(float)) > 0.0
             open_ = (away > _LEAST + _ACCURACY * size) & ~given_up
             if not self._anywhere(open_):
                 break
@@ -159,7 +163,8 @@ class ElasticVolumes:
             t = np.where(at, start, t)
             y, elastic = self._again(t, y, elastic, given_up)
             f, settled = self._of(t, y, elastic, K)
-            settled = Settled(np.where(at, 1.0, settled.by_t), np.where(at[:, None], 0.0, settled.by_z))
+            flat = np.where(at[:, None], 0.0, settled.by_z)
+            settled = Settled(np.where(at, 1.0, settled.by_t), flat, settled.lost)
         return t, y, settled
 
     def _again(
