@@ -23,7 +23,7 @@ GRAVITY = 9.81  # m/s^2
 RADIUS, LENGTH, HEIGHT = 0.5, 1.0, 0.5  # m
 # friction, angle (degrees)
 CASES = {"rolling": (0.9, 60.0), "slipping": (0.3, 60.0), "smooth": (0.0, 60.0), "block": (0.3, 30.0)}
-# steps, of the stiff discs more than of the soft block; and by what share of a step's rate (1/step) they brake
+# steps, of stiff discs more than of the soft block; by what share of a step's rate (1/step) they brake
 SETTLING, DRAG = {name: 40 if name == "block" else 80 for name in CASES}, 3.0
 
 
