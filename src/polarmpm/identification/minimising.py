@@ -17,7 +17,7 @@ from .experiment import Experiment
 from .judging import TRUSTED, Judgement, judge
 from .transforms import Free
 
-_SCALE = 0.3  # of an unknown: root mean square of a first step, which is no longer
+_SCALE = 0.3  # of unknowns: the first steps are no longer
 _NEAR = 1e-3  # decrease of chi2 that isn't worth an evaluation: .03 standard deviations
 _NOISY = 0.1  # chi2 per value from which on data count as noisy; others are followed to the last digit
 _TOLERANCES = {"xtol": 1e-4, "ftol": 1e-5, "gtol": 1e-10}
@@ -178,10 +178,8 @@ def minimised(
     size = len(at_start[0])
     if most < 1:
         return v0, "stopped"
-    # the first trust region is as large as the start, so that the start has to be 0, or 1 of all unknowns
-    # together
-    scale = _SCALE * np.sqrt(len(v0))
-    options: dict[str, Any] = {**_TOLERANCES, "x_scale": scale, "max_nfev": most + 1}
+    # the first trust region is as large as the start, so that the start has to be 0
+    options: dict[str, Any] = {**_TOLERANCES, "x_scale": _SCALE, "max_nfev": most + 1}
     try:
         end = least_squares(residual, np.zeros_like(v0), jac=jacobian, method="trf", **options)
     except _Shown:
