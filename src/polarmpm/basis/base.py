@@ -39,7 +39,7 @@ class Weights:
     def __post_init__(self) -> None:
         try:
             lowest, count, table = (np.asarray(a) for a in (self.lowest, self.count, self.table))
-        except Exception as e:  # rows of several lengths, say
+        except (TypeError, ValueError, RuntimeError) as e:  # rows of several lengths, say
             raise InputError(f"Weights: arrays are needed: {e}") from e
         self.lowest, self.count, self.table = lowest, count, table
         fits = lowest.ndim == 2 and lowest.shape == count.shape == table.shape[:2] and table.ndim == 4
