@@ -21,8 +21,8 @@ from . import doubts
 from .griddoubts import GridRecord
 
 # shares of a step's work inside the boxes above which an answer may be far off: while no point has flowed,
-# and then, as the boxes of points that have flowed count for little
-DOUBTFUL, DOUBTFUL_FLOW = 0.5, 0.2
+# where boxes nearly alone hold the body, and then, as the boxes of points that have flowed count for little
+DOUBTFUL, DOUBTFUL_FLOW = 0.97, 0.2
 # increments (their gradients) of elastic points of which boxes miss nothing, however large their share is
 SMALL = 0.05
 MISSED = 0.08  # share that a sum over points without boxes misses: the answer is a tenth off or more
