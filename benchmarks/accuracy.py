@@ -188,7 +188,7 @@ def known(results):
 
 def doubted(row):
     """Whether the measure of trust warned; nearly incompressible materials have a warning of their own."""
-    return any("boxes" in w or "smooth" in w for w in row["warned"])
+    return any(word in w for w in row["warned"] for word in ("boxes", "smooth", "rough"))
 
 
 def counts(rows):
@@ -310,7 +310,7 @@ def draw_measure(axis, results):
         values = [max(floor, 100 * abs(r["error"])) for r in mine]
         axis.plot([max(1e-4, r["unresolved"]) for r in mine], values, marker, ms=3.2, mfc="none", mec=colour,
                   mew=0.8, label=label, zorder=3)  # fmt: skip
-    for at, style in ((0.5, "-"), (0.2, "--")):
+    for at, style in ((0.97, "-"), (0.2, "--")):
         axis.axvline(at, color="0.3", lw=0.7, ls=style)
     axis.set(xscale="log", yscale="log", xlim=(1e-4, 1.3), ylim=(floor / 1.7, 200))
     axis.set(xlabel="share inside the boxes, $U$ (-)", ylabel="error (%)")

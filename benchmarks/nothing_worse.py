@@ -152,8 +152,9 @@ def curved(basis):
 def sheared(model="micropolar", columns=1):
     """B5 and B6: the grid of 9 rows, GIMPM; force at the base."""
     args = argparse.Namespace(
-        model=model, mode="mpm", zone=None, weakness=0.1, basis="gimpm", points_per_cell=4, ghost="thesis"
-    )
+        model=model, mode="mpm", zone=None, weakness=0.1, basis="gimpm", points_per_cell=4, ghost="thesis",
+        regrid=None,
+    )  # fmt: skip
     problem, base = demo("shear_layer").build(9, columns, 5e-3, args)
     return problem, lambda: float(-problem.reaction(base)[0][0])
 

@@ -11,7 +11,7 @@
 - invariance: the same scene moved by cells, turned by a right angle, mirrored, its points in another order,
   in other units: how far do displacements and stresses differ?
 - measure: does the measure of trust warn of wrong answers, and only of them?
-- tents: how rough the strains of elastic bodies are with mpm and gimpm, and how far off their answers.
+- tents: what is said of the trust in answers with mpm and gimpm, and how far off they are.
 
 Runs under older versions of the package too, so that both columns of a comparison come from one script.
 """
@@ -392,7 +392,7 @@ def digits_of(row):
 
 
 def tents(quick=False):
-    """Errors and roughness of elastic bodies by tents."""
+    """Errors of bodies by tents, elastic and plastic, and what the measure says."""
     cases, fine = [], run(scenes.beam_elements).value
     for thickness in (1.0,) if quick else (4.0, 2.0, 1.0, 0.5):
         for word, angle in ANGLES.items():
@@ -401,6 +401,10 @@ def tents(quick=False):
         cases.append((f"AMPLE, {cell:g} m", partial(scenes.beam, cell, 3), fine, 20))
     for cell in () if quick else (3.0, 12.0):
         cases.append((f"Cook, nu = 0.3, {cell:g} m", partial(scenes.cook, cell, 3, 0.3), 7.78, 4))
+    for cell in () if quick else (0.5, 0.25, 0.125):
+        cases.append((f"Hill, {cell:g} a", partial(scenes.hill, cell, 2), 1.0, None))
+    for cells in () if quick else (2, 4, 8):
+        cases.append((f"footing, {cells} cells", partial(scenes.footing, cells, 2), 2 + np.pi, None))
     return [
         record(f"{basis}, {name}: {found.value[1]}", Run(**{**vars(found), "value": found.value[0]}), exact)
         for basis in ("mpm", "gimpm")

@@ -18,11 +18,11 @@ from ..kernels.kernel import Kernel
 from ..tools.caller import warn
 from ..tools.parallel import errors_on_all_ranks
 from . import doubts
-from .griddoubts import GridRecord
+from .griddoubts import MANY, GridRecord
 
 # shares of a step's work inside the boxes above which an answer may be far off: while no point has flowed,
-# and then, as the boxes of points that have flowed count for little
-DOUBTFUL, DOUBTFUL_FLOW = 0.5, 0.2
+# where boxes nearly alone hold the body, and then, as the boxes of points that have flowed count for little
+DOUBTFUL, DOUBTFUL_FLOW = 0.97, 0.2
 # increments (their gradients) of elastic points of which boxes miss nothing, however large their share is
 SMALL = 0.05
 MISSED = 0.08  # share that a sum over points without boxes misses: the answer is a tenth off or more
@@ -86,7 +86,8 @@ class BoxRecord:
         if system.interpolation.boxes is None:
             self.grid.weigh(0.0)
             tents = not system.interpolation.basis.fills_boxes
-            if not (self.largest[1] or (tents and system.inertia is not None)):
+            left_out = system.inertia is not None or self.points.total > MANY
+            if not (self.largest[1] or (tents and left_out)):
                 self._tents = tents
                 self._missed = doubts.missed(system)
             return None

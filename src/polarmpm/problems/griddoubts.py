@@ -14,7 +14,7 @@ from . import doubts
 
 COARSE = 0.1  # roughness of an elastic body's first strains, by tents: about the answer's error
 COARSE_SPLINES = 0.15  # by splines, of any of its strains: a few cells along a beam that bends far
-MANY = 200_000  # points of an elastic body by splines that isn't looked at: it has cells enough
+MANY = 200_000  # points of bodies with cells enough, of which tents' roughness and flow alone are looked at
 EXCESS = 0.15  # of the strain increments of bodies that flow over smooth ones: loads are a tenth off
 IMBALANCE = 0.06  # of the forces of smooth stresses in cells of tents
 SLIGHT = 0.1  # of the largest strain increments of a step: of what is less nothing is learnt
@@ -94,6 +94,8 @@ class GridRecord:
         """Look at the stresses (np, 3, 3) after a step whose strains were looked at, without inertia and
         while balanced resets carry none along."""
         if not self._stresses or system.inertia is not None or self.points.second_gradient:
+            return
+        if self.points.total > MANY:
             return
         if not self.comm.allreduce(bool(system.interpolation.reference.initial_stress.any()), op=MPI.LOR):
             self.imbalance = max(self.imbalance, doubts.imbalance(system, stresses()))
