@@ -65,7 +65,7 @@ def seed(
         layout: "uniform" (equal boxes) or "gauss" (Gauss-Legendre positions and volumes, which integrate
             squares already: the boxes have no half axes, and aren't cut).
         cut: False keeps whole boxes whose centres are inside, as in the papers; the body's volume is then
-            only met on average.
+            only met on average (a `TrustWarning` where they are another body).
         axisymmetric: the body is one of revolution about the axis x = 0, of which this is the section: a
             point stands for the ring that its box becomes by a whole turn, with the ring's volume.
 
@@ -73,9 +73,6 @@ def seed(
         InputError: an argument is out of range, no point lies inside the body, or more points or candidates
             than this machine can have. What `inside` itself raises is raised on its rank, and as
             `ErrorOnAnotherRank` on the others.
-
-    Warns:
-        TrustWarning: boxes aren't cut, and their staircase is another body.
     """
     checks.instance("grid", grid, Grid, "a background grid, such as Grid.box makes it, is")
     check_material(material, grid.dim)
@@ -91,11 +88,9 @@ def seed(
     _check_number(searched, len(xi), points_per_cell, everything=inside is None)
     body = _Body(inside, corners, cut and layout == "uniform", _parts(per_cell))
     made = _found(_Candidates(searched, per_cell, xi, share), body)
+    made.axes = made.axes if layout == "uniform" else np.zeros_like(made.axes)
     _check_found(grid, made, "bounds" if inside is None else "inside")
-    if inside is not None and not body.cut:
-        _warn_of_staircase(searched, per_cell, body, made)
-    if layout != "uniform":
-        made.axes = np.zeros_like(made.axes)
+    _warn_of_staircase(searched, per_cell, body, made)
     points = made.points(material, grid.comm, checks.flag("axisymmetric", axisymmetric))
     points.lattices = () if grid.equal else ((grid, per_cell),)
     distribute(grid, points)
@@ -116,6 +111,8 @@ def _warn_of_staircase(searched: Grid, per_cell: np.ndarray, body: _Body, made: 
     A surface that is moved, on the whole, by a share v of a body's thickness changes its second moments by
     3 v; one that is moved to and fro by a share s changes them by 3 s^2.
     """
+    if body.inside is None or body.cut:
+        return
     boxes = _Candidates(searched, per_cell, *_cell_layout("uniform", per_cell))
     exact = _found(boxes, replace(body, cut=True))
     with errors_on_all_ranks(searched.comm):
