@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import inspect
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -197,3 +198,20 @@ def test_only_the_grid_knows_that_its_planes_are_equidistant():
         if ast.unparse(node.value).split(".")[-1] != "body"
     ]
     assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    "problem", [polarmpm.QuasiStatic, polarmpm.QuasiStaticFEM, polarmpm.Dynamic, polarmpm.DynamicFEM]
+)
+def test_parts_of_a_problem_do_not_hide_one_another(problem):
+    """Of two classes neither of which is the other's base, the second one's method would be gone in silence."""
+    parts = [part for part in problem.__mro__ if part.__module__.startswith("polarmpm.")]
+    for k, first in enumerate(parts):
+        for second in parts[k + 1 :]:
+            if issubclass(first, second):
+                continue
+            for name in set(vars(first)) & set(vars(second)) - {"_abc_impl"}:
+                if name.startswith("__") or getattr(vars(second)[name], "__isabstractmethod__", False):
+                    continue
+                code = inspect.getsource(inspect.unwrap(getattr(first, name)))
+                assert f"super().{name}" in code, f"{name} of {first.__name__} and {second.__name__}"
