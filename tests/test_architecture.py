@@ -204,7 +204,7 @@ def test_only_the_grid_knows_that_its_planes_are_equidistant():
     "problem", [polarmpm.QuasiStatic, polarmpm.QuasiStaticFEM, polarmpm.Dynamic, polarmpm.DynamicFEM]
 )
 def test_parts_of_a_problem_do_not_hide_one_another(problem):
-    """Of two classes neither of which is the other's base, the second one's method would be gone in silence."""
+    """Of two classes neither of which is the other's base, the second one's method would be gone silently."""
     parts = [part for part in problem.__mro__ if part.__module__.startswith("polarmpm.")]
     for k, first in enumerate(parts):
         for second in parts[k + 1 :]:
