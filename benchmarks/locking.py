@@ -1,6 +1,7 @@
 """What the cure of locking is held to: bars, what is found, and whether it holds; a table and a JSON file.
 
-    python benchmarks/locking.py [--only cook resets thin coupled space footing micropolar costs]
+    python benchmarks/locking.py [--only cook resets thin coupled space footing dilatant20 dilatant30
+                                  micropolar costs]
                                  [--json FILE]
 
 Scenes without a known limit are compared with fine cured elements of degree 2.
@@ -8,8 +9,10 @@ Scenes without a known limit are compared with fine cured elements of degree 2.
 
 import argparse
 import json
+import tempfile
 import time
 import warnings
+from functools import partial
 from pathlib import Path
 
 from mpi4py import MPI
@@ -17,6 +20,7 @@ from mpi4py import MPI
 import locking_table as scenes
 import numpy as np
 from dolfinx import mesh as dmesh
+from scenes import demo
 
 import polarmpm as pm
 
@@ -134,6 +138,24 @@ def footing_bars():
     return rows
 
 
+def dilatant_bars(degrees, size, settlement):
+    """Loads at full settlement over Prandtl's limit on soil whose volume grows as it shears (psi = phi), 8
+    cells in half the width. The ground is as wide as the slip lines need."""
+    rows, phi = [], np.radians(degrees)
+    limit = (np.tan(np.pi / 4 + phi / 2) ** 2 * np.exp(np.pi * np.tan(phi)) - 1) / np.tan(phi)
+    for name in (*BASES, "fem1", "fem2"):
+        scene = demo("strip_footing")
+        (scene.LENGTH, scene.DEPTH), scene.SETTLEMENT = size, settlement
+        elastic = pm.Hencky.from_engineering(E=scene.YOUNG, nu=scene.POISSON)
+        soil = pm.MohrCoulomb(elastic, phi=phi, psi=phi, c=scene.STRENGTH, edges="sharp")
+        scene.soil = lambda soil=soil: soil
+        options = argparse.Namespace(cells=8, points_per_cell=2, steps=20, locking="cured", grid="equal")
+        with tempfile.TemporaryDirectory() as folder:
+            _, loads, _ = scene.solve(name, options, Path(folder))
+        rows.append(bar(f"footing, psi = phi = {degrees}, {name}: over N_c", loads[-1] / limit, 0.95, 1.05))
+    return rows
+
+
 def micropolar_bars():
     """Over the classical footing, 4 cells: it tends to that with l, and grows with l."""
     rows = []
@@ -210,6 +232,8 @@ GROUPS = {
     "coupled": coupled_bars,
     "space": space_bars,
     "footing": footing_bars,
+    "dilatant20": partial(dilatant_bars, 20, (7.0, 3.5), 0.02),
+    "dilatant30": partial(dilatant_bars, 30, (11.0, 5.0), 0.04),
     "micropolar": micropolar_bars,
     "costs": cost_bars,
 }

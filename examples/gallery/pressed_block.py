@@ -17,7 +17,7 @@ points = pm.seed(grid, bounds=((-2, 0), (2, 1)), material=pm.NeoHookean.from_eng
 problem = pm.QuasiStatic(grid, points)
 problem.fix(pm.plane(y=0.0), u=0)
 roll = problem.obstacle(
-    pm.Sphere((-0.8, 1.5), 0.5), friction=0.3, motion=lambda t: (1.6 * max(t - 1, 0), -0.2 * min(t, 1))
+    pm.Sphere((-0.8, 1.5), 0.5), friction=0.3, motion=lambda t: (1.6 * max(t - 1, 0), -0.15 * min(t, 1))
 )
 
 ways, forces = [], []
@@ -27,7 +27,7 @@ for step in problem.march(30, to=2.0, adaptive=True, progress=False):
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(plot.PAGE, 2.4), width_ratios=(3, 2))
 plot.plot_points(points, points.displacement[:, 0], label="$u_x$ (m)", undeformed=False, ax=left)
-left.add_patch(plt.Circle((0.8, 1.3), 0.5, color="0.8"))
+left.add_patch(plt.Circle((0.8, 1.35), 0.5, color="0.8"))
 right.plot(ways, [-f[1] for f in forces], "o-", label="across")
 right.plot(ways, [-f[0] for f in forces], "o-", label="along")
 right.set(xlabel="load factor", ylabel="force of the roll (kN)")
