@@ -116,10 +116,6 @@ class ElasticVolumes:
         lost = (by_t < 0.0) | (by_t > _STEEPEST)
         return f, Settled(np.maximum(by_t, 0.5 * _OWN), by_z, lost)
 
-    def _most(self, values: np.ndarray) -> np.ndarray:
-        """Largest (patches,) of values (n,) in each patch."""
-        return self._patches.largest(values)
-
     def _iterate(
         self,
         e: np.ndarray,
@@ -131,13 +127,13 @@ class ElasticVolumes:
         patches, (y, elastic), t = self._patches, first, start
         whole = patches.moments(e[:, None])
         f, settled = self._of(t, y, elastic, K)
-        size = self._most(np.maximum(np.abs(e - before), np.abs(f - t)))
+        size = patches.largest(np.maximum(np.abs(e - before), np.abs(f - t)))
         share: np.ndarray = np.ones(patches.count)
         last: np.ndarray = np.full(patches.count, np.inf)
         given_up: np.ndarray = np.zeros(patches.count, dtype=bool)
         for _ in range(_MOST):
-            away = self._most(np.abs(f - before - self._averaged(f - before)))
-            given_up |= self._most(settled.lost.astype(float)) > 0.0
+            away = patches.largest(np.abs(f - before - self._averaged(f - before)))
+            given_up |= patches.largest(settled.lost.astype(float)) > 0.0
             open_ = (away > _LEAST + _ACCURACY * size) & ~given_up
             if not self._anywhere(open_):
                 break
@@ -146,7 +142,7 @@ class ElasticVolumes:
             right = whole + patches.moments(((f - before) / settled.by_t - t)[:, None])
             to = patches.at_points(settled.inverse(patches) @ right)[:, 0]
             change = (to - (f - before)) / settled.by_t
-            most = self._most(np.abs(change))
+            most = patches.largest(np.abs(change))
             share_now = np.minimum(share, 2.0 * size / np.maximum(most, 1e-300))
             t = t + (np.where(open_, share_now, 0.0)[patches.patch]) * change
             try:
@@ -156,7 +152,7 @@ class ElasticVolumes:
                 break
             f, settled = self._of(t, y, elastic, K)
         else:
-            away = self._most(np.abs(f - before - self._averaged(f - before)))
+            away = patches.largest(np.abs(f - before - self._averaged(f - before)))
             given_up |= away > _LEAST + _ACCURACY * size
         if self._anywhere(given_up):
             at = given_up[patches.patch]
