@@ -22,6 +22,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from pages import quote
 
 import polarmpm as pm
 from polarmpm.plot import styled
@@ -164,13 +165,6 @@ def readme(rows):
     )
 
 
-def quote(page, said):
-    """Put it between the marks of a page."""
-    before, rest = page.read_text().split("<!-- cost -->")
-    _, after = rest.split("<!-- end -->", 1)
-    page.write_text(f"{before}<!-- cost -->{said}<!-- end -->{after}")
-
-
 @styled()
 def draw(rows, file):
     """CPU time and memory over points."""
@@ -226,8 +220,8 @@ def main():
             kept.write_text(json.dumps(rows, indent=1) + "\n")
     (args.output / "cost.md").write_text(table(rows))
     if args.output == HERE / "results":
-        quote(HERE.parent / "docs" / "cost.md", f"\n{table(rows)}")
-        quote(HERE.parent / "README.md", readme(rows))
+        quote(HERE.parent / "docs" / "cost.md", "cost", f"\n{table(rows)}")
+        quote(HERE.parent / "README.md", "cost", readme(rows))
     print(table(rows), readme(rows), sep="\n")
     draw(rows, args.output / "cost.png")
 

@@ -10,9 +10,9 @@ import time
 from pathlib import Path
 
 from dynamics_cases import CASES, quietly
+from pages import quote
 
 HERE = Path(__file__).parent
-MARKS = "<!-- bars -->", "<!-- end of bars -->"
 
 
 def table(kept):
@@ -22,14 +22,6 @@ def table(kept):
             holds = {True: "yes", False: "**no**", None: ""}[row["holds"]]
             lines.append(f"| {row['what']} | {row['bar']} | {row['found']} | {holds} | {case} |")
     return "\n".join(lines)
-
-
-def quote(page, said):
-    """Put it between the marks of a page."""
-    text = page.read_text()
-    before, rest = text.split(MARKS[0])
-    _, after = rest.split(MARKS[1], 1)
-    page.write_text(f"{before}{MARKS[0]}\n{said}\n{MARKS[1]}{after}")
 
 
 def main():
@@ -49,7 +41,7 @@ def main():
         for row in rows:
             print(f"{case}: {row['what']}: {row['found']} ({row['bar']}) {row['holds']}", flush=True)
     if args.output == HERE / "results":
-        quote(HERE.parent / "docs" / "dynamics.md", table(kept))
+        quote(HERE.parent / "docs" / "dynamics.md", "bars", f"\n{table(kept)}\n")
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 from operation_cases import GOOD, VERDICTS, Case
+from pages import quote
 
 from polarmpm import study
 
@@ -69,14 +70,6 @@ def write(cases, file):
         writer.writerows(map(short, cases))
 
 
-def put_into_docs(text):
-    """The table into docs/stability.md, between its marks."""
-    page = HERE.parent / "docs" / "stability.md"
-    before, rest = page.read_text().split("<!-- operation -->", 1)
-    after = rest.split("<!-- end -->", 1)[1]
-    study.write_text(page, f"{before}<!-- operation -->\n\n{text}\n<!-- end -->{after}")
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a few cases of each group")
@@ -100,7 +93,7 @@ def main():
     text = table(cases, read(args.before))
     study.write_text(args.output / "operation.md", text)
     if args.output == HERE / "results":
-        put_into_docs(text)
+        quote(HERE.parent / "docs" / "stability.md", "operation", f"\n\n{text}\n")
     print(text)
 
 
