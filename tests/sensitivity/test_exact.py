@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
@@ -207,7 +209,7 @@ def test_differences_far_from_rounding():
 
 @pytest.mark.parametrize("method", ["twins", "exact"])
 def test_a_reset_that_is_ill_determined(method):
-    """Half a cell thick: nothing resists some motions, and answers are noise."""
+    """Half a cell thick: nothing resists some motions, and answers are noise; the run says so, once."""
 
     def build(p: dict[str, float]) -> Any:
         grid = pm.Grid.box((0, -6), (12, 3), 1.0)
@@ -220,8 +222,15 @@ def test_a_reset_that_is_ill_determined(method):
     with pm.Sensitivity(build, BEAM, ["E"], method=method) as run:
         march = run.march(4)
         next(march)
-        with pytest.raises(pm.NotDifferentiable, match="resisted by nothing"):
+        told = pytest.warns(pm.TrustWarning, match="resisted by nothing") if COMM.rank == 0 else nullcontext()
+        with pytest.raises(pm.NotDifferentiable, match="resisted by nothing"), told:
             next(march)
+    alone, _ = build(BEAM)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        list(alone.march(4, progress=False))
+    assert sum("resisted by nothing" in str(w.message) for w in caught) == int(COMM.rank == 0)
+    assert "in doubt" in alone.trust()
 
 
 # what is refused --------------------------------------------------------------------------------
