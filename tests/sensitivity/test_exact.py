@@ -16,7 +16,7 @@ from polarmpm.sensitivity.differences import along
 from tests.conftest import COMM
 from tests.helpers.bodies import box
 from tests.sensitivity import scenes
-from tests.sensitivity.scenes import BEAM, SOIL, digits, rates
+from tests.sensitivity.scenes import BEAM, SOIL, differences, digits, rates
 
 
 def agreement(build: Any, values: dict[str, float], names: list[str], march: Any) -> float:
@@ -90,6 +90,83 @@ def test_couples_in_space():
 def test_surfaces():
     """Held by the material's own tractions, under a pressure that turns with the body."""
     assert agreement(scenes.held_on_surfaces, BEAM, ["E", "l", "n"], marches(3)) >= 6
+
+
+def two_bodies(p: dict[str, float], **options: Any) -> Any:
+    """Two cantilevers that lie on each other and share cells, but no nodes."""
+    grid = pm.Grid.box((0, -3), (6, 4), 1.0)
+    points = pm.seed(grid, bounds=((0, 0.13), (4.7, 2.53)), material=scenes.elastic(p), points_per_cell=3)
+    points.separate(points.where(lambda x: x[:, 1] > 1.31))
+    problem = pm.QuasiStatic(grid, points, reset=1, **options)
+    root = problem.fix(pm.plane(x=0.0), u=0, theta=0)
+    upper = points.nearest((4.7, 2.5))
+    problem.load(upper, force=(0, 6e4 * p["n"]))
+    problem.load(points.nearest((4.7, 0.2)), force=(0, -4e4))
+    return problem, {
+        "tip": lambda: points.mean_displacement(upper),
+        "squares": lambda: points.mean(points.x**2),
+        "root": lambda: problem.reaction(root).couple[0],
+    }
+
+
+@pytest.mark.parametrize("options", [{}, {"basis": "gimpm", "locking": "always"}])
+def test_several_bodies(options):
+    scene = partial(two_bodies, **options)
+    assert agreement(scene, BEAM, ["E", "l", "n"], marches(3)) >= 6
+    found = rates(scene, BEAM, ["l"], marches(3), method="exact")
+    assert digits(found, differences(scene, BEAM, ["l"], marches(3), 1e-6)) >= 6
+
+
+def revolution(p: dict[str, float], **options: Any) -> Any:
+    """A thick ring that is stretched along the axis and loaded across it."""
+    grid = pm.Grid.box((0, 0), (4, 4), 0.5)
+    points = pm.seed(grid, bounds=((1.13, 0), (2.62, 2.0)), material=scenes.elastic(p), axisymmetric=True)
+    problem = pm.QuasiStatic(grid, points, reset=1, boxes=False, **options)
+    problem.fix(pm.plane(y=0.0), uy=0, theta=0)
+    top = points.farthest((0, 1))
+    problem.load(top, force=(5e6 * p["n"], 1e7))
+    return problem, {
+        "places": lambda: points.mean(points.x**2),
+        "top": lambda: points.mean_displacement(top),
+        "hoop": lambda: points.mean(points.F[:, 2, 2] ** 2),
+    }
+
+
+@pytest.mark.parametrize("options", [{"basis": "mpm"}, {"basis": "gimpm"}, {}])
+def test_bodies_of_revolution(options):
+    scene = partial(revolution, **options)
+    assert agreement(scene, BEAM, ["E", "l", "n"], marches(3)) >= 6
+    found = rates(scene, BEAM, ["l"], marches(3), method="exact")
+    assert digits(found, differences(scene, BEAM, ["l"], marches(3), 1e-6)) >= 6
+
+
+def ground(p: dict[str, float], *, plastic: bool = False, **options: Any) -> Any:
+    """A block of ground at rest under its weight, on whose top a footing stands then."""
+    grid = pm.Grid.box((0, 0), (6, 5), 1.0)
+    material = scenes.elastic(p)
+    if plastic:
+        material = pm.DruckerPrager(material, cone="compression", phi=0.5, psi=0.1, c=2e4, H=0.0, l_p=0.1)
+    points = pm.seed(grid, bounds=((0, 0), (5, 3.4)), material=material)
+    problem = pm.QuasiStatic(grid, points, **{"reset": 1, **options})
+    problem.fix(pm.plane(x=0.0), ux=0)
+    problem.fix(pm.plane(x=5.0), ux=0)
+    problem.fix(pm.plane(y=0.0), u=0)
+    rest = pm.K0(weight=2e4, K0=0.5, surface=3.4)
+    problem.body_load(force=rest.force)
+    problem.initial_stress(rest)
+    top = points.where(lambda x: (x[:, 1] > 3.0) & (x[:, 0] < 2.0))
+    problem.load(top, force=(0, -8e4))
+    return problem, {
+        "top": lambda: points.mean_displacement(top),
+        "stress": lambda: points.mean(problem.fields("stress").stress[:, 1, 1]),
+    }
+
+
+@pytest.mark.parametrize("options", [{}, {"basis": "mpm"}, {"plastic": True}])
+def test_initial_stresses(options):
+    """Whose elastic deformation depends on the moduli, and what the basis can't balance of them."""
+    scene, march = partial(ground, **options), marches(3)
+    assert agreement(scene, {**BEAM, "E": 2e7}, ["E", "l", "n"], march) >= 6
 
 
 class Winkler(pm.SurfaceTerm):
@@ -239,16 +316,29 @@ def of_energies(p: dict[str, float], **options: Any) -> Any:
     return problem, {"work": lambda: sum(problem.energies().values())}
 
 
-def apart(p: dict[str, float]) -> Any:
-    """A body of revolution, which isn't carried."""
+def ring_with_boxes(p: dict[str, float]) -> Any:
+    """A body of revolution whose points have boxes."""
     _, observables = scenes.held_on_surfaces(p)
     ring = pm.Grid.box((0, 0), (4, 4), 1.0)
     points = pm.seed(ring, bounds=((1, 0), (3, 2)), material=scenes.elastic(p), axisymmetric=True)
     return pm.QuasiStatic(ring, points), observables
 
 
+def elements_at_rest(p: dict[str, float]) -> Any:
+    problem, observables = of_elements(p)
+    problem.initial_stress(np.zeros((3, 3)))
+    return problem, observables
+
+
 @pytest.mark.parametrize(
-    ("build", "message"), [(apart, 'bodies of revolution aren\'t carried; take method="twins"')]
+    ("build", "message"),
+    [
+        (
+            ring_with_boxes,
+            r'the boxes of points of a body of revolution.* aren\'t carried; take method="twins"',
+        ),
+        (elements_at_rest, "initial stresses of elements aren't carried"),
+    ],
 )
 def test_what_isnt_carried(build, message):
     with pytest.raises(pm.InputError, match=message):

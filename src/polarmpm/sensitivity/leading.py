@@ -11,6 +11,7 @@ from mpi4py import MPI
 import numpy as np
 
 from ..assembly import rounding
+from ..assembly.bodyweights import chosen_of_bodies
 from ..assembly.system import NodalSystem
 from ..basis.base import Chosen
 from ..problems.attempts import Search
@@ -198,7 +199,7 @@ class Leader:
         if p.basis.uses_domains:
             half0 = p.points.half_length0
             half = np.minimum(p.basis.domains(r.F, half0), p._most_growth * half0)
-        return Chosen.by(p.basis, i.grid, r.x, half, i.batches[0].batch.orders)
+        return chosen_of_bodies(i.grid, p.basis, p.points, r.x, half, i.batches[0].batch.orders)
 
     def _find_places(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         p, found = self.problem, {}
