@@ -132,7 +132,9 @@ def revolution(p: dict[str, float], **options: Any) -> Any:
     }
 
 
-@pytest.mark.parametrize("options", [{"basis": "mpm"}, {"basis": "gimpm"}, {}])
+@pytest.mark.parametrize(
+    "options", [{}, {"basis": "gimpm"}, pytest.param({"basis": "mpm"}, marks=pytest.mark.slow)]
+)
 def test_bodies_of_revolution(options):
     scene = partial(revolution, **options)
     assert agreement(scene, BEAM, ["E", "l", "n"], marches(3)) >= 6
@@ -142,7 +144,7 @@ def test_bodies_of_revolution(options):
 
 def ground(p: dict[str, float], *, plastic: bool = False, **options: Any) -> Any:
     """A block of ground at rest under its weight, on whose top a footing stands then."""
-    grid = pm.Grid.box((0, 0), (6, 5), 1.0)
+    grid = pm.Grid.box((0, 0), (5, 5), 1.0)
     material = scenes.elastic(p)
     if plastic:
         material = pm.DruckerPrager(material, cone="compression", phi=0.5, psi=0.1, c=2e4, H=0.0, l_p=0.1)
@@ -158,15 +160,21 @@ def ground(p: dict[str, float], *, plastic: bool = False, **options: Any) -> Any
     problem.load(top, force=(0, -8e4))
     return problem, {
         "top": lambda: points.mean_displacement(top),
-        "stress": lambda: points.mean(problem.fields("stress").stress[:, 1, 1]),
+        "shear": lambda: points.mean(problem.fields("stress").stress[:, 0, 1] ** 2),
     }
 
 
-@pytest.mark.parametrize("options", [{}, {"basis": "mpm"}, {"plastic": True}])
+@pytest.mark.parametrize(
+    "options", [{}, {"basis": "mpm"}, pytest.param({"plastic": True}, marks=pytest.mark.slow)]
+)
 def test_initial_stresses(options):
-    """Whose elastic deformation depends on the moduli, and what the basis can't balance of them."""
-    scene, march = partial(ground, **options), marches(3)
-    assert agreement(scene, {**BEAM, "E": 2e7}, ["E", "l", "n"], march) >= 6
+    """Whose elastic deformation depends on the moduli, and what the basis can't balance of them. Stresses
+    hardly depend on E: of their derivatives by twins 1e-14 of the elastic law's inverse are five digits."""
+    scene, values = partial(ground, **options), {**BEAM, "E": 2e7}
+    exact = rates(scene, values, ["E", "l", "n"], marches(3), method="exact")
+    twins = rates(scene, values, ["l", "n"], marches(3))
+    assert digits(exact, twins) >= 6
+    assert digits(exact, differences(scene, values, ["E"], marches(3), 1e-4)) >= 6
 
 
 class Winkler(pm.SurfaceTerm):

@@ -72,8 +72,8 @@ class Sensitivity:
         values: parameters by name; any names of the script's own.
         parameters: names of those by which to differentiate; default: all.
         method: "twins"; or "exact", the tangent-linear run: UFL's derivatives of the points' forms, with
-            more digits. What it doesn't carry (of points several bodies, bodies of revolution, second
-            gradients, rotations that get a new base; initial stresses; surfaces along the path; observables
+            more digits. What it doesn't carry (of points the boxes of bodies of revolution, second gradients,
+            rotations that get a new base; initial stresses of elements; surfaces along the path; observables
             such as energies) raises an InputError that says so. `sides` and `step` are those of twins.
         sides: 2: twins with a larger and a smaller value; 1: with a larger one only, at half the cost, and
             to fewer digits.
