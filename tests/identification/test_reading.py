@@ -75,6 +75,8 @@ def test_units_by_the_script_and_other_dialects(written):
         ("a (mm),b (N)\n1,two\n", {"x": "a", "y": "b"}, "'two' in row 1"),
         ("a (mm),a (m),b (N)\n1,2,3\n", {"x": "a", "y": "b"}, "one column only"),
         ("a (mm),b (N)\n,2\n", {"x": "a", "y": "b"}, "no numbers"),
+        ("a (mm),b (N)\n0,5,1,2\n", {"x": "a", "y": "b"}, "row 1 of the table has more entries"),
+        ("a (mm);b (N)\n0,5;1.200\n", {"x": "a", "y": "b", "decimal": ","}, "'1.200' in row 1"),
         ("# nothing\n", {"x": "a", "y": "b"}, "no table"),
         ("a (mm),b (N)\n1,2\n", {"x": "a", "y": "b", "decimal": ";"}, "decimal"),
         ("a (mm),b (N)\n1,2\n", {"x": "a", "y": "b", "delimiter": "ab"}, "delimiter"),
@@ -83,6 +85,15 @@ def test_units_by_the_script_and_other_dialects(written):
 def test_refused(written, text, options, message):
     with pytest.raises(pm.InputError, match=message):
         pm.read_curve(written(text), **options)
+
+
+def test_rows_that_lack_something(written):
+    """Without an abscissa they are left out; what else isn't there is missing."""
+    file = written("u (mm),F (kN),s (kN),\n0,0,0.1,\n0.5\n,1,1\n\n1,2,,\n")
+    curve = pm.read_curve(file, "u", "F", sigma="s")
+    np.testing.assert_allclose(curve.x, [0, 5e-4, 1e-3])
+    np.testing.assert_allclose(curve.y, [0, np.nan, 2e3])
+    np.testing.assert_allclose(curve.sigma, [100, np.nan, np.nan])
 
 
 def test_a_file_that_is_not_there(folder):

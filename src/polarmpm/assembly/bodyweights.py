@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..basis.base import Basis, Weights
+from ..basis.base import Basis, Chosen, Weights
 from ..bodies.points import Points
 from ..geometry.grid import Grid
 from ..tools import checks
@@ -35,11 +35,11 @@ def weights_of_bodies(
     """
     made, cells = [], np.zeros(x.shape, dtype=np.int64) if basis.sliver else None
     for _, rows in _bodies(points):
-        own = None
+        own, of_rows = None, basis.of_rows(rows)
         if cells is not None:
-            own = cells[rows] = basis.supporting_cells(grid, x[rows])
+            own = cells[rows] = of_rows.supporting_cells(grid, x[rows])
         with errors_on_all_ranks(grid.comm):
-            w = basis.weights(grid, x[rows], None if half is None else half[rows], own, orders)
+            w = of_rows.weights(grid, x[rows], None if half is None else half[rows], own, orders)
             checks.instance(f"basis {basis.name!r}: weights", w, Weights, "Weights are")
         made.append((rows, w))
     if points.bodies == 1:
@@ -53,6 +53,18 @@ def weights_of_bodies(
     return Weights(grid.of_bodies(lowest, points.body), count, table), cells
 
 
+def chosen_of_bodies(
+    grid: Grid, basis: Basis, points: Points, x: np.ndarray, half: np.ndarray | None, orders: int
+) -> Chosen:
+    """What a basis has chosen for points at x (n, d) (m), body by body; arguments as of `weights_of_bodies`.
+    Collective."""
+    cells, lowest, count = (np.zeros(x.shape, dtype=np.int64) for _ in range(3))
+    for _, rows in _bodies(points):
+        of = Chosen.by(basis, grid, x[rows], None if half is None else half[rows], orders)
+        cells[rows], lowest[rows], count[rows] = of.cells, of.lowest, of.count
+    return Chosen(x, half, cells, lowest, count, orders)
+
+
 def patches_of_bodies(
     grid: Grid, basis: Basis, points: Points, x: np.ndarray, cells: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -60,6 +72,6 @@ def patches_of_bodies(
     Collective."""
     index, places = np.zeros(x.shape, dtype=np.int64), np.zeros(x.shape)
     for _, rows in _bodies(points):
-        found = basis.patches(grid, x[rows], None if cells is None else cells[rows])
+        found = basis.of_rows(rows).patches(grid, x[rows], None if cells is None else cells[rows])
         index[rows], places[rows] = found
     return (index if points.bodies == 1 else grid.of_bodies(index, points.body)), places

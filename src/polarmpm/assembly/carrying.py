@@ -120,10 +120,22 @@ def carry_stress(system: LoadedPoints) -> None:
                     initial.replace(before)
                     break
                 system.carried_by = [*system.carried_by[:k], w]
+                system.unresisted = system.unresisted if k else _unresisted(system, moduli, w)
                 left, size = now, _norm(system, now)
     except SingularTangent:  # a body in parts that nothing holds
         return carry_forces(system)
     system.carried = left + closing(system, left)
+
+
+def _unresisted(system: LoadedPoints, moduli: Sequence[Moduli], w: np.ndarray) -> float:
+    """Share of the work of a motion w (nodes, block) that the shift of the moduli has done. Collective."""
+    sums, i = np.zeros(2), system.interpolation
+    for b, a in zip(i.batches, moduli, strict=True):
+        z = i.kernel_inputs(b, w)[:, : b.form.layout.unknowns]
+        weighted = b.batch.kept["volume"][:, None] * z
+        sums += np.sum(weighted * a.shift * z), np.sum(weighted * a.work(z))
+    of_shift, whole = system.comm.allreduce(sums)
+    return float(of_shift / whole) if whole > 0.0 else 0.0
 
 
 def carry_forces(system: LoadedPoints) -> None:

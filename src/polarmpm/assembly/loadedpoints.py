@@ -51,6 +51,9 @@ class LoadedPoints(ProjectedPoints):
         initial: initial stresses of the points; None: there are none.
         carried_by: motions (nodes, block) of which the initial stresses of the last balanced reset are made,
             see `carrying`.
+        unresisted: share of the work of the first of them that the material doesn't do, but a small shift
+            of its moduli: where it is large, that shift alone says how far points move, and how stresses are
+            carried is ill-determined.
         moduli_shift: of the last `assemble_moduli`.
         box_tangent: of the last step, which serves in the next one; None: it is summed anew.
     """
@@ -59,6 +62,7 @@ class LoadedPoints(ProjectedPoints):
     initial: InitialStress | None = None
     box_tangent: BoxTangent | None = None
     carried_by: Sequence[np.ndarray] = ()
+    unresisted = 0.0
     moduli_shift = Shift()
 
     def __init__(

@@ -239,6 +239,10 @@ class Basis(ABC):
         """
         return Weights(like.cells, like.count, self.derivatives(grid, x, like.cells, like.orders))
 
+    def of_rows(self, rows: np.ndarray | slice) -> Basis:
+        """The basis as some of the points see it, which may be all of a body among several."""
+        return self
+
     def carriers(self, name: str) -> tuple[np.ndarray, np.ndarray] | None:
         """Ranks (n,) and lattice index (n, d) of the cells that carry the places of a surface of a name,
         where that is settled; else the nearest ones do."""

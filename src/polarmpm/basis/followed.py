@@ -67,6 +67,16 @@ class Followed(Basis):
         self._basis.check_plane(plane, grid)
 
     # choices ----------------------------------------------------------------------------------------
+    def of_rows(self, rows: np.ndarray | slice) -> Followed:
+        """With the choices of some of the points."""
+        out = Followed(self._basis)
+        out.places = self.places
+        if self.like is not None:
+            c = self.like
+            half = None if c.half_length is None else c.half_length[rows]
+            out.like = Chosen(c.x[rows], half, c.cells[rows], c.lowest[rows], c.count[rows], c.orders)
+        return out
+
     def supporting_cells(self, grid: Grid, x: np.ndarray) -> np.ndarray:
         return self._basis.supporting_cells(grid, x) if self.like is None else self.like.cells
 

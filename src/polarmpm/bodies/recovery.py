@@ -1,7 +1,8 @@
-"""Values at places of a body from those at its points: polynomials fitted to the nearest ones.
+"""Values at places of a body from those at its points, or nodes: polynomials fitted to the nearest ones.
 
-A place's value is a weighted sum of those of points around it, of one material; the weights stay, as long as
-the points do. Polynomials of degree 2 are met exactly where the points tell them apart, constants everywhere.
+A place's value is a weighted sum of those of points around it, of stresses of one material; the weights stay,
+as long as the points do. Polynomials of degree 2 are met exactly where the points tell them apart, constants
+everywhere.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..tools.meetings import collective
-from ..tools.parallel import errors_on_all_ranks, values_by_number
+from ..tools.parallel import errors_on_all_ranks, known_anywhere, values_by_number
 from ..tools.rows import flat
 
 _FEWEST = 3  # points for each coefficient of a complete polynomial of degree 2
@@ -48,9 +49,91 @@ class Stencil:
         return np.asarray(values)
 
 
+class NodeSites:
+    """A mesh's own nodes, in the place of points. Collective.
+
+    Attributes:
+        comm, dim, X, id, material, half_length0: as of points; half lengths reach as far as the largest
+            element around a node.
+        lineage: none.
+    """
+
+    lineage = None
+
+    def __init__(self, elements: Any):
+        nodes, cells = elements.nodes, elements.cell_nodes
+        own = slice(0, nodes.owned)
+        self.comm, self.dim = elements.comm, elements.dim
+        self.X, self.id = nodes.position[own], nodes.number[own]
+        self.material = np.zeros(nodes.owned)
+        corners = nodes.position[cells]
+        largest = np.zeros(len(nodes))
+        size = np.linalg.norm(corners.max(axis=1) - corners.min(axis=1), axis=1)
+        np.maximum.at(largest, cells, size[:, None])
+        everywhere = np.zeros(nodes.total)
+        for number, of_rank in self.comm.allgather((nodes.number, largest)):
+            np.maximum.at(everywhere, number, of_rank)
+        half = everywhere[self.id] / (2.0 * np.sqrt(self.dim))
+        self.half_length0 = np.tile(half[:, None], (1, self.dim))
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+
+class Around:
+    """Values at places of a body in the course of a run. Where points are split, or taken out, those that
+    there are serve. All methods are collective.
+
+    Args:
+        points: material points, or `NodeSites`.
+        places: (m, d) in the undeformed body (m), the same on every rank.
+        of_nearest: a place has a value only while its nearest point, or a part of it, is there; else nan.
+        argument, one_material: see `stencil`.
+    """
+
+    def __init__(self, points: Any, places: np.ndarray, *, of_nearest: bool = False, **options: Any):
+        self._places, self._of_nearest, self._options = places, of_nearest, options
+        self._lineage = points.lineage
+        self._stencil = stencil(points, places, **options)
+        self._nearest, self._gone = self._stencil.ids[:, 0], np.zeros(len(places), dtype=bool)
+
+    def __call__(self, points: Any, values: np.ndarray) -> np.ndarray:
+        """Values (m, ...) of what the local points have (np, ...)."""
+        if self._stale(points):
+            self._renew(points)
+        out = self._stencil.apply(points, values)
+        out[self._gone] = np.nan
+        return out
+
+    def _stale(self, points: Any) -> bool:
+        split = points.lineage is not self._lineage
+        return split or not np.all(self._stencil.there(points)[~self._gone])
+
+    def _renew(self, points: Any) -> None:
+        self._lineage = lineage = points.lineage
+        if self._of_nearest:
+            for k in np.flatnonzero(~self._gone):
+                one = self._nearest[k : k + 1]
+                parts = one if lineage is None else lineage.descendants(one)[0]
+                self._gone[k] = not np.any(known_anywhere(points.comm, points.id, parts))
+        here = ~self._gone
+        if np.any(here):
+            found = stencil(points, self._places[here], **self._options)
+            ids = np.full((len(here), found.ids.shape[1]), -1)
+            weights = np.zeros(ids.shape)
+            ids[here], weights[here] = found.ids, found.weights
+            self._stencil = Stencil(ids, weights)
+
+
 @collective("recovery", comm=lambda points, *args, **options: points.comm)
-def stencil(points: Any, places: np.ndarray) -> Stencil:
+def stencil(points: Any, places: np.ndarray, *, argument: str = "at", one_material: bool = True) -> Stencil:
     """The stencil of this rank's own places (m, d) in the undeformed body (m). Collective.
+
+    Args:
+        points: material points, or `NodeSites`.
+        argument: of the script's, for messages.
+        one_material: values jump from one material to the next, as stresses do: those of the nearest point's
+            count.
 
     Raises:
         InputError: a place outside of the body; on every rank alike.
@@ -60,7 +143,8 @@ def stencil(points: Any, places: np.ndarray) -> Stencil:
     comm, d = points.comm, points.dim
     count = 2 * _FEWEST * (d + 1) * (d + 2) // 2  # twice what is needed, as some may be of another material
     tree = cKDTree(points.X) if len(points) else None
-    rows = np.column_stack([points.X, points.material, points.half_length0])
+    material = points.material if one_material else np.zeros(len(points))
+    rows = np.column_stack([points.X, material, points.half_length0])
     found: tuple[np.ndarray, np.ndarray] | None = None
     for root in range(comm.size):
         asked = comm.bcast(places if comm.rank == root else None, root=root)
@@ -72,6 +156,7 @@ def stencil(points: Any, places: np.ndarray) -> Stencil:
             found = tuple(np.concatenate([part[k] for part in parts], axis=1) for k in (0, 1))
     assert found is not None
     with errors_on_all_ranks(comm):
+        _check_inside(argument, places, *found)
         made = [_fit(places[s], found[0][s], found[1][s], count) for s in _shares(len(places))]
     ids, weights = (np.concatenate([part[k] for part in made]) for k in (0, 1))
     return Stencil(ids, weights)
@@ -92,7 +177,6 @@ def _fit(places: np.ndarray, ids: np.ndarray, rows: np.ndarray, count: int) -> t
         return np.take_along_axis(a, order.reshape(order.shape + (1,) * (a.ndim - 2)), axis=1)
 
     ids, way, far, rows = map(sorted_, (ids, way, far, rows))
-    _check_inside(places, far, rows)
     same = rows[:, :, d] == rows[:, :1, d]
     same &= np.cumsum(same, axis=1) <= count // 2
     reach = 1.05 * np.max(np.where(same, far, 0.0), axis=1, keepdims=True, initial=0.0)
@@ -101,17 +185,26 @@ def _fit(places: np.ndarray, ids: np.ndarray, rows: np.ndarray, count: int) -> t
     return ids, weight * _polynomials(way / reach[:, :, None], weight)
 
 
-def _check_inside(places: np.ndarray, far: np.ndarray, rows: np.ndarray) -> None:
-    d = places.shape[1]
+def _check_inside(argument: str, places: np.ndarray, ids: np.ndarray, rows: np.ndarray) -> None:
+    """Raise InputError for places that are farther from their nearest points than these reach."""
+    d, each = places.shape[1], np.arange(len(places))
     if not len(places):
         return
-    size = 2.0 * np.linalg.norm(rows[:, 0, d + 1 :], axis=1)
-    outside = np.flatnonzero((far[:, 0] > size) & (size > 0))
+    far = np.linalg.norm(rows[:, :, :d] - places[:, None], axis=2)
+    nearest = rows[each, far.argmin(axis=1)]
+    far, size = far.min(axis=1), 2.0 * np.linalg.norm(nearest[:, d + 1 :], axis=1)
+    outside = np.flatnonzero((far > size) & (size > 0))
     if len(outside):
         k = outside[0]
-        place, near = (tuple(float(f"{c:.6g}") for c in x) for x in (places[k], rows[k, 0, :d]))
+        place, near = ("(" + ", ".join(f"{c:.6g}" for c in x) + ")" for x in (places[k], nearest[k, :d]))
+        which = f"{place} lies"
+        if len(places) > 1:
+            which = f"{len(outside)} of {len(places)} places lie"
+            place = f"the first one {place}, "
+        else:
+            place = ""
         raise InputError(
-            f"at: {place} lies outside of the undeformed body, {far[k, 0]:.3g} m from its nearest point, "
+            f"{argument}: {which} outside the undeformed body, {place}{far[k]:.3g} m from the nearest point, "
             f"{near}"
         )
 

@@ -176,9 +176,14 @@ class InitialAlong:
 
 class MotionAlong:
     """The same of the update of F, the quaternion and the wryness; groups are the state before and z.
-    Collective."""
+    Collective.
+
+    Attributes:
+        by_reference: gradients are taken by X.
+    """
 
     def __init__(self, motion: Motion, comm: MPI.Comm):
+        self.by_reference = motion.by_reference
         self._full = motion._full
         state, z = motion._state, motion._z
         groups = [state.ufl_shape[0], z.ufl_shape[0]]

@@ -39,10 +39,10 @@ def identify(
 ) -> Fit:
     """Find the parameters with which experiments are computed as they were measured. Collective.
 
-    The sum of squares of all residuals over their standard deviations is made least by Gauss-Newton steps in
-    a trust region (scipy's `least_squares`). Parameters at which a run fails are not stepped to. While the
-    data don't show all parameters, a weak prior about the start keeps them finite; once they do it is
-    dropped, so that it doesn't bias the answer.
+    The sum of squares of all residuals over their standard deviations is made least by steps in a trust
+    region, of Gauss and Newton but for what earlier derivatives tell of a curved valley. Parameters at which
+    a run fails are not stepped to. While the data don't show all parameters, a weak prior about the start
+    keeps them finite; once they do it is dropped, so that it doesn't bias the answer.
 
     Args:
         tests: one experiment or several, each with its own function, arguments and data.

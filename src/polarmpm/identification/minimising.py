@@ -12,15 +12,17 @@ import numpy as np
 
 from ..errors import InputError
 from ..tools import checks
+from .curving import Model, Point, best_step, latest
 from .evaluating import Evaluator
 from .experiment import Experiment
 from .judging import TRUSTED, Judgement, judge
 from .transforms import Free
 
-_SCALE = 0.3  # of unknowns: the first steps are no longer
+_SCALE = 0.3  # of unknowns: the first step is no longer
 _NEAR = 1e-3  # decrease of chi2 that isn't worth an evaluation: .03 standard deviations
 _NOISY = 0.1  # chi2 per value from which on data count as noisy; others are followed to the last digit
-_TOLERANCES = {"xtol": 1e-4, "ftol": 1e-5, "gtol": 1e-10}
+_TOLERANCES = {"xtol": 1e-4, "ftol": 1e-5, "gtol": 1e-10}  # of steps, decreases and gradients
+_POOR, _GOOD = 0.25, 0.75  # shares of the predicted decrease: the trust region shrinks, or may grow
 
 
 @dataclass
@@ -118,19 +120,11 @@ def make_priors(free: Free, given: Any, weak: float | None) -> Priors:
     return Priors(mean, sd, is_weak)
 
 
-class _Near(Exception):
-    """What is left to the minimum is much less than the noise."""
-
-
 def _to_gain(jacobian: np.ndarray, residual: np.ndarray) -> float:
     """By how much a Gauss-Newton step would make the sum of squares smaller: squared, the distance to the
     minimum in standard deviations."""
     step = np.linalg.lstsq(jacobian, -residual, rcond=None)[0]
     return float(np.square(jacobian @ step).sum())
-
-
-class _Shown(Exception):
-    """The data show all parameters by now: the weak prior can go."""
 
 
 def judged(objective: Objective, v: np.ndarray, priors: Priors) -> Judgement:
@@ -144,46 +138,76 @@ def minimised(
 ) -> tuple[np.ndarray, str]:
     """The minimum next to v0 and "minimum"; a point on the way at which the data show all unknowns, and
     "shown"; or the best one so far after the most evaluations, and "stopped"."""
-    from scipy.optimize import least_squares  # takes a while to import
-
     if not len(v0):
         return v0, "minimum"
-    last = v0
+    search = _Search(objective, priors)
+    here, last, first = search.point(v0), v0, objective.evaluations
+    assert here is not None
+    region, known = _SCALE, [here]
+    while True:
+        if until_shown and search.shown(here, last):
+            return here.v, "shown"
+        if search.is_near(here):
+            return here.v, "minimum"
+        last = here.v
+        while here.v is last:
+            if objective.evaluations - first >= most:
+                return here.v, "stopped"
+            step, gain = best_step(Model(here, latest(here, known)), region)
+            trial = search.point(here.v + step)
+            size, won = float(np.linalg.norm(step)), -np.inf
+            if trial is not None:
+                known.append(trial)
+                won = here.square - trial.square
+            share = won / gain if gain > 0.0 else 0.0
+            region = _next_region(region, size, share)
+            small = size < _TOLERANCES["xtol"] * (_TOLERANCES["xtol"] + float(np.linalg.norm(here.v - v0)))
+            ended = small or (won < _TOLERANCES["ftol"] * here.square and share > _POOR)
+            if trial is not None and won > 0.0:
+                here = trial
+            if ended:
+                return here.v, "minimum"
 
-    def residual(w: np.ndarray) -> np.ndarray:
-        found, of_prior = objective(v0 + w), (v0 + w - priors.mean) / priors.sd
+
+def _next_region(region: float, size: float, share: float) -> float:
+    """Radius of the trust region after a step of some size that has won a share of what it should have."""
+    if share < _POOR:
+        return _POOR * size
+    return 2.0 * region if share > _GOOD and size > 0.95 * region else region
+
+
+@dataclass
+class _Search:
+    """What a search for a minimum knows.
+
+    Attributes:
+        data: how many there are.
+    """
+
+    objective: Objective
+    priors: Priors
+    data: int = 0
+
+    def point(self, v: np.ndarray) -> Point | None:
+        """Residuals of data and priors, and their derivatives; None where a run fails."""
+        found, sd = self.objective(v), self.priors.sd
         if found is None:
-            return np.full(size + len(of_prior), np.nan)
-        return np.append(found[0], of_prior)
+            return None
+        self.data = len(found[0])
+        whole = np.append(found[0], (v - self.priors.mean) / sd)
+        return Point(v, whole, np.vstack([found[1], np.diag(1.0 / sd)]))
 
-    def jacobian(w: np.ndarray) -> np.ndarray:
-        nonlocal last
-        found = objective(v0 + w)
-        assert found is not None
-        step, last = np.abs(v0 + w - last).max(), v0 + w
-        if (
-            until_shown
-            and priors.weak.any()
-            and step < _SCALE
-            and (judged(objective, last, priors).spread < TRUSTED).all()
-        ):
-            raise _Shown
-        whole = np.vstack([found[1], np.diag(1.0 / priors.sd)])
-        if found[0] @ found[0] > _NOISY * size and _to_gain(whole, residual(w)) < _NEAR:
-            raise _Near
-        return whole
+    def shown(self, here: Point, last: np.ndarray) -> bool:
+        """Whether the data show all parameters by now, so that the weak prior can go."""
+        if not self.priors.weak.any() or np.abs(here.v - last).max() >= _SCALE:
+            return False
+        return bool((judged(self.objective, here.v, self.priors).spread < TRUSTED).all())
 
-    at_start = objective(v0)
-    assert at_start is not None
-    size = len(at_start[0])
-    if most < 1:
-        return v0, "stopped"
-    # the first trust region is as large as the start, so that the start has to be 0
-    options: dict[str, Any] = {**_TOLERANCES, "x_scale": _SCALE, "max_nfev": most + 1}
-    try:
-        end = least_squares(residual, np.zeros_like(v0), jac=jacobian, method="trf", **options)
-    except _Shown:
-        return last, "shown"
-    except _Near:
-        return last, "minimum"
-    return v0 + end.x, "minimum" if end.status > 0 else "stopped"
+    def is_near(self, here: Point) -> bool:
+        """Whether what is left to the minimum is much less than the noise, of data that have some; or
+        nothing at all."""
+        of_data = here.residual[: self.data]
+        if np.abs(here.jacobian.T @ here.residual).max() < _TOLERANCES["gtol"]:
+            return True
+        noisy = of_data @ of_data > _NOISY * self.data
+        return bool(noisy and _to_gain(here.jacobian, here.residual) < _NEAR)

@@ -215,6 +215,12 @@ def _table(
     if len(delimiter) != 1 or delimiter == decimal:
         raise checks.refuse("delimiter", delimiter, f"one character other than {decimal!r} is needed")
     header, *rows = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
+    for i, row in enumerate(rows):
+        if any(entry.strip() for entry in row[len(header) :]):
+            raise InputError(
+                f"path = {str(file)!r}: row {i + 1} of the table has more entries than the header has, "
+                f"{len(header)}; with decimal commas, another delimiter is needed between columns"
+            )
     columns, arrays = [], []
     for name, spec in wanted:
         k, factor = _column(name, spec, header)
@@ -254,9 +260,12 @@ def _number(file: Any, line: int, row: Sequence[str], k: int, decimal: str) -> f
     if text.lower() in _MISSING:
         return np.nan
     try:
-        value = float(text.replace(decimal, ".") if decimal != "." else text)
+        if decimal != "." and "." in text:
+            raise ValueError("a point that separates thousands, or a decimal one: nobody knows")
+        value = float(text.replace(decimal, "."))
     except ValueError:
         raise InputError(
-            f"path = {str(file)!r}: {text!r} in row {line + 1} of the table is no number"
+            f"path = {str(file)!r}: {text!r} in row {line + 1} of the table is no number with the decimal "
+            f"mark {decimal!r}, and without marks between thousands"
         ) from None
     return value if np.isfinite(value) else np.nan

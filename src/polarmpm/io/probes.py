@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..bodies.points import Points
-from ..bodies.recovery import stencil
+from ..bodies.recovery import Around, stencil
 from ..bodies.selection import Selection
 from ..errors import InputError
 from ..problems.elements import QuasiStaticFEM
@@ -116,37 +115,8 @@ def _mean_at(problem: Any, at: Any) -> Callable[[Any, np.ndarray], np.ndarray]:
     place = checks.vector(
         "at", at, problem.points.dim, f"{problem.points.dim} coordinates (m), or a selection"
     )
-    return _Around(problem.points, place)
-
-
-class _Around:
-    """What makes a value at a material place of those at the points around it, as long as the nearest of
-    these is there: where others are gone, or have been split, with those that there are.
-
-    Raises:
-        InputError: the place lies outside of the undeformed body.
-    """
-
-    def __init__(self, points: Points, place: np.ndarray):
-        self._place, self._lineage = place, points.lineage
-        self._stencil = stencil(points, place[None])
-
-    def __call__(self, points: Points, values: np.ndarray) -> np.ndarray:
-        if self._stale(points):
-            self._lineage = points.lineage
-            self._stencil = stencil(points, self._place[None])
-        found: np.ndarray = self._stencil.apply(points, values)[0]
-        return found
-
-    def _stale(self, points: Points) -> bool:
-        """Whether other points are to be taken, as the nearest one, or parts of it, are still there.
-        Collective."""
-        split, lineage = points.lineage is not self._lineage, points.lineage
-        if not split and np.all(self._stencil.there(points)):
-            return False
-        nearest = self._stencil.ids[0, :1]
-        parts = nearest if lineage is None else lineage.descendants(nearest)[0]
-        return bool(points.comm.allreduce(int(np.isin(points.id, parts).sum())))
+    around = Around(problem.points, place[None], of_nearest=True)
+    return lambda points, values: around(points, values)[0]
 
 
 def _mean(points: Any, values: np.ndarray, selection: Selection) -> np.ndarray:

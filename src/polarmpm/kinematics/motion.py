@@ -153,7 +153,7 @@ class Motion:
     """
 
     def __init__(self, layout: Layout, comm: MPI.Comm, *, by_reference: bool = False):
-        self.layout, self._by_reference = layout, by_reference
+        self.layout, self.by_reference = layout, by_reference
         self._full = layout.in_space.state()
         space = PointSpace(compat.point_domain())
         size, unknowns = self._full.size, layout.unknowns + layout.axial
@@ -168,7 +168,7 @@ class Motion:
         F, H, z = full.frame(s), full.second_gradient(s), self._z
         around = z[self.layout.unknowns] if self.layout.axial else None
         by = Increment.of(self.layout, z, (around, around))
-        if not self._by_reference:
+        if not self.by_reference:
             by = by.times(F, H)
         if by.second is not None:
             now = move(by, F, grad_F=H)
@@ -198,7 +198,7 @@ class Motion:
             return
         z = self.layout.pack(inc.value, gradients)
         if self.layout.axial:
-            radius = points.X[:, 0] if self._by_reference else before.x[:, 0]
+            radius = points.X[:, 0] if self.by_reference else before.x[:, 0]
             z = np.column_stack([z, 1.0 / radius])
         if self.layout.rotations:
             points.F, points.q, points.wryness = self((before.F, before.q, before.wryness), z)

@@ -27,8 +27,17 @@ DOUBTFUL, DOUBTFUL_FLOW = 0.97, 0.2
 SMALL = 0.05
 MISSED = 0.08  # share that a sum over points without boxes misses: the answer is a tenth off or more
 MISSED_GAUSS = 0.15  # of points of quadrature rules, of which what they stand for is guessed, and too large
+UNRESISTED = 0.01  # of the work of a balanced reset's motion; 1e-8 to 1e-6 in good runs
 HOPELESS = 1.0  # above which the boxes alone hold the body
 _REMEDY = "take more points a cell (points_per_cell), or smaller cells"
+
+
+def unresisted(share: float) -> str:
+    """What a balanced reset has done whose motion the material resists with the rest of the work only."""
+    return (
+        f"{share:.0%} of what a balanced reset has moved to carry stresses on is resisted by nothing, so "
+        "that these are ill-determined, as with one point a cell, and answers are noise:"
+    )
 
 
 class BoxRecord:
@@ -125,6 +134,11 @@ class BoxRecord:
             self._note_missed(step)
         else:
             self._note_share(share, step, size)
+
+    def note_carried(self, share: float) -> None:
+        """Take note of the share of the work of a balanced reset's motion that the material doesn't do."""
+        if share > UNRESISTED:
+            self._warn(f"{unresisted(share)} {_REMEDY}, fewer resets, or another basis")
 
     def _note_share(self, share: float, step: int, size: float) -> None:
         """Take note of the share inside the boxes."""

@@ -184,6 +184,7 @@ class OnGrid(Problem):
                 initial.act_from_the_beginning(interpolation.pieces)
                 initial.check_equilibrium(self, system)
             self._resets.carry(system)
+            self.box_record.note_carried(system.unresisted)
         if not self._drop_pieces(interpolation) and held is None:
             return system
         made = self._build(interpolation)

@@ -115,7 +115,7 @@ class Carried:
             batch.at(self._x, batch.batch.batch.kept["state"], system.kernels[k], None)
             for k, batch in enumerate(run.batches)
         ]
-        run.put_couples(self.at, run.problem._converged_loads[1])
+        run.put_couples(self.at, run.carried_loads[1])
         self.moduli: list[CarriedModuli] = []
         if system.carried_by:
             for k, (batch, own) in enumerate(zip(run.batches, run.along, strict=True)):

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..assembly.pointboxes import has_boxes
 from ..errors import InputError, TrustWarning
 from ..forms.elementkernels import NativeElementForms
 from ..materials.base import parameter_values
@@ -122,18 +123,19 @@ def check_problem(problem: Any) -> None:
 def check_carried(problem: Any) -> None:
     """Raise InputError for what the tangent-linear run doesn't carry."""
     apart = ""
-    if problem.at_rest or problem.balanced_at_rest:
-        apart = "initial stresses"
+    grid = isinstance(problem, QuasiStatic)
+    if problem.at_rest and not grid:
+        apart = "initial stresses of elements"
+    elif problem.at_rest and any(follows(t) for t in problem.terms):
+        apart = "initial stresses of bodies with conditions on surfaces"
     elif problem._changes:
         apart = "materials that change"
-    elif not isinstance(problem, QuasiStatic):
+    elif not grid:
         apart = ""
-    elif problem.layout.axial:
-        apart = "bodies of revolution"
+    elif problem.layout.axial and problem.boxes and has_boxes(problem.points):
+        apart = "the boxes of points of a body of revolution (boxes=False: carried)"
     elif problem.regridding.policy is not None:
         apart = "other grids in the course of the run"
-    elif problem.points.bodies > 1:
-        apart = "several bodies"
     elif any(form.layout.second for form in problem.forms):
         apart = "second gradients"
     others = [t.name for t in problem.terms if not (isinstance(t, Ghost) or follows(t))]

@@ -11,7 +11,7 @@ from mpi4py import MPI
 import numpy as np
 
 from ..assembly import rounding
-from ..assembly.carrying import Moduli
+from ..assembly.bodyweights import chosen_of_bodies
 from ..assembly.system import NodalSystem
 from ..basis.base import Chosen
 from ..problems.attempts import Search
@@ -141,10 +141,7 @@ class Leader:
         on_grid: it has a grid, whose resets others have to follow.
         followers: told of resets.
         search: has the record of the last step.
-        unresisted: of the last reset, see there.
     """
-
-    unresisted = 0.0
 
     def __init__(self, problem: Any):
         self.problem = problem
@@ -182,7 +179,6 @@ class Leader:
         """The grid has been reset. Collective."""
         if self.on_grid and self.followers:
             self._chosen, self._places = self._find_chosen(), self._find_places()
-            self.unresisted = unresisted(self.problem.system)
             for follower in self.followers:
                 follower.reset()
 
@@ -203,7 +199,7 @@ class Leader:
         if p.basis.uses_domains:
             half0 = p.points.half_length0
             half = np.minimum(p.basis.domains(r.F, half0), p._most_growth * half0)
-        return Chosen.by(p.basis, i.grid, r.x, half, i.batches[0].batch.orders)
+        return chosen_of_bodies(i.grid, p.basis, p.points, r.x, half, i.batches[0].batch.orders)
 
     def _find_places(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         p, found = self.problem, {}
@@ -218,22 +214,6 @@ class Leader:
             comm.Allreduce(MPI.IN_PLACE, cells, op=MPI.MAX)
             found[piece.name] = owner, cells
         return found
-
-
-def unresisted(system: Any) -> float:
-    """Share of the work of the motion of which a balanced reset has made initial stresses that the shift of
-    the moduli has done, not the material: where it is large, nothing but that shift says how far points
-    move, and how stresses are carried is ill-determined. Collective."""
-    if not system.carried_by:
-        return 0.0
-    sums, i = np.zeros(2), system.interpolation
-    for k, batch in enumerate(i.batches):
-        moduli = Moduli(system, k)
-        z = i.kernel_inputs(batch, system.carried_by[0])[:, : batch.form.layout.unknowns]
-        weighted = batch.batch.kept["volume"][:, None] * z
-        sums += np.sum(weighted * moduli.shift * z), np.sum(weighted * moduli.work(z))
-    of_shift, whole = system.comm.allreduce(sums)
-    return float(of_shift / whole) if whole > 0.0 else 0.0
 
 
 class Lead:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from mpi4py import MPI
@@ -26,13 +26,17 @@ STATE = ("x", "F", "q", "wryness", "plastic_F", "plastic_wryness", "hardening")
 class PointRates:
     """Derivatives of the points' state by the logarithm of a parameter, row by row.
 
+    Args:
+        begin: of the state with which the run begins, where it depends on the parameter.
+
     Attributes:
         now: of the last converged state, by attribute of `Points`; before: of the last reset's.
     """
 
-    def __init__(self, problem: Any):
+    def __init__(self, problem: Any, begin: Mapping[str, np.ndarray]):
         self.problem, self._ids = problem, problem.points.id.copy()
         self.now = {name: np.zeros_like(getattr(problem.points, name)) for name in self._names()}
+        self.now |= begin
         self.before = dict(self.now)
 
     def _names(self) -> Iterator[str]:
@@ -158,9 +162,12 @@ class PointRates:
         names = ("F", "q", "wryness") if layout.rotations else ("F",)
         before = [getattr(reference, name)[rows] for name in names]
         g = at.g
-        if layout.axial:  # 1 / R, which stays
-            around = 1.0 / self.problem.points.X[rows, 0]
-            g, dg = np.column_stack([g, around]), np.column_stack([dg, np.zeros_like(around)])
+        if layout.axial:
+            radius, change_of_it = reference.x[rows, 0], self.before["x"][rows, 0]
+            if motion.by_reference:  # gradients are those by R, which stays
+                radius, change_of_it = self.problem.points.X[rows, 0], np.zeros(len(rows))
+            g = np.column_stack([g, 1.0 / radius])
+            dg = np.column_stack([dg, -change_of_it / radius**2])
         changed = motion(before, [self.before[name][rows] for name in names], g, dg)
         for name, rate in zip(names, changed, strict=True):
             done[name][rows] = rate

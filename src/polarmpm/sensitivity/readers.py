@@ -77,6 +77,12 @@ class Reader:
     def _difference(self, larger: Any, smaller: Any) -> Any:
         return (larger - smaller) / (2.0 * STEP)
 
+    def at_the_beginning(self) -> dict[str, np.ndarray]:
+        """Of the points' state before the first step: an initial stress depends on the moduli. Local."""
+        larger, smaller = (p.points for p, _ in self.pair)
+        names = ("plastic_F", "hardening") if larger.plastic else ()
+        return {n: self._difference(getattr(larger, n), getattr(smaller, n)) for n in names}
+
     # what the run needs -------------------------------------------------------------------------------------
     def reset(self) -> None:
         """The run has reset its grid. Collective."""

@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from ..errors import InputError, NotDifferentiable
+from ..problems.boxes import UNRESISTED, unresisted
 from ..solvers.stepping import Step
 from ..tools import checks
 from . import building, readers
@@ -22,7 +23,6 @@ from .twins import Apart, Twin
 METHODS = ("twins", "exact")
 _STEPS = {2: 3e-5, 1: 1e-6}  # of ln m, by the number of sides
 _SMALLEST = 1e-9
-_UNRESISTED = 0.01  # of the work of a balanced reset's motion; 1e-8 to 1e-6 in good runs
 
 
 @dataclass
@@ -72,8 +72,8 @@ class Sensitivity:
         values: parameters by name; any names of the script's own.
         parameters: names of those by which to differentiate; default: all.
         method: "twins"; or "exact", the tangent-linear run: UFL's derivatives of the points' forms, with
-            more digits. What it doesn't carry (of points several bodies, bodies of revolution, second
-            gradients, rotations that get a new base; initial stresses; surfaces along the path; observables
+            more digits. What it doesn't carry (of points the boxes of bodies of revolution, second gradients,
+            rotations that get a new base; initial stresses of elements; surfaces along the path; observables
             such as energies) raises an InputError that says so. `sides` and `step` are those of twins.
         sides: 2: twins with a larger and a smaller value; 1: with a larger one only, at half the cost, and
             to fewer digits.
@@ -236,13 +236,9 @@ class Sensitivity:
     def _follow(self, step: Step) -> None:
         """Let the twins take the step that the run has just taken."""
         building.check_kinks(self.problem)
-        share = self._leader.unresisted
-        if share > _UNRESISTED:
-            trouble = (
-                f"{share:.0%} of what the last balanced reset has moved to carry stresses on is resisted by "
-                "nothing, so that these are ill-determined, as with one point a cell; take more points, "
-                "fewer resets, or another basis"
-            )
+        share = self.problem.system.unresisted if self._leader.on_grid else 0.0
+        if share > UNRESISTED:
+            trouble = f"{unresisted(share)} take more points a cell, fewer resets, or another basis"
             size = self.steps.get(self.names[0], 0.0)
             raise NotDifferentiable(self.names[0], step.number, step.factor, size, trouble)
         path = self._leader.record.path

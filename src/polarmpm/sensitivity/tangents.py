@@ -102,7 +102,8 @@ class Linearised:
         system = self.system
         interpolation, n = system.interpolation, len(system.nodes)
         self.batches = [BatchRates(interpolation, k, along, n) for k, along in enumerate(self.along)]
-        balanced = self.problem.balanced_reset and self.problem.progress.step
+        p = self.problem
+        balanced = p.balanced_reset if p.progress.step else p.balanced_at_rest
         self.carried = Carried(self) if balanced else None
         for tangent in self.tangents:
             tangent.reset()
@@ -146,6 +147,13 @@ class Linearised:
             along.returned(int(region))
         if along.form.scalars and np.any(used):
             _ = along.bent
+
+    @property
+    def carried_loads(self) -> tuple[np.ndarray, np.ndarray]:
+        """Forces (np, d) and couples (np, r) at the points that the last reset has balanced. Collective."""
+        p = self.problem
+        found: tuple[np.ndarray, np.ndarray] = p._converged_loads or p._loads_at(p.progress.factor)
+        return found
 
     def put_couples(self, at: list[At], couples: np.ndarray) -> None:
         """Let dead couples (np, r) act where they are no plain loads."""
@@ -211,7 +219,7 @@ class Tangent:
     def __init__(self, run: Linearised, reader: Reader):
         self._run, self.reader, self.check = weakref.ref(run), reader, 0.0  # no circles
         self.factor = 0.0
-        self.points = PointRates(run.problem)
+        self.points = PointRates(run.problem, reader.at_the_beginning())
 
     @property
     def run(self) -> Linearised:
@@ -348,7 +356,7 @@ class Tangent:
         if self.factor:
             grown = load_growth(problem)
             own = own[0] + self.factor * grown[0], own[1] + self.factor * grown[1]
-        return problem._converged_loads, own
+        return self.run.carried_loads, own
 
     def _external(self, at_points: Any, changes: Any) -> np.ndarray:
         """Of the loads' forces (nodes, block), complete on owned rows, of forces and couples at the points
