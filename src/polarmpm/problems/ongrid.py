@@ -331,8 +331,7 @@ class OnGrid(Problem):
         """Put the plastic flow of a converged step into the points' plastic state."""
         i = system.interpolation
         for batch, mapping in zip(i.batches, system.mappings, strict=True):
-            if mapping is not None and mapping.yielding is not None:
-                rows = batch.rows[mapping.yielding.rows]
-                mapping.update_plastic_state(self.points, rows, i.reference.q[rows])
+            if mapping is not None:
+                mapping.update_plastic_state(self.points, batch.rows, i.reference.q[batch.rows])
         i.pack_flow()
         system.place()
