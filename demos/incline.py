@@ -3,9 +3,8 @@
 The incline is the line y = 0, gravity is turned instead. A disc (R = 0.5, E = 200 MPa, rho = 7800, 60
 degrees) rolls for friction 0.9, g sin(a) t^2 / 3; slips and rolls for 0.3; and slides without turning for 0.
 A block (1 x
-0.5, E = 1 MPa, rho = 1000, 30 degrees, friction 0.3) slides. All settle under the part of gravity along the
-normal
-first, with drag, and begin at rest.
+0.5, E = 1 MPa, rho = 1000, 30 degrees, friction 0.3) slides. All settle first under the part of gravity along
+the normal, with the drag that stops their slowest waves soonest, and begin at rest.
 """
 
 import math
@@ -23,8 +22,7 @@ GRAVITY = 9.81  # m/s^2
 RADIUS, LENGTH, HEIGHT = 0.5, 1.0, 0.5  # m
 # friction, angle (degrees)
 CASES = {"rolling": (0.9, 60.0), "slipping": (0.3, 60.0), "smooth": (0.0, 60.0), "block": (0.3, 30.0)}
-# steps, of stiff discs more than of the soft block; by what share of a step's rate (1/step) they brake
-SETTLING, DRAG = {name: 40 if name == "block" else 80 for name in CASES}, 3.0
+SETTLING = 24.0  # for how long bodies settle, in times that a wave takes through them
 
 
 def exact(name, time):
@@ -38,9 +36,17 @@ def exact(name, time):
     return 0.5 * (down - friction * across) * time**2, turn
 
 
+def settling(name, args):
+    """Steps in which a body settles, and drag (1/s): critical for waves of four times its height."""
+    disc = name != "block"
+    crossing = 2 * RADIUS * math.sqrt(7800.0 / 200e6) if disc else HEIGHT * math.sqrt(1000.0 / 1e6)
+    return math.ceil(SETTLING * crossing / args.dt), math.pi / crossing
+
+
 def scene(name, args):
     """The problem and its incline."""
     disc, (friction, angle) = name != "block", CASES[name]
+    steps, drag = settling(name, args)
     h = args.cell if disc else 0.125 * args.cell / 0.1
     size = 2 * RADIUS if disc else LENGTH
     high = 2 * RADIUS if disc else HEIGHT
@@ -60,17 +66,21 @@ def scene(name, args):
         points = pm.seed(grid, bounds=box, material=material, points_per_cell=args.points_per_cell)
         sites = None
     problem = pm.Dynamic(
-        grid, points, density=density, rho_inf=args.rho_inf, reset=10, basis=args.basis, drag=DRAG / args.dt
+        grid, points, density=density, rho_inf=args.rho_inf, reset=10, basis=args.basis, drag=drag
     )
     incline = problem.obstacle(
         pm.HalfSpace((0, 0), (0, 1)), on=sites, friction=friction, stiffness=10 * young / h
     )
-    start = SETTLING[name] * args.dt
+    start = steps * args.dt
     down, across = (density * GRAVITY * f(math.radians(angle)) for f in (math.sin, math.cos))
 
+    held = 0.0 if disc else friction * across
+
     def weight(time):
-        """Grows along the normal; the other part is there from the start of the motion on."""
-        return down * (time > start), -across * min(1.0, 2.0 * time / start)
+        """Grows along the normal, and along the incline as far as friction holds the body; all of it is there
+        from the start of the motion on."""
+        share = min(1.0, 2.0 * time / start)
+        return down if time > start else share * held, -share * across
 
     problem.body_load(force=weight)
     return problem, incline
@@ -91,7 +101,8 @@ def place(problem, X):
 def solve(name, args, folder):
     """Times (s), ways (m), turns (rad) and forces (N) from the start of the motion on."""
     problem, incline = scene(name, args)
-    for _ in problem.march(steps=SETTLING[name], duration=SETTLING[name] * args.dt, progress=False):
+    settled, _ = settling(name, args)
+    for _ in problem.march(steps=settled, duration=settled * args.dt, progress=False):
         pass
     problem.drag = 0.0
     problem.velocity(v=(0.0, 0.0))
@@ -138,7 +149,7 @@ def main(argv=None):
         later = np.array(curve["force"])[len(curve["force"]) // 2 :].sum(axis=0)
         result[f"{name}_ratio"] = -float(later[0] / later[1])  # of friction and pressure
         result[f"{name}_iterations"] = float(
-            np.mean([step.iterations for step in problem.steps[SETTLING[name] :]])
+            np.mean([step.iterations for step in problem.steps[settling(name, args)[0] :]])
         )
         curves[name] = curve
     for name, curve in curves.items():

@@ -64,3 +64,43 @@ def test_pieces_of_one_body_meet_and_part():
     speed = points.mean(points.velocity, left)[0]
     assert speed < -0.3
     assert np.abs(problem.momentum()).max() < 1e-9
+
+
+@pytest.mark.parametrize("reset", ["in motion", 100, None])
+def test_a_body_that_flies_out_of_the_grid_is_stopped(reset):
+    """A rigid motion may never ask for a reset; without resets the body is in its own cells."""
+    grid = pm.Grid.box((0.0, 0.0), (2.0, 1.0), 0.25, comm=COMM)
+    points = pm.seed(grid, material=MATERIAL, bounds=((0.5, 0.25), (1.0, 0.75)))
+    options = {} if reset == "in motion" else {"reset": reset}
+    problem = pm.Dynamic(grid, points, density=1000.0, **options)
+    problem.velocity(v=(1.0, 0.0))
+    if reset is None:
+        assert [step.number for step in problem.march(2.0, dt=0.1, progress=False)][-1] == 20
+        return
+    with pytest.raises(pm.PointsOutsideGrid, match=r"from \(0.0, 0.0\) to \(2.0, 1.0\) m"):
+        for _ in problem.march(2.0, dt=0.1, progress=False):
+            pass
+    end = COMM.allreduce(points.x[:, 0].max(initial=0.0), op=MPI.MAX)
+    assert 2.0 < end < 2.1 + 1e-9  # within a step
+
+
+def test_a_body_that_leaves_the_grid_is_met_by_one_that_follows():
+    grid = pm.Grid.box((0.0, 0.0), (2.0, 1.0), 0.25, comm=COMM)
+    points = pm.seed(grid, material=MATERIAL, bounds=((0.5, 0.25), (1.0, 0.75)))
+    problem = pm.Dynamic(grid, points, density=1000.0, regrid=pm.FollowBody(margin=2))
+    problem.velocity(v=(1.0, 0.0))
+    for _ in problem.march(2.0, dt=0.1, progress=False):
+        pass
+    assert len(problem.regrids) > 0
+    assert problem.momentum()[0] == pytest.approx(250.0, rel=1e-9)
+
+
+def test_a_body_at_rest_that_is_turned_out_of_the_grid_is_stopped():
+    """In statics, too: the far end leaves the grid while no cell is distorted."""
+    grid = pm.Grid.box((0.0, 0.0), (1.5, 1.5), 0.25, comm=COMM)
+    points = pm.seed(grid, material=MATERIAL, bounds=((0.0, 1.0), (1.0, 1.5)))
+    problem = pm.QuasiStatic(grid, points)
+    problem.fix(lambda x: x[:, 0] < 10.0, ux=0.0, uy=0.3)
+    with pytest.raises(pm.PointsOutsideGrid):
+        for _ in problem.march(10, progress=False):
+            pass

@@ -138,6 +138,9 @@ class ElementSystem(NodalSystem):
     def plastic(self) -> bool:
         return any(m.plastic for m in self.forms.elements.points.materials)
 
+    def dissipate(self, share: float) -> None:
+        self.forms.dissipate(share)
+
     def start_elastic(self, on: bool) -> bool:
         return self.forms.start_elastic(on)
 

@@ -105,6 +105,11 @@ class LoadedPoints(ProjectedPoints):
                 mapping.start_elastic = on
         return self.plastic
 
+    def dissipate(self, share: float) -> None:
+        for mapping in self.mappings:
+            if mapping is not None:
+                mapping.dissipate(share)
+
     def changing(self) -> Iterator[tuple[Any, tuple[str, ...] | None]]:
         yield from super().changing()
         yield self, ("initial", "_boxes", "_at_points", "_couples", "box_tangent")

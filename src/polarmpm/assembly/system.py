@@ -188,6 +188,9 @@ class NodalSystem(ABC):
         """Whether there are points that may yield, on any rank."""
         return False
 
+    def dissipate(self, share: float) -> None:  # noqa: B027
+        """Take what yielding points dissipate in the present state for a share of the whole step's. Local."""
+
     def start_elastic(self, on: bool) -> bool:
         """Whether points on the yield surface begin a step with their elastic tangent; False where there is
         no such choice."""

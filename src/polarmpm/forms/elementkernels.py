@@ -108,14 +108,17 @@ class KernelForms(ElementForms):
     def changing(self) -> list[Any]:
         return list(self._mappings)
 
+    def dissipate(self, share: float) -> None:
+        for mapping in self._mappings:
+            mapping.dissipate(share)
+
     def flow(self, base: np.ndarray) -> None:
         """Put the plastic flow of a converged step into the points' plastic state; their deformation has been
         updated, `base` (n, 4) is their microrotation before."""
         made = self.compiled[1] if self._mappings else [None] * len(self._rows_of)
         for rows, mapping in zip(self._rows_of, made, strict=True):
-            if mapping is not None and mapping.yielding is not None:
-                yielding = rows[mapping.yielding.rows]
-                mapping.update_plastic_state(self.elements.points, yielding, base[yielding])
+            if mapping is not None:
+                mapping.update_plastic_state(self.elements.points, rows, base[rows])
 
     def kernel_inputs(self, k: int, z: np.ndarray) -> np.ndarray:
         """Inputs (n, form.inputs) of a material's residual at unknowns z (n, nz) in the kernel's frame."""

@@ -111,6 +111,9 @@ class ElementForms:
             function.x.array[:] = 0.0  # of elements that aren't in the body
         function.x.array.reshape(-1, values.shape[1])[rows] = values
 
+    def dissipate(self, share: float) -> None:
+        """See `assembly.system.NodalSystem`."""
+
     def start_elastic(self, on: bool) -> bool:
         """See `assembly.system.NodalSystem`."""
         return False

@@ -84,6 +84,8 @@ class ReturnMapping:
     Attributes:
         start_elastic: points on the yield surface, with no flow, are elastic.
         yielding: what the last evaluation found.
+        dissipated: of the step that ends next, by the stresses at which forces are in balance: rows of
+            points, and what they dissipate (Pa); None: those are the stresses at its end.
     """
 
     def __init__(self, form: PointForm, comm: MPI.Comm, ids: np.ndarray):
@@ -92,6 +94,7 @@ class ReturnMapping:
         self._trial: Kernel = form.trial_kernel(comm)
         self.start_elastic = False
         self.yielding: Yielding | None = None
+        self.dissipated: tuple[np.ndarray, np.ndarray] | None = None
 
     # evaluation -----------------------------------------------------------------------------------
     def evaluate(self, inputs: np.ndarray, tangent: bool, among: np.ndarray | None = None) -> Yielding:
@@ -228,23 +231,31 @@ class ReturnMapping:
         return failed
 
     # plastic state --------------------------------------------------------------------------------------
+    def dissipate(self, share: float) -> None:
+        """What points dissipate in the state at hand is a share of that of the whole step."""
+        y = self.yielding
+        self.dissipated = None if y is None else (y.rows, self.dissipation() / share)
+
     def update_plastic_state(self, points: Points, rows: np.ndarray, base: np.ndarray) -> None:
         """Put the flow of a converged step into the plastic state of the points that yield.
 
         Args:
             points: with their deformation updated already.
-            rows: of the points that yield, in `points`.
+            rows: of all points (n,), in `points`.
             base: microrotations (n, 4) of the state's frame at them.
         """
         y, form = self.yielding, self.form
-        assert y is not None
-        flowed, wryness = self.flowed(y.X, base, points.q[rows], points.F[rows], points.wryness[rows])
+        if y is None:
+            return
+        at = rows[y.rows]
+        flowed, wryness = self.flowed(y.X, base[y.rows], points.q[at], points.F[at], points.wryness[at])
         if wryness is not None:
-            points.plastic_wryness = replaced(points.plastic_wryness, rows, wryness)
-        points.plastic_F = replaced(points.plastic_F, rows, flowed)
-        points.hardening = replaced(points.hardening, rows, y.X[:, form.hardening_column])
-        dissipation = points.dissipation[rows] + self.dissipation()
-        points.dissipation = replaced(points.dissipation, rows, dissipation)
+            points.plastic_wryness = replaced(points.plastic_wryness, at, wryness)
+        points.plastic_F = replaced(points.plastic_F, at, flowed)
+        points.hardening = replaced(points.hardening, at, y.X[:, form.hardening_column])
+        which, more = self.dissipated or (y.rows, self.dissipation())
+        self.dissipated, at = None, rows[which]
+        points.dissipation = replaced(points.dissipation, at, points.dissipation[at] + more)
 
     def flowed(
         self, X: np.ndarray, base: np.ndarray, q: np.ndarray, F: np.ndarray, wryness: np.ndarray

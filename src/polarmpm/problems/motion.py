@@ -206,6 +206,7 @@ class Moving(WithInertia):
             assert self._step is not None
             self._found = self._collocated(system, start.x), self._on_body(system)
             system.terms.balanced(system.x)
+            system.dissipate(self._step.theta)
             system.jump(start.x + (system.x - start.x) / self._step.theta)
             outcome.reason = self._end_of_step(system)
             outcome.converged = not outcome.reason

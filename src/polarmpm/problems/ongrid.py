@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 
 from ..assembly import carrying
@@ -30,8 +32,9 @@ from ..geometry.grid import Grid
 from ..geometry.planes import Plane, PlaneSpec
 from ..kernels.kernel import Kernel
 from ..kinematics.motion import Motion
+from ..solvers.resetting import Never, ResetPolicy
 from ..tools.disposal import dispose_of_dropped
-from ..tools.parallel import Route, values_by_number
+from ..tools.parallel import Route, reduced, values_by_number
 from . import initial, slopes
 from .balancing import BalancedResets
 from .base import Problem
@@ -59,6 +62,7 @@ class OnGrid(Problem):
     solver: str
     boxes: bool
     balanced_reset: bool
+    policy: ResetPolicy
     box_record: BoxRecord
     load_shares: LoadShares
     _moving: MovingGrid
@@ -191,6 +195,14 @@ class OnGrid(Problem):
         made.carried[:] = system.carried
         system.destroy()
         return made
+
+    def _has_left(self) -> bool:
+        """Whether points have left the grid that a reset would make. Collective."""
+        if isinstance(self.policy, Never):  # which is at home in the undeformed body's cells
+            return False
+        grid, x = self._moving.at(self.progress.factor, self.supports), self.points.x
+        ends = np.stack([x.min(axis=0), x.max(axis=0)]) if len(x) else x
+        return bool(reduced(self.comm, int(not grid.inside(ends).all()), MPI.MAX))
 
     def _check_held(self, interpolation: Interpolation, prescribed: Prescribed) -> None:
         volume = interpolation.spread(self.points.volume[:, None])[: interpolation.nodes.owned, 0]
@@ -332,8 +344,7 @@ class OnGrid(Problem):
         """Put the plastic flow of a converged step into the points' plastic state."""
         i = system.interpolation
         for batch, mapping in zip(i.batches, system.mappings, strict=True):
-            if mapping is not None and mapping.yielding is not None:
-                rows = batch.rows[mapping.yielding.rows]
-                mapping.update_plastic_state(self.points, rows, i.reference.q[rows])
+            if mapping is not None:
+                mapping.update_plastic_state(self.points, batch.rows, i.reference.q[batch.rows])
         i.pack_flow()
         system.place()

@@ -83,7 +83,9 @@ class QuasiStatic(Regridded):
         assembly: how residual and tangent are summed over the points: "direct", or (with basis="mpm") as a
             "projection" on a quadrature space, assembled by dolfinx, to the same result.
         reset: when the grid is reset: a policy such as `WhenDistorted(0.2)`, every n steps (1: the papers'
-            method), or None for never.
+            method), or None for never. By policies it is also when points have left the grid, in which case
+            the next step raises PointsOutsideGrid unless planes have moved, or `regrid` gives another grid;
+            without resets the grid is that of the undeformed body, which may leave it.
         balanced_reset: a reset keeps the body in equilibrium. The new basis can't balance all of the points'
             stresses; the papers let the rest relax, which softens the body reset by reset. Here it is carried
             along as an initial stress of the points until the next reset (docs/theory.md).
@@ -350,7 +352,7 @@ class QuasiStatic(Regridded):
         with errors_on_all_ranks(self.comm, "the reset policy") as answer:
             due = answer.alike = bool(self.policy.due(p.since_reset, increments.gradient, self.comm))
         due = due or self._comes_near(system, increments)
-        p.reset_due = due or any(term.renew for term in self.terms)
+        p.reset_due = due or any(term.renew for term in self.terms) or self._has_left()
         if not p.reset_due and self.layout.rotations:
             largest = float(np.abs(system.x[:, self.layout.dim :]).max(initial=0.0))
             if reduced(self.comm, largest, MPI.MAX) > self.rotation_limit:
