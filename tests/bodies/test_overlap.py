@@ -1,5 +1,6 @@
 """Points that are put where others are."""
 
+import copy
 import re
 import warnings
 
@@ -50,6 +51,26 @@ def test_bodies_that_touch():
         assert not told(lambda core=core, rest=rest: core.join(rest))
     # contact tells of bodies of their own
     assert not told(lambda: points.join(square((0.5, 0.5), (1.5, 1.5)), apart=True))
+
+
+def test_a_small_part_of_many_points_that_is_there_twice():
+    """One cell of 30 000 points, wherever it is among them."""
+    grid = pm.Grid.box((0.0, 0.0), (3.0, 3.0), 0.05, COMM)
+
+    def around(x):
+        return np.any(np.abs(x - 1.5) > 0.725, axis=1)
+
+    points = pm.seed(grid, around, material=NEO_HOOKEAN, points_per_cell=4)
+    hole = ((0.775, 0.775), (2.225, 2.225))
+    assert not told(lambda: copy.copy(points).join(pm.seed(grid, bounds=hole, material=NEO_HOOKEAN)))
+    more = pm.seed(
+        grid,
+        lambda x: ~around(x) | np.all(x > (2.0, 2.25), axis=1) & (x[:, 0] < 2.1),
+        material=NEO_HOOKEAN,
+        points_per_cell=6,
+    )
+    assert more.total > 25_000
+    assert told(lambda: points.join(more))
 
 
 def test_a_fill_where_the_body_is():

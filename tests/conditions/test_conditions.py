@@ -300,7 +300,7 @@ def values_at(problem: pm.QuasiStatic, factor: float) -> tuple[np.ndarray, np.nd
 
 
 def test_numbers_are_ramped_and_functions_are_not():
-    """Totals at factor 0.25, shared equally by the selected points."""
+    """Totals at factor 0.25, shared by the selected points, here of equal volumes."""
     problem = beam(2)
     tip = tip_of(problem)
     problem.load(tip, force=(8.0, -4.0), couple=2.0)
@@ -311,6 +311,27 @@ def test_numbers_are_ramped_and_functions_are_not():
     loaded = np.flatnonzero(np.any(forces != 0.0, axis=1))
     np.testing.assert_array_equal(loaded, tip.ids)
     np.testing.assert_allclose(forces[tip.ids], np.tile(forces[tip.ids[0]], (len(tip), 1)))
+
+
+def test_totals_act_in_the_middle_of_what_is_selected():
+    """Of points that the body's edges cut: force and couple are shared by volume, and a mean over them is the
+    one over the layer, also of parts of points."""
+    grid = pm.Grid.box((-1.0, -1.0), (4.0, 3.0), 0.5, COMM)
+    points = pm.seed(grid, bounds=((0.0, 0.07), (2.9, 1.3)), material=MICROPOLAR)
+    problem = pm.QuasiStatic(grid, points)
+    tip = points.where(lambda x: x[:, 0] > 2.7)  # (2.75, 2.9) by (0.07, 1.3), cut on three sides
+    assert points.volume_of(tip) == pytest.approx(0.15 * 1.23, rel=1e-12)
+    middle = (0.5 * (2.75 + 2.9), 0.5 * (0.07 + 1.3))
+    problem.load(tip, force=(3.0, -8.0), couple=2.0)
+    forces, couples = values_at(problem, 1.0)
+    X, volume = by_id(points, points.X), by_id(points, points.volume0)
+    np.testing.assert_allclose(forces.sum(axis=0), (3.0, -8.0), rtol=1e-13)
+    np.testing.assert_allclose(couples.sum(), 2.0, rtol=1e-13)
+    turning = X[:, 0] * forces[:, 1] - X[:, 1] * forces[:, 0]
+    assert turning.sum() == pytest.approx(middle[0] * -8.0 - middle[1] * 3.0, rel=1e-12)
+    np.testing.assert_allclose(forces[tip.ids, 1] / volume[tip.ids], -8.0 / (0.15 * 1.23), rtol=1e-12)
+    np.testing.assert_allclose(points.mean(points.X, tip), middle, rtol=1e-12)
+    np.testing.assert_allclose(points.mean(points.X), (1.45, 0.5 * 1.37), rtol=1e-12)
 
 
 def test_body_loads_are_densities_of_reference_volume():

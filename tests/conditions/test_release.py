@@ -238,6 +238,46 @@ def test_mistakes():
     assert other.supports[0] is foreign
 
 
+FADING = {
+    "dead": lambda p: p.load(end_of(p), force=(0.0, -9.0)),
+    "body": lambda p: p.body_load(force=(0.0, -3.0)),
+    "traction": lambda p: p.traction(surface_of(p), force=(0.0, -5.0)),
+    "pressure": lambda p: p.pressure(surface_of(p), 7.0),
+    "support": lambda p: p.fix(lambda x: x[:, 0] > 3.7, uy=0.01),
+    "springs": lambda p: p.fix(surface_of(p), uy=0.01),
+}
+
+
+@pytest.mark.parametrize("options", [KINDS[0], KINDS[4]])
+@pytest.mark.parametrize("kind", FADING)
+def test_a_fade_has_a_direction_and_an_end(kind, options, folder):
+    """Away from where it has vanished there is no step; once it has, it doesn't come back, nor after a
+    restart."""
+
+    def make() -> tuple[Any, Any]:
+        problem = bar(options)
+        problem.fix(pm.plane(x=0.0), u=0)
+        return problem, FADING[kind](problem)
+
+    problem, condition = make()
+    list(problem.march(1, progress=False))
+    moved = np.abs(end_moved(problem, end_of(problem))).max()
+    problem.release(condition, until=0.5)
+    with pytest.raises(
+        pm.InputError, match=r"released, fades from load factor 1 to 0\.5: on the way from 1 "
+    ):
+        list(problem.march(1, to=1.5, progress=False))
+    assert problem.progress.factor == 1.0
+    list(problem.march(2, to=0.5, progress=False))
+    assert np.abs(end_moved(problem, end_of(problem))).max() < 1e-7 * moved
+    pm.save_restart(problem, folder / "faded.h5")
+    again, _ = make()
+    pm.load_restart(again, folder / "faded.h5")
+    for one in (problem, again):
+        list(one.march(1, to=1.0, progress=False))
+        assert np.abs(end_moved(one, end_of(one))).max() < 1e-7 * moved
+
+
 def test_fades():
     """Both ways along the load factor; back before its beginning nothing grows."""
     assert [Fade(1.0, 2.0).share(t) for t in (0.5, 1.0, 1.25, 2.0, 3.0)] == [1.0, 1.0, 0.75, 0.0, 0.0]

@@ -572,9 +572,30 @@ MIDDLE = pm.Surface.line((0.5, 0.8), (2.5, 0.8), 4)
 
 
 def test_inside_of_a_body_springs_hold():
-    """The tractions are those of a boundary with normals outward: elsewhere springs hold by default."""
+    """The tractions are those of a boundary: elsewhere springs hold by default."""
     kinds = [type(beam(2).fix(surface, u=0)).__name__ for surface in (MIDDLE, END, inverted(END))]
-    assert kinds == ["SurfaceSupport", "ConsistentSupport", "SurfaceSupport"]
+    assert kinds == ["SurfaceSupport", "ConsistentSupport", "ConsistentSupport"]
+
+
+@pytest.mark.parametrize("thickness", [1.0, 0.25, 0.06])
+@pytest.mark.parametrize("share", [1.0, 0.3])
+def test_normals_that_point_into_the_body(thickness, share):
+    """Which way they point doesn't matter where displacements are held, on thin bodies and on a part of the
+    surface too; along them nothing is held, nor pressed."""
+    found, grid = [], pm.Grid.box((0.0, -2.0), (6.0, 3.0), 0.5, COMM)
+    end = pm.Surface.line((0.3, thickness), (0.3, 0.0), 8)
+    turned = np.where(np.arange(8) < 8 * share, -1.0, 1.0)[:, None] * end.normal
+    for surface in (end, wrong := pm.Surface(end.x, end.area, turned)):
+        points = pm.seed(grid, bounds=((0.3, 0.0), (4.0, thickness)), material=SOLID)
+        problem = pm.QuasiStatic(grid, points)
+        support = problem.fix(surface, u=0)
+        problem.body_load(force=(0.0, -10.0 * thickness**2))
+        list(problem.march(1, progress=False))
+        found.append([*points.mean_displacement(), *problem.reaction(support).force])
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9, atol=1e-9 * np.abs(found[0]).max())
+    for act in (lambda: problem.fix(wrong, normal=0.0), lambda: problem.pressure(wrong, 1.0)):
+        with pytest.raises(pm.InputError, match="the surface's normals point into the body, such as at "):
+            act()
 
 
 def inverted(surface: pm.Surface) -> pm.Surface:

@@ -16,7 +16,7 @@ _ROUNDING = 1e-6
 _WHOLE = 0.5  # of the median volume: smaller points are cut ones, whose boxes stand for second moments
 # alone and may reach over faces
 _NEAREST = 4  # boxes that may hold a place
-_MOST = 25_000  # points that are looked at: of more, some
+_MOST = 25_000  # points that are looked at together
 
 
 def warn_of_overlap(comm: MPI.Comm, points: Any, first: int) -> None:
@@ -28,18 +28,14 @@ def warn_of_overlap(comm: MPI.Comm, points: Any, first: int) -> None:
     parts = comm.allgather((points.x[near], axes[near], points.volume0[near], points.volume0[new]))
     x, own, volume, every = (np.concatenate(part) for part in zip(*parts, strict=True))
     whole = volume > _WHOLE * np.median(every) if len(every) else np.zeros(0, dtype=bool)
-    step = 1 + len(x) // _MOST
-    x, own = x[whole][::step], own[whole][::step]
-    corners = box_indices((2,) * d) - 0.5
-    places = x[:, None] + np.einsum("ck,pki->pci", corners, own)
-    inside = np.zeros(places.shape[:2], dtype=np.int64)
+    x, own = x[whole], own[whole]
     there = np.flatnonzero(old)[np.abs(np.linalg.det(axes[old])) > 0.0]
-    if len(x) and len(there):
-        inside[:] = _within(places.reshape(-1, d), points.x[there], axes[there]).reshape(inside.shape)
-    comm.Allreduce(MPI.IN_PLACE, inside, op=MPI.MAX)
-    twice = np.flatnonzero(inside.all(axis=1))
-    if len(twice):
-        place = tuple(float(round(c, 9)) for c in x[twice[0]])
+    boxes = _Boxes(points.x[there], axes[there])
+    parts_of_x = (slice(k, k + _MOST) for k in range(0, len(x), _MOST))
+    found = (_first_twice(comm, boxes, x[part], own[part]) for part in parts_of_x)
+    twice = next((place for place in found if place is not None), None)
+    if twice is not None:
+        place = tuple(float(round(c, 9)) for c in twice)
         warn_on_one_rank(
             comm,
             f"points that join lie where points are already, such as at {place}: the body is there twice, "
@@ -59,13 +55,42 @@ def _bounds(comm: MPI.Comm, x: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray
     return low, high
 
 
-def _within(places: np.ndarray, x: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """Which of some places (m, d) lie in one of the boxes about x (n, d) with half axes (n, d, d)."""
-    from scipy.spatial import cKDTree  # takes a while to import
+def _first_twice(comm: MPI.Comm, boxes: _Boxes, x: np.ndarray, axes: np.ndarray) -> np.ndarray | None:
+    """The first of some points (n, d) with half axes (n, d, d) whose middle and half of whose box are in
+    boxes of all ranks; None where there is none. Collective."""
+    d = x.shape[1]
+    middle = _in_any(comm, boxes, x)
+    x, axes = x[middle], axes[middle]
+    if not len(x):
+        return None
+    places = x[:, None] + np.einsum("ck,pki->pci", box_indices((2,) * d) - 0.5, axes)
+    inside = _in_any(comm, boxes, places.reshape(-1, d)).reshape(places.shape[:2])
+    twice = np.flatnonzero(inside.all(axis=1))
+    return x[twice[0]] if len(twice) else None
 
-    count = min(_NEAREST, len(x))
-    _, near = cKDTree(x).query(places, k=count)
-    near = near.reshape(len(places), count)
-    xi = np.linalg.solve(np.swapaxes(axes, 1, 2)[near], (places[:, None] - x[near])[..., None])[..., 0]
-    found: np.ndarray = np.any(np.all(np.abs(xi) < 1.0 + _ROUNDING, axis=2), axis=1)
-    return found
+
+def _in_any(comm: MPI.Comm, boxes: _Boxes, places: np.ndarray) -> np.ndarray:
+    """Which of some places (m, d) lie in one of the boxes of all ranks. Collective."""
+    inside = boxes.contain(places).astype(np.int64)
+    comm.Allreduce(MPI.IN_PLACE, inside, op=MPI.MAX)
+    return inside > 0
+
+
+class _Boxes:
+    """Boxes about x (n, d) with half axes (n, d, d)."""
+
+    def __init__(self, x: np.ndarray, axes: np.ndarray):
+        from scipy.spatial import cKDTree  # takes a while to import
+
+        self.x, self.axes = x, np.swapaxes(axes, 1, 2)
+        self._tree = cKDTree(x) if len(x) else None
+
+    def contain(self, places: np.ndarray) -> np.ndarray:
+        """Which of some places (m, d) lie in one of them."""
+        if self._tree is None:
+            return np.zeros(len(places), dtype=bool)
+        count = min(_NEAREST, len(self.x))
+        near = self._tree.query(places, k=count)[1].reshape(len(places), count)
+        xi = np.linalg.solve(self.axes[near], (places[:, None] - self.x[near])[..., None])[..., 0]
+        found: np.ndarray = np.any(np.all(np.abs(xi) < 1.0 + _ROUNDING, axis=2), axis=1)
+        return found

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from itertools import chain
 from typing import Any
 
 from mpi4py import MPI
@@ -31,6 +33,7 @@ class Selecting(ABC):
     x: np.ndarray
     X: np.ndarray
     half_length0: np.ndarray
+    volume0: np.ndarray
     regions: tuple[Regions, ...]
     surfaces: dict[str | int, Surface]
     lattices: tuple[tuple[Grid, np.ndarray], ...]
@@ -53,13 +56,13 @@ class Selecting(ABC):
             raise InputError(
                 "selection: of another body (other points, or seeded otherwise); make it of these points"
             )
-        here, number = self.comm.allreduce(len(self.rows(selection))), len(self._present(selection)[0])
+        here, number = self.comm.allreduce(len(self.rows(selection))), len(self._present(selection))
         if here != number:
             raise InputError(f"selection: {number - here} of its {number} ids aren't of this body")
 
-    def _present(self, selection: Selection) -> tuple[np.ndarray, np.ndarray | float]:
-        """Ids of a selection's points, or of their parts, and the shares of a point that these are."""
-        return (selection.ids, 1.0) if self.lineage is None else self.lineage.descendants(selection.ids)
+    def _present(self, selection: Selection) -> np.ndarray:
+        """Ids of a selection's points, or of their parts."""
+        return selection.ids if self.lineage is None else self.lineage.descendants(selection.ids)[0]
 
     def _select(self, mask: np.ndarray) -> Selection:
         ids = np.concatenate(self.comm.allgather(self.id[mask]))
@@ -183,25 +186,25 @@ class Selecting(ABC):
         check_selection(selection)
         if len(selection) == 0:
             return np.zeros(0, dtype=np.int64)
-        ids, _ = self._present(selection)
+        ids = self._present(selection)
         at = np.minimum(np.searchsorted(ids, self.id), len(ids) - 1)
         return np.flatnonzero(ids[at] == self.id)
 
-    def shares(self, selection: Selection | None, rows: np.ndarray) -> np.ndarray:
-        """Which share (n,) of a point of the selection the local points `rows` (n,) are: 1, or less of parts
-        of one that has been split since it was selected; of all points, since it was seeded."""
-        if self.lineage is None:
-            return np.ones(len(rows))
-        if selection is None:
-            return self.lineage.roots(self.id[rows])[1]
-        ids, share = self._present(selection)
-        found: np.ndarray = np.broadcast_to(share, ids.shape)[np.searchsorted(ids, self.id[rows])]
-        return found
+    def shares(self) -> np.ndarray:
+        """Which share (np,) of a seeded point each local point is: 1, or less of parts of one that has been
+        split."""
+        found = np.ones(len(self)) if self.lineage is None else self.lineage.roots(self.id)[1]
+        return np.asarray(found)
+
+    def volume_of(self, selection: Selection | None = None) -> float:
+        """Reference volume (m^3) of a selection's points, to the same digits on any number of ranks.
+        Collective."""
+        return math.fsum(chain(*self.comm.allgather(self.volume0[self.rows(selection)].tolist())))
 
     @collective("mean")
     def mean(self, values: np.ndarray, selection: Selection | None = None) -> Any:
-        """Plain mean over a selection of values given for the local points (np, ...). Parts of a point that
-        has been split count together as one. Collective.
+        """Mean over a selection of values given for the local points (np, ...), weighted by reference volume,
+        so that points that the body's surface cuts count for what they are. Collective.
 
         Raises:
             InputError: values that aren't a row for each local point, or a selection without points.
@@ -215,18 +218,14 @@ class Selecting(ABC):
         if selection is not None:
             self.check(selection)
         rows = self.rows(selection)
-        if self.lineage is None:
-            number, total = len(rows), found[rows].sum(axis=0)
-        else:
-            share = self.shares(selection, rows)
-            number, total = share.sum(), np.tensordot(share, found[rows], axes=1)
-        number = self.comm.allreduce(number)
-        if number == 0:
+        volume = self.volume0[rows]
+        whole = self.comm.allreduce(float(volume.sum()))
+        if not whole:
             raise InputError("selection: contains no point")
-        return self.comm.allreduce(total) / number
+        return self.comm.allreduce(np.tensordot(volume, found[rows], axes=1)) / whole
 
     def mean_displacement(self, selection: Selection | None = None) -> np.ndarray:
-        """Mean displacement (m) of a selection, shape (d,); points of all sizes count alike. Collective."""
+        """Mean displacement (m) of a selection, shape (d,), see `mean`. Collective."""
         mean: np.ndarray = self.mean(self.displacement, selection)
         return mean
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,14 +32,29 @@ def check_counts(name: str, counts: str | None) -> str | None:
 
 @dataclass(frozen=True)
 class Fade:
-    """How a load that is released vanishes: evenly, from the load factor `begin` to `end`."""
+    """How a load that is released vanishes: evenly, from the load factor `begin` to `end`.
+
+    Attributes:
+        over: it has vanished, for good, wherever the load factor goes.
+    """
 
     begin: float
     end: float
+    over: bool = False
 
     def share(self, factor: float) -> float:
         """What is left of it at a load factor, 0 to 1."""
+        if self.over:
+            return 0.0
         return float(np.clip((self.end - factor) / (self.end - self.begin), 0.0, 1.0))
+
+    def after(self, factor: float) -> Fade:
+        """The same once a step has converged at a load factor."""
+        return self if self.over or self.share(factor) else replace(self, over=True)
+
+    def leaves(self, factor: float, to: float) -> bool:
+        """Whether the way from a load factor to another one leads away from where it has vanished."""
+        return not self.over and (self.end - self.begin) * (to - factor) < 0.0
 
 
 class Amplitude:

@@ -18,7 +18,11 @@ from .amplitudes import Amplitude, Fade
 
 @dataclass(eq=False)
 class Load:
-    """Dead force or couple on points: a total shared by a selection, or a density per reference volume."""
+    """Dead force or couple on points: a density per reference volume, or a total over that of a selection.
+
+    Attributes:
+        share: what a unit of reference volume gets of the value: 1 of a density, 1/V of a total.
+    """
 
     name: str
     amplitude: Amplitude
@@ -37,8 +41,7 @@ class Load:
         """Add this load's values (np, size) at the local points."""
         rows = points.rows(self.selection)
         values = self.amplitude.at(factor, points.X[rows]) * self.share
-        by = points.volume0[rows] if self.density else points.shares(self.selection, rows)
-        out[rows] += values * by[:, None]
+        out[rows] += values * points.volume0[rows, None]
 
 
 @dataclass(eq=False)

@@ -215,22 +215,28 @@ def _table(
     if len(delimiter) != 1 or delimiter == decimal:
         raise checks.refuse("delimiter", delimiter, f"one character other than {decimal!r} is needed")
     header, *rows = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
-    for i, row in enumerate(rows):
-        if any(entry.strip() for entry in row[len(header) :]):
-            raise InputError(
-                f"path = {str(file)!r}: row {i + 1} of the table has more entries than the header has, "
-                f"{len(header)}; with decimal commas, another delimiter is needed between columns"
-            )
+    _check_widths(file, header, rows, delimiter)
     columns, arrays = [], []
     for name, spec in wanted:
-        k, factor = _column(name, spec, header)
+        k, factor = _column(name, spec, header, delimiter)
         columns.append(header[k].strip())
         numbers = [_number(file, i, row, k, decimal) for i, row in enumerate(rows)]
         arrays.append(factor * np.array(numbers, dtype=float))
     return tuple(columns), arrays
 
 
-def _column(argument: str, spec: Any, header: Sequence[str]) -> tuple[int, float]:
+def _check_widths(file: Any, header: Sequence[str], rows: Sequence[Sequence[str]], delimiter: str) -> None:
+    """Raise InputError where a row has more entries than the header has names."""
+    for i, row in enumerate(rows):
+        if any(entry.strip() for entry in row[len(header) :]):
+            raise InputError(
+                f"path = {str(file)!r}: row {i + 1} of the table has {len(row)} entries, its header "
+                f"{len(header)}, with {delimiter!r} between them; decimal commas need another delimiter "
+                "between columns, such as ';', and decimal=','"
+            )
+
+
+def _column(argument: str, spec: Any, header: Sequence[str], delimiter: str) -> tuple[int, float]:
     """Number of a column, and the size of its unit."""
     if isinstance(spec, str):
         name, stated = spec, None
@@ -238,13 +244,12 @@ def _column(argument: str, spec: Any, header: Sequence[str]) -> tuple[int, float
         name, stated = checks.sequence(argument, spec, 2, "texts, name and unit,")
         checks.instance(f"{argument}: the unit", stated, str, "a text is")
     name = checks.text(argument, name).strip()
-    parts = [re.fullmatch(r"(.*?)\s*(?:\((.*)\)|\[(.*)\])?", column.strip()) for column in header]
+    parts = [re.fullmatch(r"(.*?)\s*(?:\(([^()]*)\)|\[([^]]*)\])?", column.strip()) for column in header]
     found = [k for k, p in enumerate(parts) if p is not None and name in (p[1], header[k].strip())]
     if len(found) != 1:
         known = ", ".join(repr(column.strip()) for column in header)
-        raise checks.refuse(
-            argument, name, f"one of the columns {known}" if not found else f"one column only: {known}"
-        )
+        what = f"one of the columns {known}" if not found else f"one column only: {known}"
+        raise checks.refuse(argument, name, f"{what} (the delimiter is {delimiter!r})")
     part = parts[found[0]]
     assert part is not None
     own = part[2] if part[2] is not None else part[3]
@@ -255,17 +260,25 @@ def _column(argument: str, spec: Any, header: Sequence[str]) -> tuple[int, float
     return found[0], unit(stated if stated is not None else own)
 
 
+def _plain(text: str, decimal: str) -> str:
+    """A number as Python reads it; one with the other decimal sign, or digits in groups, isn't read."""
+    if decimal == ".":
+        return text
+    return "no number" if "." in text else text.replace(decimal, ".")
+
+
 def _number(file: Any, line: int, row: Sequence[str], k: int, decimal: str) -> float:
     text = row[k].strip() if k < len(row) else ""
     if text.lower() in _MISSING:
         return np.nan
     try:
-        if decimal != "." and "." in text:
-            raise ValueError("a point that separates thousands, or a decimal one: nobody knows")
-        value = float(text.replace(decimal, "."))
+        value = float(_plain(text, decimal))
     except ValueError:
+        other = "," if decimal == "." else "."
+        why = f" with decimal={decimal!r}"
+        if re.fullmatch(rf"[+-]?\d*\{other}\d*([eE][+-]?\d+)?", text):
+            why += f"; it is one with decimal={other!r}"
         raise InputError(
-            f"path = {str(file)!r}: {text!r} in row {line + 1} of the table is no number with the decimal "
-            f"mark {decimal!r}, and without marks between thousands"
+            f"path = {str(file)!r}: {text!r} in row {line + 1} of the table is no number{why}"
         ) from None
     return value if np.isfinite(value) else np.nan

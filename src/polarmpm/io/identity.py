@@ -92,7 +92,7 @@ def _public(thing: Any) -> dict[str, Any]:
 
 def _points(problem: Problem) -> dict[str, Any]:
     p = problem.points
-    sums = problem.comm.allreduce(np.array([p.shares(None, p.rows(None)).sum(), p.volume0.sum()]))
+    sums = problem.comm.allreduce(np.array([p.shares().sum(), p.volume0.sum()]))
     bodies = {"bodies": p.bodies} if p.bodies > 1 else {}
     return {"number of points": round(sums[0]), "reference volume": float(sums[1]), **bodies}
 

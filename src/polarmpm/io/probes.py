@@ -120,13 +120,13 @@ def _mean_at(problem: Any, at: Any) -> Callable[[Any, np.ndarray], np.ndarray]:
 
 
 def _mean(points: Any, values: np.ndarray, selection: Selection) -> np.ndarray:
-    """Mean over those of a selection that are still there, parts of a point together as one; nan without any.
+    """Mean over those of a selection that are still there, weighted by reference volume; nan without any.
     Collective."""
     rows = points.rows(selection)
-    share = points.shares(selection, rows)
-    number = points.comm.allreduce(float(share.sum()))
-    total = points.comm.allreduce(np.tensordot(share, values[rows].astype(float), axes=1))
-    return np.asarray(total / number if number else np.full(np.shape(total), np.nan))
+    volume = points.volume0[rows]
+    whole = points.comm.allreduce(float(volume.sum()))
+    total = points.comm.allreduce(np.tensordot(volume, values[rows].astype(float), axes=1))
+    return np.asarray(total / whole if whole else np.full(np.shape(total), np.nan))
 
 
 def restore_probes(problem: Any, saved: Mapping[str, list[Any]]) -> None:

@@ -219,14 +219,14 @@ class Problem(Results):
         return outcome
 
     def _fall_back(self) -> bool:
-        """After a step that has failed: whether it is worth to be tried in another way, which is then set up.
-        Collective."""
+        """After a step that has failed: whether another way is worth trying; sets it up. Collective."""
         return False
 
     def _fell_back(self, converged: bool) -> None:
         """Go on in that way, or return to the one before."""
 
     def _attempt(self, factor: float) -> Outcome:
+        self._check_fades(factor)
         self._use_materials(self._settled)
         system = self._ready()
         with self.timer("conditions"):

@@ -24,6 +24,8 @@ from .state import Progress
 # the same where a surface cuts cells, the symmetric method down to a thousandth of one
 _CUT = {"nitsche": 1e3, "nitsche-unsymmetric": 60.0}
 _SPRINGS = 1e3  # default of springs alone: a layer of a thousandth of a cell, of the body's stiffness
+_FEW = 0.05  # share of a surface: corners, where sides can't be told
+_THIN = 0.02  # of the points' size: how far the nearest one is inside
 _COERCIVE = 20.0  # the same beside the material's own tractions: enough for both methods (docs/theory.md)
 
 
@@ -91,17 +93,25 @@ def _of_cells(comm: MPI.Comm, points: Points, surface: FacetSurface) -> np.ndarr
     return material
 
 
-def check_outward(problem: Body, name: str, surface: Surface) -> None:
-    """Raise InputError where the normals of a surface that is given as it is now point into the body.
-    Collective."""
+def inward(problem: Body, surface: Surface) -> np.ndarray:
+    """Which points (n,) of a surface that is given as it is now have the body on the side of their normals,
+    and not on the other one. Collective."""
     if isinstance(surface, FacetSurface) or surface.dim != problem.points.dim:
-        return  # facets know which side the body is on
+        return np.zeros(len(surface), dtype=bool)  # facets know which side the body is on
     place, size = _places(problem)
-    _, found = of_nearest(problem.comm, place, size[:, None], surface.x)
+    _, found = of_nearest(problem.comm, place, np.column_stack([size, place]), surface.x)
     other = Surface(surface.x, surface.area, -surface.normal)
-    ahead, back = (_inside(problem.comm, place, one, found) for one in (surface, other))
-    wrong = ahead & ~back
-    if 2 * np.count_nonzero(wrong) > len(surface):
+    ahead, back = (_inside(problem.comm, place, one, found[:, :1]) for one in (surface, other))
+    # of bodies much thinner than a cell the nearest point tells
+    near = np.sum((found[:, 1:] - surface.x) * surface.normal, axis=1) > _THIN * found[:, 0]
+    return np.asarray(~back & (ahead | near))
+
+
+def check_outward(problem: Body, name: str, surface: Surface) -> None:
+    """Raise InputError where normals of a surface that is given as it is now point into the body.
+    Collective."""
+    wrong = inward(problem, surface)
+    if np.count_nonzero(wrong) > _FEW * len(surface):
         where = tuple(float(round(c, 9)) for c in surface.x[np.argmax(wrong)])
         raise InputError(
             f"{name}: the surface's normals point into the body, such as at {where}; they have to point "

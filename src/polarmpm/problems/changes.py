@@ -168,12 +168,26 @@ class Changeable(Releasable):
                 materials = self._materials_at(factor, self._changes)
             self._use_materials(materials)
 
+    def _check_fades(self, factor: float) -> None:
+        super()._check_fades(factor)
+        for change in self._changes:
+            if change.fade is not None and change.fade.leaves(self.progress.factor, factor):
+                raise InputError(
+                    f"{change.name} is made from load factor {change.fade.begin:g} to {change.fade.end:g}: "
+                    f"the way from {self.progress.factor:g} to {factor:g} leads away from there. March to "
+                    f"{change.fade.end:g} first, or give a function of the load factor"
+                )
+
     def _settle_materials(self, converged: bool) -> None:
         """A step has converged with the present materials, or hasn't, and they are those of before."""
         if converged:
             self._settled = self.points.materials
-            for change in self._changes:
-                change.applied = True
+            for given in self.given:
+                if isinstance(change := given.condition, Change):
+                    change.applied = True
+                    if change.fade is not None:
+                        change.fade = change.fade.after(self.progress.factor)
+                        given.faded = change.fade.over
         else:
             self._use_materials(self._settled)
 
@@ -223,10 +237,9 @@ class Changeable(Releasable):
         change = given.condition
         if isinstance(change, Change):
             change.applied = bool(applied)
-            if change.fade is not None and change.length is not None:
-                change.fade = Fade(given.begun, given.begun + change.length)
-            elif change.fade is not None:
-                change.fade = Fade(given.begun, change.fade.end)
+            if change.fade is not None:
+                end = change.fade.end if change.length is None else given.begun + change.length
+                change.fade = Fade(given.begun, end, given.faded)
 
     def restore_conditions(self, state: dict[str, str], factor: float) -> None:
         super().restore_conditions(state, factor)

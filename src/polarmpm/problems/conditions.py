@@ -78,6 +78,8 @@ class Conditions(Keeping, Whole, Turns):
                 yield condition.where, None
             if hasattr(condition, "amplitude"):
                 yield condition.amplitude, None
+            for amplitude in condition.amplitudes() if isinstance(condition, SurfaceCondition) else ():
+                yield amplitude, None
 
     @property
     def supports(self) -> tuple[Support, ...]:

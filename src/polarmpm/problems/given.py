@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+from ..conditions.amplitudes import Fade
 from ..errors import InputError
 
 
@@ -38,6 +39,7 @@ class Given:
         counts: "from now" (from then on), "total", or None: the default of loads.
         released: the same when it was released; None: it acts.
         until: load factor at which it has faded out, if it was released over load factors.
+        faded: it has.
     """
 
     name: str
@@ -46,6 +48,14 @@ class Given:
     counts: str | None = None
     released: float | None = None
     until: float | None = None
+    faded: bool = False
+
+    @property
+    def fade(self) -> Fade | None:
+        """How it vanishes; None: it acts, or was gone at once."""
+        if self.released is None or self.until is None:
+            return None
+        return Fade(self.released, self.until, self.faded)
 
     @property
     def gone(self) -> bool:
@@ -88,6 +98,7 @@ class Register:
                 "begun": g.begun,
                 "released": g.released,
                 "until": g.until,
+                "faded": g.faded,
                 "counts": g.counts,
                 "met": getattr(g.condition, "met", None),
                 "applied": getattr(g.condition, "applied", None),

@@ -256,8 +256,9 @@ class QuasiStatic(Regridded):
         couple: Any = None,
         counts: str | None = None,
     ) -> Term | Applied:
-        """A dead force (N) and couple (N m) in total, shared equally by selected points, or spread evenly
-        over a surface, also one by the name of a group of facets of the mesh that the points come from.
+        """A dead force (N) and couple (N m) in total, shared by selected points in proportion to their
+        reference volumes, so that it acts in the middle of these, or spread evenly over a surface, also one
+        by the name of a group of facets of the mesh that the points come from.
 
         Numbers are ramped, functions of the load factor give the value. In plane strain they count per unit
         thickness, and the couple is one number.
@@ -276,8 +277,10 @@ class QuasiStatic(Regridded):
         if not isinstance(where, Selection):
             allowed = "use points.where, points.farthest, points.nearest, or a Surface"
             raise checks.refuse("selection", where, allowed)
-        share = 1.0 / max(1, len(where))
-        return self._add_loads(f"load {self.given.next('load')}", where, (force, couple), counts, share=share)
+        name = f"load {self.given.next('load')}"
+        self.points.check(where)
+        share = 1.0 / self.points.volume_of(where) if len(where) else 1.0
+        return self._add_loads(name, where, (force, couple), counts, share=share)
 
     def _put_loads(self, system: LoadedPoints, factor: float | None) -> None:
         last = self.progress.factor

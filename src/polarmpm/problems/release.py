@@ -184,6 +184,8 @@ class Releasable(Contact):
                 part.amplitude.fade = fade
             elif fade is not None:
                 part.fade(fade.begin, fade.end)
+                if fade.over:
+                    part.end_at(fade.end)
             else:
                 if self.progress.step:
                     self._leaving.append(part)
@@ -216,11 +218,27 @@ class Releasable(Contact):
     def _remove_load(self, load: Any) -> None:
         self._loads = [one for one in self._loads if one is not load]
 
+    def _check_fades(self, factor: float) -> None:
+        """Raise InputError where a step to a load factor leads away from where a condition has faded."""
+        fades = [(f"{given.name}, released,", given.fade) for given in self.given if given.fade is not None]
+        for name, fade in [*fades, *((h.name, h.fade) for h in self._handed)]:
+            if fade.leaves(self.progress.factor, factor):
+                raise InputError(
+                    f"{name} fades from load factor {fade.begin:g} to {fade.end:g}: on the way from "
+                    f"{self.progress.factor:g} to {factor:g} it would never vanish, but come back. March to "
+                    f"{fade.end:g} first, or release it at once, without over and until"
+                )
+
     def _settle(self) -> None:
         """A step has converged."""
         for support in self._supports:
             support.committed = True
         self._leaving = []
+        for given in self.given:
+            given.faded = given.fade is not None and given.fade.after(self.progress.factor).over
+            for part in getattr(given.condition, "parts", ()):
+                if part.amplitude.fade is not None:
+                    part.amplitude.fade = part.amplitude.fade.after(self.progress.factor)
         gone = [h for h in self._handed if not h.fade.share(self.progress.factor)]
         self._loads = [load for load in self._loads if load not in gone]
 
@@ -281,6 +299,7 @@ class Releasable(Contact):
                 continue
             if row:
                 given.begun, given.counts = row["begun"], row["counts"]
+                given.faded = row.get("faded", False)
                 self._was_applied(given, row.get("applied"))
                 self._begin_again(given, row["met"])
             elif isinstance(given.condition, Support):
@@ -314,4 +333,4 @@ class Releasable(Contact):
             ):  # since the last step, as far as one can tell
                 self._leaving.append(given.condition)
             return
-        self._let_go(given, None if given.until is None else Fade(given.released, given.until))
+        self._let_go(given, given.fade)

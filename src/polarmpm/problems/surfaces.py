@@ -18,7 +18,7 @@ from ..terms.nitsche import ConsistentSupport
 from ..terms.surfaces import METHODS, Pressure, SurfaceSupport, Traction
 from ..terms.surfaceterms import SurfaceCondition, undeformed_area
 from ..tools import checks
-from .behind import Found, check_outward, default_stiffness, find_behind
+from .behind import Found, check_outward, default_stiffness, find_behind, inward
 from .state import Progress
 
 
@@ -111,6 +111,12 @@ def add_support(
             given[key] = checks.number(f"{name}: {key}", value, least=least, above=above)
     if surface.dim != layout.dim:
         raise InputError(f"{name}: the surface has {surface.dim} dimensions, the body has {layout.dim}")
+    if normal is not None:
+        check_outward(problem, name, surface)
+    else:  # only the tractions ask which side is outside
+        turned = inward(problem, surface)
+        if turned.any():
+            surface = Surface(surface.x, surface.area, np.where(turned[:, None], -1.0, 1.0) * surface.normal)
     found = find_behind(problem, surface)
     if layout.axial and not found.no_stress:
         found.no_stress = "tractions on a body of revolution aren't known"

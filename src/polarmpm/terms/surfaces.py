@@ -159,6 +159,10 @@ class SurfaceSupport(SurfaceCondition):
         """The springs' forces of the last step are kept, and fade."""
         self._faded = Fade(begin, end)
 
+    def end_at(self, factor: float) -> None:
+        if self._faded is not None:
+            self._faded = self._faded.after(factor)
+
     def make_form(self) -> SurfaceForm:
         return Penalty(self.layout)
 

@@ -142,6 +142,11 @@ class SurfaceCondition(Term):
         for amplitude in self.amplitudes():
             amplitude.fade = Fade(begin, end)
 
+    def end_at(self, factor: float) -> None:
+        for amplitude in self.amplitudes():
+            if amplitude.fade is not None:
+                amplitude.fade = amplitude.fade.after(factor)
+
     @property
     def area(self) -> np.ndarray:
         """Undeformed areas (n,), see `undeformed_area`."""
