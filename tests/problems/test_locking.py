@@ -1,5 +1,6 @@
 """The cure of locking in whole problems: Cook's membrane, a footing, tangents, resets, restarts, ranks."""
 
+import warnings
 from contextlib import nullcontext
 
 from mpi4py import MPI
@@ -9,6 +10,7 @@ import pytest
 
 import polarmpm as pm
 from tests.conftest import assert_repeated
+from tests.helpers.bodies import box
 
 COMM = MPI.COMM_WORLD
 HENCKY = pm.Hencky.from_engineering(E=1e4, nu=0.3)
@@ -301,3 +303,54 @@ def test_what_is_cured():
         assert scalars(neo_hookean(), basis="bspline3") == 0
     with pytest.raises(pm.InputError, match=r"locking = 'on': allowed are 'auto', 'always' and None"):
         scalars(neo_hookean(), locking="on")
+
+
+# turned by their faces ---------------------------------------------------------------------------------
+LAYER, LENGTH, CELL = 4.0, 0.02, 0.25  # m
+
+
+def hold_and_turn(problem):
+    """Microrotations turn within the material's length of the face that is turned; the couple there."""
+    problem.fix(lambda x: np.ones(len(x), bool), u=0)
+    problem.fix(pm.plane(y=0.0), theta=0)
+    turned = problem.fix(pm.plane(y=LAYER), theta=0.01)
+    list(problem.march(1, progress=False))
+    return float(problem.reaction(turned).couple[0])
+
+
+@pytest.mark.filterwarnings("ignore::polarmpm.TrustWarning")
+def test_a_face_that_turns_a_body_has_the_couple_of_fine_cells():
+    """Means over cells are exact there, whatever the length; each point by itself resists three times as
+    much with cells of twelve lengths."""
+    material = pm.MicropolarElastic.bounded_stiffness(lam=600.0, mu=400.0, kappa=400.0, l_b=LENGTH)
+    fine = box("quadrilateral", (1, 400), (CELL, LAYER))
+    reference = hold_and_turn(pm.QuasiStaticFEM(pm.Elements(fine, material=material, degree=2), locking=None))
+
+    def of_points(basis, locking):
+        grid = pm.Grid.box((0, 0), (2 * CELL, LAYER), CELL)
+        points = pm.seed(grid, material=material, points_per_cell=3)
+        return hold_and_turn(pm.QuasiStatic(grid, points, basis=basis, reset=None, locking=locking)) / 2
+
+    for basis in ("mpm", "gimpm"):
+        assert of_points(basis, "always") == pytest.approx(reference, rel=0.01)
+    assert of_points("mpm", None) > 2 * reference
+    for degree in (1, 2):
+        coarse = box("quadrilateral", (1, 16), (CELL, LAYER))
+        elements = pm.Elements(coarse, material=material, degree=degree)
+        found = hold_and_turn(pm.QuasiStaticFEM(elements, locking="always"))
+        assert found == pytest.approx(reference, rel=0.01)
+
+
+def test_splines_turned_by_a_face_warn():
+    """Their averages hand on too little of the torque."""
+    grid = pm.Grid.box((0, 0), (2, 2), 1.0)
+    points = pm.seed(grid, material=MICROPOLAR, points_per_cell=2)
+    for basis, locking in (("bspline", "always"), ("bspline", None), ("mpm", "always")):
+        problem = pm.QuasiStatic(grid, points, basis=basis, locking=locking)
+        warns = basis == "bspline" and locking is not None and COMM.rank == 0
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            problem.fix(pm.plane(y=2.0), theta=0.1)
+        assert [w.category for w in told] == ([pm.TrustWarning] if warns else [])
+        assert all("relative rotations of splines" in str(w.message) for w in told)
+        problem.close()

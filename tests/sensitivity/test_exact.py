@@ -361,6 +361,29 @@ def test_surfaces_along_the_path():
         run.march_arc_length(0.1, steps=2)
 
 
+def dilating(p: dict[str, float], **options: Any) -> Any:
+    """A classical block that dilates as it shears, clamped below and pushed aside, of patches of constants."""
+    grid = pm.Grid.box((0, 0), (2, 1), 0.5)
+    elastic = pm.Hencky.from_engineering(E=1e4, nu=0.3)
+    soil = pm.MohrCoulomb(elastic, phi=0.4, psi=0.4, c=p["c"], edges="sharp")
+    points = pm.seed(grid, material=soil, points_per_cell=2)
+    problem = pm.QuasiStatic(grid, points, basis="mpm", reset=None, **options)
+    problem.fix(pm.plane(y=0.0), u=0)
+    top = problem.fix(pm.plane(y=1.0), ux=0.002, uy=0)
+    return problem, {"force": lambda: problem.reaction(top).force[0]}
+
+
+def test_shared_volumes_are_refused():
+    """Never a wrong number: patches whose points share their volume out have derivatives of their own."""
+    with (
+        pm.Sensitivity(dilating, {"c": 1.0}, method="exact") as run,
+        pytest.raises(pm.InputError, match="dilates and shares the volumes of cells out"),
+    ):
+        list(run.march(2))
+    scene = partial(dilating, locking=None)
+    assert agreement(scene, {"c": 1.0}, ["c"], marches(2)) >= 6
+
+
 def test_observables_of_what_isnt_carried():
     """Never a wrong number."""
     with (

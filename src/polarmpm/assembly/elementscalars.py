@@ -55,10 +55,11 @@ class ElementPatches(Patches):
         sides: np.ndarray | None = None,
         both: np.ndarray | None = None,
     ) -> np.ndarray:
-        out = np.zeros(self._length)
+        out: np.ndarray = np.zeros((len(work), self._length))
         own = ctypes.byref(self.elements), ctypes.byref(self._structure)
-        if native.library().polarmpm_element_vectors(*own, np.ascontiguousarray(work), out):
-            raise MemoryError("no memory for the sums over elements")
+        for kind, to in zip(np.ascontiguousarray(work), out, strict=True):
+            if native.library().polarmpm_element_vectors(*own, kind, to):
+                raise MemoryError("no memory for the sums over elements")
         return out
 
     def _add_products(

@@ -205,11 +205,12 @@ class Patches:
         sides: np.ndarray | None = None,
         both: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Vectors of the modes from what does work on z per volume, (n, scalars, nz), and on its derivatives
-        along the points' half axes (n, d, scalars, nz), of which the kernels know the axes; `both`: of bodies
-        of revolution, on what values have on both sides (n, d, scalars, values)."""
-        out = np.zeros(self._length)
-        own = ctypes.byref(self.batch), ctypes.byref(kernels), ctypes.byref(self._structure)
+        """Vectors (kinds, :) of the modes from several kinds of work on z per volume, (kinds, n, scalars, nz),
+        and on its derivatives along the points' half axes (kinds, n, d, scalars, nz), of which the kernels
+        know the axes; `both`: of bodies of revolution, on what values have on both sides (kinds, n, d,
+        scalars, values)."""
+        out: np.ndarray = np.zeros((len(work), self._length))
+        own = ctypes.byref(self.batch), ctypes.byref(kernels), ctypes.byref(self._structure), len(work)
         flat = None if sides is None else np.ascontiguousarray(sides)
         if both is not None:  # room for all values that there may be
             both = np.concatenate([both, np.zeros_like(both)], axis=-1)[..., :2].copy()

@@ -81,7 +81,7 @@ class Functions:
         """Forces (nodes, block) on this rank's nodes of what does work on z (n, nz), per volume, and on its
         derivatives along the half axes (n, d, nz)."""
         out = np.zeros(self._nodes * self.layout.block)
-        own = ctypes.byref(self._own), ctypes.byref(self._kernels), ctypes.byref(self._sums)
+        own = ctypes.byref(self._own), ctypes.byref(self._kernels), ctypes.byref(self._sums), 1
         flat = None if sides is None else np.ascontiguousarray(sides)
         if native.library().polarmpm_patch_vectors(*own, np.ascontiguousarray(work), flat, None, out):
             raise MemoryError("no memory for the sums over material points")

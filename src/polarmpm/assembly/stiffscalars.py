@@ -201,13 +201,16 @@ class StiffScalars:
         return one and self.form.material.yields
 
     # sums -----------------------------------------------------------------------------------------
-    def _vectors(self, mean: Mean, kernels: native.PointKernels) -> np.ndarray:
+    def _vectors(self, kernels: native.PointKernels, *means: Mean) -> np.ndarray:
+        """Vectors (means, :) of the modes; all means have boxes or none."""
         m, nz, n = self.form.scalars, self.form.layout.unknowns, len(self._z)
-        sides = None if mean.odd is None else mean.odd.reshape(n, mean.odd.shape[1], m, nz)
-        both = None
-        if mean.both is not None:
-            both = mean.both.reshape(n, mean.both.shape[1], m, nz)[..., self._value_slots]
-        return self.patches.vectors(kernels, mean.whole.reshape(n, m, nz), sides, both)
+        whole = np.stack([mean.whole for mean in means]).reshape(-1, n, m, nz)
+        sides, both, odd, bent = None, None, [a.odd for a in means], [a.both for a in means]
+        if odd[0] is not None:
+            sides = np.stack(odd).reshape(len(means), n, -1, m, nz)  # type: ignore[arg-type]
+        if bent[0] is not None:
+            both = np.stack(bent).reshape(len(means), n, -1, m, nz)[..., self._value_slots]  # type: ignore[arg-type]
+        return self.patches.vectors(kernels, whole, sides, both)
 
     def evaluate(
         self,
@@ -247,7 +250,9 @@ class StiffScalars:
         if yielding is not None and len(yielding.rows):
             _put_yielding(yielding, (by_t, tz, zt, tt), nz, self._turn, tangent=tangent)
         exact = self.patches.moments(by_t.whole)
-        b = self._vectors(measure.columns(m, m + m * nz), kernels)
+        of_e, settles = measure.columns(m, m + m * nz), settled is not None
+        own = (of_e, *((zt,) if tz.at_points is zt.at_points else (zt, tz))) if tangent and not settles else (of_e,)
+        b, *others = self._vectors(kernels, *own)
         taken = exact
         if tangent and before is not None:
             moved = self.patches.times(before.by_x, x - before.x)
@@ -259,10 +264,8 @@ class StiffScalars:
         if tangent and settled is not None:
             local = self._share(found, settled, (tz, zt, tt), kernels)
         elif tangent:
-            found.g = self._vectors(zt, kernels)
             matrices = self.patches.products(tt.whole.reshape(n, m, m))
-            of_z = found.g if zt.at_points is tz.at_points else self._vectors(tz, kernels)
-            found.h = of_z + self.patches.combined(matrices, b)
+            found.g, found.h = others[0], others[-1] + self.patches.combined(matrices, b)
         if yielding is not None and len(yielding.rows):
             found.returned = yielding.rows, self._returned(yielding, measure, local, tangent=tangent)
         return found
@@ -298,11 +301,11 @@ class StiffScalars:
         patches, plain = self.patches, native.PointKernels()
         tz, zt, tt = of
         by_z = s.by_z / s.by_t[:, None]
-        found.g = self._vectors(zt.over(s.by_t), kernels)
-        found.row = patches.combined(s.inverse(patches), found.b + self._vectors(Mean(by_z), plain))
+        found.g, of_z = self._vectors(kernels, zt.over(s.by_t), tz)
+        f_z, of_t = self._vectors(plain, Mean(by_z), Mean(tt.whole * by_z))
+        found.row = patches.combined(s.inverse(patches), found.b + f_z)
         matrices = patches.products(tt.whole[:, :, None] / s.by_t[:, None, None])
-        left = self._vectors(tz, kernels) - self._vectors(Mean(tt.whole * by_z), plain)
-        found.h = left + patches.combined(matrices, found.row)
+        found.h = of_z - of_t + patches.combined(matrices, found.row)
         local: np.ndarray = zt.at_points[:, :, None] * by_z[:, None, :]
         return local
 

@@ -5,20 +5,33 @@
  * its functions times one of the points' scalars. */
 #include "_points.h"
 
+/* Adds the sums of points that share a group and a patch, [kind][mode][component][sv], to the patch's vectors. */
+INLINE void flush_modes(const int nb, const Patches *P, int32_t kinds, int64_t p, int n, int sv, const vec *sums, double *out)
+{
+    const int64_t patch = P->patch[p], first = P->offsets[patch], size = P->offsets[patch + 1] - first;
+    const int64_t length = P->offsets[P->npatches] * nb * P->modes;
+    const int32_t *map = P->maps + P->map_of[p];
+    for (int kind = 0; kind < kinds; ++kind) {
+        double *mode = out + kind * length + first * nb * P->modes;
+        for (int k = 0; k < P->modes * nb; ++k, mode += size, sums += sv)
+            for (int q = 0; q < n; ++q) mode[map[q]] += ((const double *)sums)[q];
+    }
+}
+
 /* Residuals of the points' scalars, per volume: out += V0 phi_a B^T work, for function a and scalar c as mode
- * a scalars + c. `sides`: the same at the derivatives along the half axes of the points' boxes, or NULL; `bent`: at the
- * values' quadratic parts, of bodies of revolution. */
+ * a scalars + c, of several kinds of work, [kind][point][scalar][z]. `sides`: the same at the derivatives along the half
+ * axes of the points' boxes, [kind][point][axis][scalar][z], or NULL; `bent`: at the values' quadratic parts, of bodies of
+ * revolution. */
 INLINE void sum_patches(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Patches *P,
-                        const double *work, const double *sides, const double *bent, double *out, Work *w)
+                        int32_t kinds, const double *work, const double *sides, const double *bent, double *out, vec *sums, Work *w)
 {
     const int nb = dim + rot, nz = unknowns_of(dim, rot, second), sv = w->sv, stride = sv * WIDTH;
     for (int64_t g = 0; g < b->ngroups; ++g) {
         const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH;
         const int32_t *count = b->count + g * dim;
-        for (int64_t p = b->offsets[g]; p < b->offsets[g + 1]; ++p) {
-            const int64_t patch = P->patch[p], first = P->offsets[patch], size = P->offsets[patch + 1] - first;
-            const int32_t *map = P->maps + P->map_of[p];
-            double *own = out + first * nb * P->modes;
+        for (int64_t p = b->offsets[g], end = b->offsets[g + 1]; p < end; ++p) {
+            if (p == b->offsets[g] || P->patch[p] != P->patch[p - 1])
+                memset(sums, 0, sizeof(vec) * kinds * P->modes * nb * sv);
             shape(dim, b, p, count, b->state + p * b->nstate, stride, (double *)w->shapes);
             if (sides) {
                 find_curved(dim, rot, b, kernels, p, count, n, sv, 0, &w->boxes);
@@ -26,37 +39,44 @@ INLINE void sum_patches(const int dim, const int rot, const int second, const Ba
                 find_along(dim, w->in, &w->boxes);
                 side_shapes(dim, rot, second, nv, sv, w->shapes, 0, &w->boxes);
             }
-            for (int c = 0; c < P->scalars; ++c) {
-                memset(w->f, 0, sizeof(vec) * nb * sv);
-                add_residual(dim, rot, second, nv, sv, w->shapes, work + (p * P->scalars + c) * nz, w->f);
-                for (int k = 0; sides && k < dim; ++k) {
-                    const vec *side = w->boxes.sides + (int64_t)k * LANES * SHAPES * sv;
-                    add_residual(dim, rot, second, nv, sv, side, sides + ((p * dim + k) * P->scalars + c) * nz, w->f);
-                    add_arched(dim, rot, second, nv, sv, side, bent + ((p * dim + k) * P->scalars + c) * BENT, w->f);
+            for (int kind = 0; kind < kinds; ++kind)
+                for (int c = 0; c < P->scalars; ++c) {
+                    const int64_t row = kind * b->npoints + p, lowest = kind * P->modes + c;
+                    memset(w->f, 0, sizeof(vec) * nb * sv);
+                    add_residual(dim, rot, second, nv, sv, w->shapes, work + (row * P->scalars + c) * nz, w->f);
+                    for (int k = 0; sides && k < dim; ++k) {
+                        const vec *side = w->boxes.sides + (int64_t)k * LANES * SHAPES * sv;
+                        const int64_t at = (row * dim + k) * P->scalars + c;
+                        add_residual(dim, rot, second, nv, sv, side, sides + at * nz, w->f);
+                        add_arched(dim, rot, second, nv, sv, side, bent + at * BENT, w->f);
+                    }
+                    for (int a = 0; a < P->functions; ++a) {
+                        const double weight = b->volume[p] * P->values[p * P->functions + a];
+                        vec *sum = sums + (lowest + a * P->scalars) * nb * sv;
+                        for (int i = 0; i < nb; ++i)
+                            for (int v = 0; v < nv; ++v) sum[i * sv + v] += weight * w->f[i * sv + v];
+                    }
                 }
-                const double *f = (const double *)w->f;
-                for (int a = 0; a < P->functions; ++a) {
-                    const double weight = b->volume[p] * P->values[p * P->functions + a];
-                    double *mode = own + (int64_t)(a * P->scalars + c) * nb * size;
-                    for (int i = 0; i < nb; ++i)
-                        for (int q = 0; q < n; ++q) mode[i * size + map[q]] += weight * f[i * stride + q];
-                }
-            }
+            if (p + 1 == end || P->patch[p + 1] != P->patch[p]) flush_modes(nb, P, kinds, p, n, sv, sums, out);
         }
     }
 }
 
-SPECIALISED_PLAIN(sum_patches, (const Batch *b, const PointKernels *kernels, const Patches *P, const double *work,
-                  const double *sides, const double *bent, double *out, Work *w), b, kernels, P, work, sides, bent, out, w)
+SPECIALISED_PLAIN(sum_patches, (const Batch *b, const PointKernels *kernels, const Patches *P, int32_t kinds, const double *work,
+                  const double *sides, const double *bent, double *out, vec *sums, Work *w), b, kernels, P, kinds, work, sides, bent, out,
+                  sums, w)
 
-/* Vectors of the patches' modes, see sum_patches; returns nonzero when memory ran out. */
-int polarmpm_patch_vectors(const Batch *b, const PointKernels *kernels, const Patches *P, const double *work,
+/* Vectors of the patches' modes [kind][patch], see sum_patches; returns nonzero when memory ran out. */
+int polarmpm_patch_vectors(const Batch *b, const PointKernels *kernels, const Patches *P, int32_t kinds, const double *work,
                            const double *sides, const double *bent, double *out)
 {
     if (b->npoints == 0) return 0;
     Work w;
-    const int failed = create_work(b, 0, 1, sides != NULL, &w);
-    if (!failed) sum_patches_sized(b, kernels, P, work, sides, bent, out, &w);
+    int failed = create_work(b, 0, 1, sides != NULL, &w);
+    vec *sums = failed ? NULL : vectors((size_t)kinds * P->modes * block_size(b) * w.sv * WIDTH);
+    failed |= !sums;
+    if (!failed) sum_patches_sized(b, kernels, P, kinds, work, sides, bent, out, sums, &w);
+    free(sums);
     free_work(&w);
     return failed;
 }

@@ -29,7 +29,6 @@ from ..tools.parallel import errors_on_all_ranks
 from . import slopes, surfaces
 from .given import Given, Present, Register
 from .keeping import Keeping
-from .locking import warn_of_turning
 from .state import Progress
 from .turns import Turns
 from .whole import Changing, Whole
@@ -253,8 +252,6 @@ class Conditions(Keeping, Whole, Turns):
                 raise InputError(f"{support.name}: counts = 'total': a slope has no total in mid-run")
             self._tie(where, support, even)
         self._admit(where, support)
-        if turned:
-            warn_of_turning(self.forms, support, self.layout)
         self._supports.append(support)
         self._unasked += [amplitude for amplitude, _ in support.columns.values()]
         self.given.add(Given(support.name, support, self.progress.factor, counts), "support")

@@ -100,20 +100,22 @@ class ElementPatch:
         return cls(0 if simple or elements.degree > 2 else 1)
 
 
-def warn_of_turning(forms: Any, support: Support, layout: Layout) -> None:
-    """Warn of a support that turns microrotations alone, where relative rotations are averaged over patches:
-    those that alternate within a patch cost nothing, and where the body's length is below a cell nothing else
-    hands the torque on to the displacements."""
+def warn_of_turning(forms: Sequence[PointForm], support: Support, layout: Layout) -> None:
+    """Warn of a support that turns microrotations alone, where splines' relative rotations are averaged over
+    patches: their functions have modes that decay from the support on and have no mean in any patch, so that
+    a length far below a cell hands on too little torque (docs/theory.md). Means over cells are exact there.
+    """
     dim, columns = layout.dim, support.columns
     for column, (amplitude, component) in columns.items():
         beside = range(2) if dim == 2 else set(range(3)) - {column - dim}
         if column < dim or all(c in columns for c in beside) or amplitude.is_zero(component):
             continue
-        if any(form.turns for form in getattr(forms, "point_forms", forms)):
+        if any(form.turns for form in forms):
             warn(
                 f"{support.name}: turns microrotations, but not the displacements beside them, and the cure "
-                "of locking averages relative rotations over cells: where the material's length is less than "
-                "a cell, the body may be much too soft; prescribe displacements, too, or take locking=None",
+                "of locking averages relative rotations of splines over two cells: where the material's "
+                "length is less than a cell, the body may be much too soft; take basis='mpm' or 'gimpm', "
+                "whose means over cells are right, or prescribe displacements, too",
                 TrustWarning,
             )
         return

@@ -40,6 +40,7 @@ from .balancing import BalancedResets
 from .base import Problem
 from .boxes import BoxRecord
 from .conservation import Conservation, Totals
+from .locking import warn_of_turning
 
 
 @dataclass
@@ -96,6 +97,8 @@ class OnGrid(Problem):
 
     def _admit(self, where: Any, support: Support) -> None:
         self._moving.admit(where, support, self.supports, self.progress.step > 0)
+        if self.basis.patch_linear:
+            warn_of_turning(self.forms, support, self.layout)
 
     def _dismiss(self, support: Support) -> None:
         self._moving.dismiss(support, self.progress.factor if self.progress.step else None)
