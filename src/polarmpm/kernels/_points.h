@@ -11,7 +11,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 25,            /* raised with every change of a structure or signature; native.py reads it here */
+    INTERFACE = 26,            /* raised with every change of a structure or signature; native.py reads it here */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */
@@ -89,6 +89,9 @@ typedef struct {
     const int32_t *maps;       /* node of the point's group -> node of its patch */
     const double *values;      /* [point][functions] */
 } Patches;
+
+/* Sizes of the structures as compiled; native.py compares them with those that it has read from the C text. */
+#define SIZE_OF(structure) const int64_t polarmpm_size_##structure = sizeof(structure)
 
 /* Memory for n zeros, aligned for vectors; NULL where there is none. */
 static void *vectors(size_t n)
