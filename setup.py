@@ -22,7 +22,7 @@ setup(
     ext_modules=[
         Extension(
             "polarmpm.kernels._native",
-            sources=["src/polarmpm/kernels/_native.c"],
+            sources=sorted(glob("src/polarmpm/kernels/_*.c")),
             depends=glob("src/polarmpm/kernels/_*.h"),
             # Python's own flags hold -fwrapv, with which the loops' addresses cost a fifth of a residual, and
             # -g, with which compiling takes a third longer

@@ -45,7 +45,7 @@ def test_fields_are_those_of_the_header():
     assert fields["weights"].pointer
     assert native.PointKernels.declared["kernel"].kind == "kernel_t"
     assert native.Matrix.declared["fixed"].dtype == np.uint8
-    assert sum(len(s.declared) for s in native.STRUCTURES) == 105
+    assert sum(len(s.declared) for s in native.STRUCTURES) == 111
 
 
 @pytest.mark.parametrize(

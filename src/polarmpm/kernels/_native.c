@@ -555,16 +555,10 @@ void polarmpm_mirror(const Matrix *M, int32_t nb, int64_t pairs, const int32_t *
 #include "_measures.h"
 #include "_band.h"
 #include "_return.h"
-#include "_lattice.h"
 
-/* Sizes of the structures as compiled; native.py compares them with those that it has read from the headers. */
-#define SIZE_OF(structure) const int64_t polarmpm_size_##structure = sizeof(structure)
 SIZE_OF(Batch);
 SIZE_OF(Matrix);
 SIZE_OF(PointKernels);
 SIZE_OF(Elements);
 SIZE_OF(Patches);
 SIZE_OF(Return);
-SIZE_OF(BlockRows);
-SIZE_OF(Relaxation);
-SIZE_OF(Transfer);

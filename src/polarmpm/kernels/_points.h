@@ -90,6 +90,9 @@ typedef struct {
     const double *values;      /* [point][functions] */
 } Patches;
 
+/* Sizes of the structures as compiled; native.py compares them with those that it has read from the C text. */
+#define SIZE_OF(structure) const int64_t polarmpm_size_##structure = sizeof(structure)
+
 /* Memory for n zeros, aligned for vectors; NULL where there is none. */
 static void *vectors(size_t n)
 {

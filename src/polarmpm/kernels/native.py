@@ -53,17 +53,17 @@ class Return(Structure):
     """Kernels and controls of a return mapping."""
 
 
-@declared_in("_lattice.h")
+@declared_in("_lattice.c")
 class BlockRows(Structure):
     """A sparse matrix of blocks, in double precision."""
 
 
-@declared_in("_lattice.h")
+@declared_in("_lattice.c")
 class Relaxation(Structure):
     """What relaxation by blocks needs of a matrix, in single precision."""
 
 
-@declared_in("_lattice.h")
+@declared_in("_lattice.c")
 class Transfer(Structure):
     """Interpolation from a coarser lattice."""
 

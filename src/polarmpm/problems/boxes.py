@@ -84,14 +84,18 @@ class BoxRecord:
         total: float = self.comm.allreduce(float(self.energies(system).sum()))
         return total
 
-    def unresolved(self, system: LoadedPoints, start: np.ndarray) -> float | None:
+    def unresolved(
+        self, system: LoadedPoints, start: np.ndarray, gradient: np.ndarray | None = None
+    ) -> float | None:
         """Share of the work since increments `start` (nodes, block) that is done inside the boxes;
         that of each point goes to `points.unresolved`. None where points have no boxes.
+
+        `gradient`: of the increments at the points (np, d, d), where it is known.
 
         Signs are left out of the sums, so that softening and snapping structures, whose whole work is near
         zero, don't look as if nothing of it were resolved.
         """
-        self.grid.look(system, start)
+        self.grid.look(system, start, gradient)
         if system.interpolation.boxes is None:
             self.grid.weigh(0.0)
             tents = not system.interpolation.basis.fills_boxes

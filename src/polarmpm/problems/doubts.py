@@ -19,11 +19,12 @@ PRESSURE = 0.002  # share of the squares of stresses that counts beside that of 
 THIN = 0.03  # variance of positions, in cells: changes across half a cell are doubtful
 
 
-def strains(system: LoadedPoints, start: np.ndarray) -> np.ndarray:
-    """Green's strain increments of the points (np, d, d) since nodal increments `start` (nodes, block)."""
+def strains(system: LoadedPoints, start: np.ndarray, gradient: np.ndarray | None = None) -> np.ndarray:
+    """Green's strain increments of the points (np, d, d) since nodal increments `start` (nodes, block);
+    `gradient`: of the present increments at the points (np, d, d), where it is known."""
     i = system.interpolation
     eye = np.eye(i.layout.dim)
-    change = eye + i.gather(system.x).gradient
+    change = eye + (i.gather(system.x).gradient if gradient is None else gradient)
     if start.any():
         change = change @ np.linalg.inv(eye + i.gather(start).gradient)
     green: np.ndarray = 0.5 * (np.swapaxes(change, 1, 2) @ change - eye)
@@ -190,18 +191,22 @@ def _sums(system: LoadedPoints, *squares: np.ndarray) -> np.ndarray:
     return sums
 
 
-def roughness(system: LoadedPoints, start: np.ndarray) -> tuple[float, float]:
+def roughness(
+    system: LoadedPoints, start: np.ndarray, gradient: np.ndarray | None = None
+) -> tuple[float, float]:
     """How far strain increments are from smooth ones (`Recovery`), squared, over their own squares; and their
     root mean square. Collective."""
     upper = np.triu_indices(system.interpolation.layout.dim)
-    strain = strains(system, start)[:, upper[0], upper[1]]
+    strain = strains(system, start, gradient)[:, upper[0], upper[1]]
     times = np.where(upper[0] == upper[1], 1.0, 2.0)
     smooth = Recovery(system, strain).smooth
     sums = _sums(system, (strain - smooth) ** 2 @ times, strain**2 @ times, np.ones(len(strain)))
     return float(sums[0] / max(sums[1], np.finfo(float).tiny)), float(np.sqrt(sums[1] / sums[2]))
 
 
-def excess(system: LoadedPoints, start: np.ndarray) -> tuple[float, float]:
+def excess(
+    system: LoadedPoints, start: np.ndarray, gradient: np.ndarray | None = None
+) -> tuple[float, float]:
     """By how much deviators of strain increments are larger, on the whole, than smooth ones (`Recovery`),
     over these; and their root mean square. Collective.
 
@@ -209,7 +214,7 @@ def excess(system: LoadedPoints, start: np.ndarray) -> tuple[float, float]:
     """
     d = system.interpolation.layout.dim
     upper = np.triu_indices(d)
-    strain = strains(system, start)[:, upper[0], upper[1]]
+    strain = strains(system, start, gradient)[:, upper[0], upper[1]]
     sizes = [_deviators(e, upper) for e in (strain, Recovery(system, strain).smooth)]
     sums = _sums(system, *sizes, sizes[0] ** 2, np.ones(len(strain)))
     more = sums[0] / max(sums[1], np.finfo(float).tiny) - 1.0

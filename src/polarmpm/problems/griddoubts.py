@@ -48,17 +48,18 @@ class GridRecord:
         """Whether points have flowed in some step."""
         return self._flowing > 0
 
-    def look(self, system: LoadedPoints, start: np.ndarray) -> None:
-        """Look at the strains of a step that has converged, from increments `start` (nodes, block) on."""
+    def look(self, system: LoadedPoints, start: np.ndarray, gradient: np.ndarray | None = None) -> None:
+        """Look at the strains of a step that has converged, from increments `start` (nodes, block) on;
+        `gradient`: of those at its end at the points (np, d, d), where it is known."""
         self._tents, self._stresses = not system.interpolation.basis.fills_boxes, False
         self._rough = 0.0
         if self._looks_at_flow(system):
-            excess, size = doubts.excess(system, start)
+            excess, size = doubts.excess(system, start, gradient)
             self._strained = max(self._strained, size)
             if size > max(SLIGHT * self._strained, doubts.ROUNDING):  # or there is little but rounding
                 self.excess, self.seen, self._stresses = max(self.excess, excess), True, self._tents
         elif self._looks_at_strains(system):
-            rough, size = doubts.roughness(system, start)
+            rough, size = doubts.roughness(system, start, gradient)
             self._strained = max(self._strained, size)
             if size > max(SLIGHT * self._strained, doubts.ROUNDING):
                 self.seen, self._stresses = True, self._tents

@@ -320,8 +320,10 @@ class QuasiStatic(Regridded):
         inverted = reduced(self.comm, int(np.count_nonzero(self.volume_ratios(increments) <= 0)))
         return f"{inverted} material point(s) turned inside out" if inverted else ""
 
-    def _trust(self, system: LoadedPoints, start: np.ndarray, outcome: Outcome) -> None:
-        outcome.unresolved = self.box_record.unresolved(system, start)
+    def _trust(
+        self, system: LoadedPoints, start: np.ndarray, at_points: Increments, outcome: Outcome
+    ) -> None:
+        outcome.unresolved = self.box_record.unresolved(system, start, at_points.gradient)
         outcome.reason = self.box_record.refusal(outcome.unresolved)
         outcome.converged = not outcome.reason
         if outcome.converged:

@@ -44,6 +44,7 @@ class Hierarchy:
             rows,
             block=b,
             half=int(lattice.half),
+            symmetric=int(symmetric),
             nodes=owned,
             offsets=offsets,
             cols=cols,
@@ -123,6 +124,7 @@ class Hierarchy:
         back = cols[(marked[row] > 0) & (cols < level.nodes)]
         near[back] = True
         self._near = np.flatnonzero(near).astype(np.int64)
+        level.prepare_rest(near)
         self._rows = np.flatnonzero(weak).astype(np.int64)
         if self.halo is not None and total * level.block <= _SHARED:
             self._weak = Part(level, self._rows, self._symmetric, self.halo)
@@ -238,12 +240,10 @@ class Hierarchy:
             level.x[:] = self._coarsest.solve(b)
             return
         coarse, finest = self.levels[number + 1], number == 0
-        if finest and self.halo is not None:
-            level.x[level.nodes :] = 0.0
         level.relax(FROM_ZERO, b)
         self._exchange(level)
         for _ in range(self.sweeps - 1):
-            level.relax(FORWARD, b)
+            level.relax(BACKWARD, b)
             self._exchange(level)
         if self.sweeps == 1:
             level.relax(REST, level.rest)
@@ -265,7 +265,7 @@ class Hierarchy:
         if finest:
             self._correct_weak(b)
         for k in range(self.sweeps):
-            level.relax(BACKWARD, b)
+            level.relax(FORWARD, b)
             if k < self.sweeps - 1:
                 self._exchange(level)
 

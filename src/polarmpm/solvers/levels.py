@@ -16,7 +16,7 @@ from .factors import Factor
 from .linear import SingularTangent
 
 LIFT = 1e-6  # of blocks' diagonals that are inverted, and of weak nodes', which may be singular
-FROM_ZERO, FORWARD, BACKWARD, REST = range(4)  # kinds of sweeps
+FROM_ZERO, BACKWARD, FORWARD, REST = range(4)  # kinds of sweeps
 
 
 def _aligned(n: int) -> np.ndarray:
@@ -69,23 +69,18 @@ class Level:
     def prepare(self) -> None:
         """Find the neighbours before and after each node, and make room for their blocks."""
         cols, (row, at) = self.rows.kept["cols"], self.pairs
-        up = np.flatnonzero(cols > row)
-        if self.rows.half:
-            order = up[np.argsort(cols[up], kind="stable")]
-            low = cols[order], row[order].astype(np.int32), at[order]
-        else:
-            order = np.flatnonzero(cols < row)
-            low = row[order], cols[order], at[order]
-        widest = 0
-        for side, (mine, other, which) in (("low", low), ("up", (row[up], cols[up], at[up]))):
-            counts = np.bincount(mine, minlength=self.nodes)
+        other, symmetric, widest = cols >= self.nodes, int(self.rows.symmetric), 0
+        chosen = {"up": (cols > row) & ~other, "low": other if symmetric else other | (cols < row)}
+        for side, which in chosen.items():
+            mine = np.flatnonzero(which)
+            counts = np.bincount(row[mine], minlength=self.nodes)
             widest = max(widest, int(counts.max(initial=0)))
             size = (counts * self.block + 15) // 16 * 16 * self.block
             start = np.concatenate([[0], np.cumsum(size)])
             found = {
                 side: np.concatenate([[0], np.cumsum(counts)]),
-                f"{side}_cols": np.ascontiguousarray(other, dtype=np.int32),
-                f"{side}_at": np.ascontiguousarray(which),
+                f"{side}_cols": np.ascontiguousarray(cols[mine], dtype=np.int32),
+                f"{side}_at": np.ascontiguousarray(at[mine]),
                 f"{side}_start": start,
                 f"{side}_rows": _aligned(int(start[-1])),
             }
@@ -93,8 +88,26 @@ class Level:
         native.fill(
             self.relaxation,
             widest=widest,
+            symmetric=symmetric,
+            given=np.zeros(self.nodes * self.block * symmetric, dtype=np.float32),
             inverse=np.zeros(self.nodes * self.block**2, dtype=np.float32),
             added=np.zeros(self.nodes * self.block),
+        )
+
+    def prepare_rest(self, wanted: np.ndarray) -> None:
+        """Find what `rest_of` needs of half rows, in those (nodes,) bool that it is asked for; whole rows
+        have all."""
+        if not self.rows.half:
+            return
+        cols, (row, at) = self.rows.kept["cols"], self.pairs
+        early = np.flatnonzero((cols > row) & wanted[cols])
+        early = early[np.argsort(cols[early], kind="stable")]
+        counts = np.bincount(cols[early], minlength=self.nodes)
+        native.fill(
+            self.relaxation,
+            early=np.concatenate([[0], np.cumsum(counts)]),
+            early_cols=row[early].astype(np.int32),
+            early_at=np.ascontiguousarray(at[early]),
         )
 
     @property
@@ -115,7 +128,7 @@ class Level:
         native.library().polarmpm_relax(*self._both, how, b, self.x)
 
     def rest_of(self, rows: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
-        """b - A x in some rows, in double precision."""
+        """b - A x in some rows, in double precision; of half rows in those of `prepare_rest`."""
         native.library().polarmpm_rest(*self._both, len(rows), rows, b, self.x, out)
 
     def product(self, x: np.ndarray, out: np.ndarray) -> None:
@@ -164,6 +177,7 @@ class Level:
             rows,
             block=b,
             half=int(self.rows.half),
+            symmetric=int(self.rows.symmetric),
             nodes=count,
             offsets=offsets,
             cols=cols,

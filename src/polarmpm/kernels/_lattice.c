@@ -1,26 +1,30 @@
 /* Multigrid on the lattice: products with block rows in double precision, Gauss-Seidel relaxation of blocks with rows in
- * single precision, the operators of coarser lattices; a part of _native.c. The driver is solvers/hierarchy.py.
+ * single precision, the operators of coarser lattices. The driver is solvers/hierarchy.py.
  *
  * A row of the relaxation is a dense matrix of `block` lines, padded to LINE numbers, whose columns are the unknowns of the
- * row's neighbours: these are gathered once, then all lines are vectors. Vectors of unknowns are double. */
-#ifndef POLARMPM_LATTICE_H
-#define POLARMPM_LATTICE_H
-
+ * row's neighbours: these are gathered once, then all lines are vectors. Vectors of unknowns are double.
+ *
+ * Reading the rows is what all this costs. Of symmetric matrices the half behind the diagonal is read alone, and once in a
+ * product or a sweep: what a row's blocks give to the row, and, transposed, what they give to the later rows. */
 #include "_points.h"
 
 enum {
     LINE = 16,                 /* numbers of a vector in single precision */
     BLOCK_MAX = 6,             /* unknowns of a node */
+    AHEAD = 2,                 /* rows */
     PARENTS = 8                /* nodes of the coarser lattice that a node is interpolated from */
 };
 
 typedef float single_vec __attribute__((vector_size(4 * LINE), aligned(4)));
+typedef float quarter_vec __attribute__((vector_size(LINE), aligned(4)));
 typedef double double_vec __attribute__((vector_size(64), aligned(8)));
+typedef double pair_vec __attribute__((vector_size(16), aligned(8)));
 
 typedef struct {
     int32_t block;             /* unknowns of a node */
     int32_t half;              /* of a symmetric matrix: the diagonal block first, of which the upper triangle counts, then
-                                * later columns; else all columns, ascending */
+                                * later columns; else all columns, those of this rank ascending */
+    int32_t symmetric;         /* a block before the diagonal is the transposed of one behind it */
     int64_t nodes;             /* rows; columns beyond them are other ranks' */
     const int64_t *offsets;    /* [node + 1] first block of a row */
     const int32_t *cols;       /* [block] */
@@ -30,12 +34,18 @@ typedef struct {
 
 typedef struct {
     int64_t widest;            /* neighbours in the longest list */
-    const int64_t *low, *up;   /* [node + 1] first neighbour before the node, and after it */
-    const int32_t *low_cols, *up_cols;
-    const int32_t *low_at, *up_at;  /* which block of the row it is; before the node and with half rows: of the neighbour's */
-    const int64_t *low_start, *up_start;  /* [node] address of the row's dense matrix */
-    float *low_rows, *up_rows;
+    int32_t symmetric;         /* what stands before the diagonal is the transposed of what stands behind it */
+    const int64_t *up, *low;   /* [node + 1] first neighbour behind the node; before it, and of other ranks: of symmetric
+                                * matrices of other ranks only */
+    const int32_t *up_cols, *low_cols;
+    const int32_t *up_at, *low_at;  /* which block of the row it is */
+    const int64_t *up_start, *low_start;  /* [node] address of the row's dense matrix */
+    float *up_rows, *low_rows;
+    const int64_t *early;      /* [node + 1] of half rows: blocks before the diagonal, which stand in other rows; in those
+                                * rows only that `rest_of` is asked for */
+    const int32_t *early_cols, *early_at;  /* the other row, and which block of it */
     float *inverse;            /* [node][block][block] of the diagonal's block */
+    float *given;              /* [node * block] of symmetric matrices: what the rows met so far have taken from a row */
     double *added;             /* [node * block] to the diagonal, before it's inverted */
 } Relaxation;
 
@@ -64,6 +74,54 @@ INLINE void diagonal_block(const BlockRows *A, const int nb, int64_t row, double
             D[i * nb + j] = A->half && j < i ? block_entry(A, nb, row, k, j, i) : block_entry(A, nb, row, k, i, j);
 }
 
+/* Sums of a vector's numbers. */
+INLINE double total(double_vec v)
+{
+    union { double_vec whole; pair_vec parts[4]; } u = {v};
+    const pair_vec sum = (u.parts[0] + u.parts[1]) + (u.parts[2] + u.parts[3]);
+    return sum[0] + sum[1];
+}
+
+INLINE float single_total(single_vec v)
+{
+    union { single_vec whole; quarter_vec parts[4]; } u = {v};
+    const quarter_vec sum = (u.parts[0] + u.parts[1]) + (u.parts[2] + u.parts[3]);
+    return (sum[0] + sum[2]) + (sum[1] + sum[3]);
+}
+
+/* sum += n blocks of a row, from `lines` on, times x. With `both` also y += these blocks, transposed, times `own`. */
+INLINE void add_blocks(const int nb, const int both, int64_t n, const int32_t *cols, const double *const *lines,
+                       const double *x, const double *own, double *xg, double *yg, double *sum, double *y)
+{
+    const int64_t width = n * nb;
+    double_vec s[BLOCK_MAX];
+    int64_t k = 0;
+    for (int i = 0; i < nb; ++i) s[i] = (double_vec){0.0};
+    for (int64_t a = 0; a < n; ++a)
+        for (int j = 0; j < nb; ++j) xg[a * nb + j] = x[(int64_t)cols[a] * nb + j];
+    for (; k + 8 <= width; k += 8) {
+        const double_vec X = *(const double_vec *)(xg + k);
+        double_vec Y = {0.0};
+        for (int i = 0; i < nb; ++i) {
+            const double_vec R = *(const double_vec *)(lines[i] + k);
+            s[i] += R * X;
+            if (both) Y += R * own[i];
+        }
+        if (both) *(double_vec *)(yg + k) = Y;
+    }
+    for (; k < width; ++k) {
+        double Y = 0.0;
+        for (int i = 0; i < nb; ++i) {
+            sum[i] += lines[i][k] * xg[k];
+            Y += lines[i][k] * own[i];
+        }
+        if (both) yg[k] = Y;
+    }
+    for (int64_t a = 0; both && a < n; ++a)
+        for (int j = 0; j < nb; ++j) y[(int64_t)cols[a] * nb + j] += yg[a * nb + j];
+    for (int i = 0; i < nb; ++i) sum[i] += total(s[i]);
+}
+
 /* y = A x; columns of other ranks are in x behind this one's. */
 INLINE void product_of(const int nb, const BlockRows *A, const double *x, double *y)
 {
@@ -73,81 +131,59 @@ INLINE void product_of(const int nb, const BlockRows *A, const double *x, double
     double *xg = vectors(2 * (widest * nb + 8)), *yg = xg ? xg + widest * nb + 8 : NULL;
     for (int64_t k = 0; k < A->nodes * nb; ++k) y[k] = xg ? 0.0 : NAN;
     for (int64_t row = 0; xg && row < A->nodes; ++row) {
-        const int first = A->half != 0, n = (int)(A->offsets[row + 1] - A->offsets[row]) - first, width = n * nb;
-        const int32_t *cols = A->cols + A->offsets[row] + first;
-        const double *lines[BLOCK_MAX];
-        double own[BLOCK_MAX], sum[BLOCK_MAX] = {0.0};
-        double_vec s[BLOCK_MAX];
-        for (int i = 0; i < nb; ++i) {
-            lines[i] = A->values + A->row_start[row * nb + i] + first * nb;
-            own[i] = x[row * nb + i];
-            s[i] = (double_vec){0.0};
-        }
-        for (int a = 0; a < n; ++a)
-            for (int j = 0; j < nb; ++j) {
-                xg[a * nb + j] = x[(int64_t)cols[a] * nb + j];
-                yg[a * nb + j] = 0.0;
-            }
-        int k = 0;
-        if (first) {
-            for (; k + 8 <= width; k += 8) {
-                const double_vec X = *(const double_vec *)(xg + k);
-                double_vec Y = *(double_vec *)(yg + k);
-                for (int i = 0; i < nb; ++i) {
-                    const double_vec R = *(const double_vec *)(lines[i] + k);
-                    s[i] += R * X;
-                    Y += R * own[i];
-                }
-                *(double_vec *)(yg + k) = Y;
-            }
-            for (; k < width; ++k)
-                for (int i = 0; i < nb; ++i) {
-                    sum[i] += lines[i][k] * xg[k];
-                    yg[k] += lines[i][k] * own[i];
-                }
-            for (int a = 0; a < n; ++a)
-                for (int j = 0; j < nb; ++j) y[(int64_t)cols[a] * nb + j] += yg[a * nb + j];
+        const int32_t *cols = A->cols + A->offsets[row];
+        const int64_t n = A->offsets[row + 1] - A->offsets[row];
+        int64_t from = 0, behind = 1;  /* the diagonal's block, and the first behind those of this rank */
+        const double *lines[BLOCK_MAX], *own = x + row * nb;
+        double sum[BLOCK_MAX] = {0.0};
+        for (int i = 0; i < nb; ++i) lines[i] = A->values + A->row_start[row * nb + i];
+        if (A->half) {
             for (int i = 0; i < nb; ++i) {
-                sum[i] += lines[i][i - nb] * own[i];
+                sum[i] += lines[i][i] * own[i];
                 for (int j = i + 1; j < nb; ++j) {
-                    sum[i] += lines[i][j - nb] * own[j];
-                    sum[j] += lines[i][j - nb] * own[i];
+                    sum[i] += lines[i][j] * own[j];
+                    sum[j] += lines[i][j] * own[i];
                 }
             }
+        } else if (A->symmetric) {
+            while (cols[from] != row) ++from;
+            for (behind = from + 1; behind < n && cols[behind] < A->nodes;) ++behind;
+            int64_t before = 0;
+            while (cols[before] >= A->nodes) ++before;
+            add_blocks(nb, 0, before, cols, lines, x, own, xg, yg, sum, y);
+            for (int i = 0; i < nb; ++i) lines[i] += from * nb;
+            add_blocks(nb, 0, 1, cols + from, lines, x, own, xg, yg, sum, y);
+        }
+        if (A->half || A->symmetric) {
+            const int64_t last = A->half ? n : behind;
+            for (int i = 0; i < nb; ++i) lines[i] += nb;
+            add_blocks(nb, 1, last - from - 1, cols + from + 1, lines, x, own, xg, yg, sum, y);
+            for (int i = 0; i < nb; ++i) lines[i] += (last - from - 1) * nb;
+            add_blocks(nb, 0, n - last, cols + last, lines, x, own, xg, yg, sum, y);
         } else {
-            for (; k + 8 <= width; k += 8) {
-                const double_vec X = *(const double_vec *)(xg + k);
-                for (int i = 0; i < nb; ++i) s[i] += *(const double_vec *)(lines[i] + k) * X;
-            }
-            for (; k < width; ++k)
-                for (int i = 0; i < nb; ++i) sum[i] += lines[i][k] * xg[k];
+            add_blocks(nb, 0, n, cols, lines, x, own, xg, yg, sum, y);
         }
-        for (int i = 0; i < nb; ++i) {
-            for (int l = 0; l < 8; ++l) sum[i] += s[i][l];
-            y[row * nb + i] += sum[i];
-        }
+        for (int i = 0; i < nb; ++i) y[row * nb + i] += sum[i];
     }
     free(xg);
 }
 
-/* The relaxation's rows in single precision. Returns how many numbers are not finite. */
 INLINE int64_t padded(int64_t width) { return (width + LINE - 1) / LINE * LINE; }
 
-INLINE int copy_rows(const int nb, const BlockRows *A, int64_t row, const int64_t *offsets, const int32_t *cols,
-                     const int32_t *at, int transposed, float *out)
+/* The relaxation's rows in single precision. Returns whether a number is not finite. */
+INLINE int copy_rows(const int nb, const BlockRows *A, int64_t row, const int64_t *offsets, const int32_t *at, float *out)
 {
     const int64_t begin = offsets[row], n = offsets[row + 1] - begin, ld = padded(n * nb);
     float sum = 0.0f;
     for (int i = 0; i < nb; ++i) {
+        const double *from = A->values + A->row_start[row * nb + i];
         float *line = out + i * ld;
-        for (int64_t a = 0; a < n; ++a) {
-            const int64_t k = at[begin + a], other = cols[begin + a];
+        for (int64_t a = 0; a < n; ++a)
             for (int j = 0; j < nb; ++j) {
-                const float v = (float)(transposed ? block_entry(A, nb, other, k, j, i) : block_entry(A, nb, row, k, i, j));
+                const float v = (float)from[(int64_t)at[begin + a] * nb + j];
                 line[a * nb + j] = v;
                 sum += v * 0.0f;
             }
-        }
         for (int64_t k = n * nb; k < ld; ++k) line[k] = 0.0f;
     }
     return sum != 0.0f;        /* NaN where a number isn't finite */
@@ -195,8 +231,8 @@ INLINE void fill_of(const int nb, const BlockRows *A, const Relaxation *S, doubl
 {
     for (int64_t row = 0; row < A->nodes; ++row) {
         double D[BLOCK_MAX * BLOCK_MAX], *added = S->added + row * nb;
-        *bad += copy_rows(nb, A, row, S->low, S->low_cols, S->low_at, A->half, S->low_rows + S->low_start[row]);
-        *bad += copy_rows(nb, A, row, S->up, S->up_cols, S->up_at, 0, S->up_rows + S->up_start[row]);
+        *bad += copy_rows(nb, A, row, S->low, S->low_at, S->low_rows + S->low_start[row]);
+        *bad += copy_rows(nb, A, row, S->up, S->up_at, S->up_rows + S->up_start[row]);
         diagonal_block(A, nb, row, D);
         for (int i = 0; i < nb; ++i) {
             added[i] += lift * fabs(D[i * nb + i]);
@@ -205,6 +241,12 @@ INLINE void fill_of(const int nb, const BlockRows *A, const Relaxation *S, doubl
         invert(nb, D, S->inverse + row * nb * nb);
         for (int i = 0; i < nb * nb; ++i) *bad += !isfinite(D[i]) || !isfinite(S->inverse[row * nb * nb + i]);
     }
+}
+
+/* Rows are asked for in time: no processor does so by itself where they are met from the last to the first. */
+INLINE void ask_for(const float *rows, int64_t numbers)
+{
+    for (int64_t k = 0; k < numbers; k += LINE) __builtin_prefetch(rows + k);
 }
 
 /* sum -= rows times x */
@@ -222,37 +264,55 @@ INLINE void subtract_row(const int nb, int64_t n, const int32_t *cols, const flo
         const single_vec v = *(const single_vec *)(g + k);
         for (int i = 0; i < nb; ++i) s[i] += *(const single_vec *)(rows + i * ld + k) * v;
     }
-    for (int i = 0; i < nb; ++i) {
-        float t = 0.0f;
-        for (int l = 0; l < LINE; ++l) t += s[i][l];
-        sum[i] -= t;
-    }
+    for (int i = 0; i < nb; ++i) sum[i] -= single_total(s[i]);
 }
 
-enum { FROM_ZERO = 0, FORWARD = 1, BACKWARD = 2, REST = 3 };
+/* given -= rows, transposed, times x of this row */
+INLINE void give_row(const int nb, int64_t n, const int32_t *cols, const float *rows, const double *x, float *g, float *given)
+{
+    const int64_t ld = padded(n * nb);
+    for (int64_t k = 0; k < ld; k += LINE) {
+        single_vec v = *(const single_vec *)(rows + k) * (float)x[0];
+        for (int i = 1; i < nb; ++i) v += *(const single_vec *)(rows + i * ld + k) * (float)x[i];
+        *(single_vec *)(g + k) = v;
+    }
+    for (int64_t a = 0; a < n; ++a)
+        for (int j = 0; j < nb; ++j) given[(int64_t)cols[a] * nb + j] -= g[a * nb + j];
+}
 
-/* FROM_ZERO: x = (L + D)^-1 b; FORWARD, BACKWARD: a sweep; REST: b = what FROM_ZERO leaves of it. D has what is added. */
+enum { FROM_ZERO = 0, BACKWARD = 1, FORWARD = 2, REST = 3 };
+
+/* FROM_ZERO: x = (D + U)^-1 b, from the last row to the first; BACKWARD, FORWARD: a sweep; REST: b = what the sweep before,
+ * if it began with zero, leaves of it. D has what is added. Of symmetric matrices `given` is L x after FROM_ZERO and
+ * BACKWARD, the latter needs what the sweep before has left there, and FORWARD begins anew. */
 INLINE void relax_of(const int nb, int64_t nodes, const Relaxation *S, int how, double *b, double *x)
 {
     float *g = (float *)vectors((size_t)(S->widest * nb + LINE));
+    if (S->symmetric && (how == FROM_ZERO || how == FORWARD)) memset(S->given, 0, sizeof(float) * nodes * nb);
     for (int64_t k = 0; k < nodes; ++k) {
-        const int64_t row = how == BACKWARD ? nodes - 1 - k : k;
+        const int64_t row = how == FROM_ZERO || how == BACKWARD ? nodes - 1 - k : k;
+        const int64_t up = S->up[row], n = S->up[row + 1] - up;
+        const float *rows = S->up_rows + S->up_start[row];
         double sum[BLOCK_MAX];
+        if ((how == FROM_ZERO || how == BACKWARD) && row >= AHEAD)
+            ask_for(S->up_rows + S->up_start[row - AHEAD], S->up_start[row - AHEAD + 1] - S->up_start[row - AHEAD]);
         for (int i = 0; i < nb; ++i) {
             sum[i] = how == REST ? 0.0 : b[row * nb + i];
             if (how != FROM_ZERO) sum[i] += S->added[row * nb + i] * x[row * nb + i];
+            if (S->symmetric && how != FROM_ZERO) sum[i] += S->given[row * nb + i];
+            if (S->symmetric && how == BACKWARD) S->given[row * nb + i] = 0.0f;
             if (!g) sum[i] = NAN;
         }
-        if (g && how != REST)
+        if (g && how != FROM_ZERO)
             subtract_row(nb, S->low[row + 1] - S->low[row], S->low_cols + S->low[row], S->low_rows + S->low_start[row], x, g,
                          sum);
-        if (g && how != FROM_ZERO)
-            subtract_row(nb, S->up[row + 1] - S->up[row], S->up_cols + S->up[row], S->up_rows + S->up_start[row], x, g, sum);
+        if (g && how != REST) subtract_row(nb, n, S->up_cols + up, rows, x, g, sum);
         for (int i = 0; i < nb; ++i) {
             double v = how == REST ? sum[i] : 0.0;
             for (int j = 0; how != REST && j < nb; ++j) v += S->inverse[(row * nb + i) * nb + j] * sum[j];
             (how == REST ? b : x)[row * nb + i] = v;
         }
+        if (g && S->symmetric && how != REST) give_row(nb, n, S->up_cols + up, rows, x + row * nb, g, S->given);
     }
     free(g);
 }
@@ -262,23 +322,21 @@ INLINE void rest_of(const int nb, const BlockRows *A, const Relaxation *S, int64
                     const double *b, const double *x, double *r)
 {
     for (int64_t c = 0; c < count; ++c) {
-        const int64_t row = rows[c];
+        const int64_t row = rows[c], n = A->offsets[row + 1] - A->offsets[row];
+        const int32_t *cols = A->cols + A->offsets[row];
         double D[BLOCK_MAX * BLOCK_MAX], sum[BLOCK_MAX];
         diagonal_block(A, nb, row, D);
         for (int i = 0; i < nb; ++i) {
             sum[i] = b[row * nb + i];
             for (int j = 0; j < nb; ++j) sum[i] -= D[i * nb + j] * x[row * nb + j];
         }
-        for (int64_t a = S->low[row]; a < S->low[row + 1]; ++a)
+        for (int64_t a = A->half ? S->early[row] : 0; A->half && a < S->early[row + 1]; ++a)
             for (int i = 0; i < nb; ++i)
                 for (int j = 0; j < nb; ++j)
-                    sum[i] -= (A->half ? block_entry(A, nb, S->low_cols[a], S->low_at[a], j, i)
-                                       : block_entry(A, nb, row, S->low_at[a], i, j))
-                              * x[(int64_t)S->low_cols[a] * nb + j];
-        for (int64_t a = S->up[row]; a < S->up[row + 1]; ++a)
-            for (int i = 0; i < nb; ++i)
-                for (int j = 0; j < nb; ++j)
-                    sum[i] -= block_entry(A, nb, row, S->up_at[a], i, j) * x[(int64_t)S->up_cols[a] * nb + j];
+                    sum[i] -= block_entry(A, nb, S->early_cols[a], S->early_at[a], j, i) * x[(int64_t)S->early_cols[a] * nb + j];
+        for (int64_t k = 0; k < n; ++k)
+            for (int i = 0; cols[k] != row && i < nb; ++i)
+                for (int j = 0; j < nb; ++j) sum[i] -= block_entry(A, nb, row, k, i, j) * x[(int64_t)cols[k] * nb + j];
         for (int i = 0; i < nb; ++i) r[row * nb + i] = sum[i];
     }
 }
@@ -462,4 +520,6 @@ void polarmpm_damp(const BlockRows *A, const double *size, double *added)
         }
 }
 
-#endif
+SIZE_OF(BlockRows);
+SIZE_OF(Relaxation);
+SIZE_OF(Transfer);
