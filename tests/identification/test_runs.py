@@ -164,6 +164,27 @@ def uneven(p, at):
     return {"y": p["a"] * at}
 
 
+def overloaded(p):
+    """A sheet that no step carries where it is a little softer than it should be."""
+    problem, see = sheet({**SHEET, **p})
+    if p["mu"] < 0.995 * SHEET["mu"]:
+        problem.body_load(force=(0, -1e7))
+    return problem, see
+
+
+def test_runs_that_fail_on_the_way():
+    """On several ranks, too: they all step back, and go on together."""
+    data = {"deflection": (computed([1.0])["deflection"][0], 1e-3)}
+    test = pm.Experiment(overloaded, data=data, march={"adaptive": False, "steps": 1})
+    start = {"mu": np.exp(0.28) * SHEET["mu"]}  # a straight step goes .3 down
+    fit = pm.identify(test, start=start, free=["mu"])
+    assert abs(fit.values["mu"] / SHEET["mu"] - 1) < 1e-3
+    assert fit.converged
+    assert fit.failures
+    assert "mu = " in fit.failures[0]
+    assert "runs failed" in str(fit)
+
+
 def test_errors_of_a_script_are_raised_on_all_ranks():
     test = pm.Experiment(uneven, at=[1.0, 2.0], data={"y": ([3.0, 6.0], 0.1)})
     here = RuntimeError if COMM.rank == COMM.size - 1 else pm.ErrorOnAnotherRank
