@@ -1,11 +1,13 @@
 """What fits are held to: synthetic data of wires, beams and a column, and whether their parameters are found.
 
-    python benchmarks/identification.py [beams] [wires] [plastic] [column] [coverage] [--workers 2]
+    python benchmarks/identification.py [beams] [wires] [plastic] [column] [coverage] [other] [--workers 2]
 
 `beams`: five elastic wires and four beams without noise; `wires`: the wires alone, with noise of 1 %;
 `plastic`: five parameters of three plastic wires, from far away; `column`: eight parameters of a softening
 column, its curve alone, then with two displacement fields, from two starts; `coverage`: how often intervals
-hold the truth. Each scene prints a line for each of its claims, and goes into identification.json.
+hold the truth; `other`: the same of a beam whose data come from fine elements of degree 2, and whose runs are
+of material points of several cells. Each scene prints a line for each of its claims, and goes into
+identification.json.
 """
 
 import argparse
@@ -15,7 +17,10 @@ import sys
 import time
 from pathlib import Path
 
+from mpi4py import MPI
+
 import numpy as np
+from dolfinx import mesh
 
 import polarmpm as pm
 
@@ -157,12 +162,70 @@ def coverage(args):
     return {"coverage (.90-.99)": np.mean(inside), "rms z (.85-1.15)": np.sqrt(np.mean(np.square(z)))}
 
 
+STRIP = {"mu": 2e3, "kappa": 700.0, "l": 0.15}  # Pa, Pa, m
+SEEN = np.stack(np.meshgrid(np.linspace(0.4, 3.6, 9), np.linspace(0.2, 0.8, 4)), axis=-1).reshape(-1, 2)
+
+
+def strip_material(p):
+    return pm.MicropolarElastic(
+        lam=3e3, mu=p["mu"], kappa=p["kappa"], alpha=0.0, beta=0.0, gamma=4 * STRIP["mu"] * p["l"] ** 2
+    )
+
+
+def strip(p, cell):
+    """A micropolar cantilever of 4 m x 1 m under its weight, of material points, as a camera sees it."""
+    grid = pm.Grid.box((0, -3), (6, 3), cell)
+    points = pm.seed(grid, bounds=((0, 0), (4, 1)), material=strip_material(p))
+    problem = pm.QuasiStatic(grid, points)
+    problem.fix(pm.plane(x=0.0), u=0, theta=0)
+    problem.body_load(force=(0, -20.0))
+    return problem, {"field": pm.Places(points, SEEN).displacement}
+
+
+def fine_strip(p, cells=(64, 16)):
+    """The same of elements of degree 2."""
+    corners = [(0.0, 0.0), (4.0, 1.0)]
+    body = mesh.create_rectangle(MPI.COMM_SELF, corners, list(cells), mesh.CellType.quadrilateral)
+    problem = pm.QuasiStaticFEM(pm.Elements(body, material=strip_material(p), degree=2))
+    problem.fix(pm.plane(x=0.0), u=0, theta=0)
+    problem.body_load(force=(0, -20.0))
+    return problem, {"field": pm.Places(problem.elements, SEEN).displacement}
+
+
+def other(args):
+    """Data of fine elements; a camera's noise of 1e-3 of the deflection."""
+    problem, see = fine_strip(STRIP)
+    list(problem.march(2, progress=False))
+    clean = see["field"]()
+    sigma = 1e-3 * np.abs(clean).max()
+    found = {}
+    for cell in (0.5, 0.25, 0.125):
+        inside, z, chi2 = [], [], []
+        for seed in range(args.realisations):
+            noisy = clean + sigma * np.random.default_rng(seed).standard_normal(clean.shape)
+            test = pm.Experiment(strip, data={"field": (noisy[None], sigma)}, cell=cell, march={"steps": 2})
+            fit = pm.identify(test, start=STRIP, free=list(STRIP))
+            ends = fit.intervals()
+            inside += [ends[n][0] < STRIP[n] < ends[n][1] for n in fit.names]
+            z.append([(fit.values[n] - STRIP[n]) / fit.sd[n] for n in fit.names])
+            chi2.append(fit.chi2 / fit.dof)
+        found[cell] = {
+            "coverage": np.mean(inside),
+            "mean z": dict(zip(fit.names, np.mean(z, axis=0), strict=True)),
+            "sd": fit.relative_sd,
+            "chi2/dof": np.mean(chi2),
+        }
+        print(cell, found[cell], flush=True)
+    return found
+
+
 SCENES = {
     "beams": beams,
     "wires": wires_alone,
     "plastic": plastic,
     "column": column,
     "coverage": coverage,
+    "other": other,
 }
 
 

@@ -149,6 +149,17 @@ def test_polynomials_are_met_at_places_of_a_mesh_and_in_space():
     np.testing.assert_allclose(pm.Places(points, X).values(points.X**2), X**2, atol=1e-10)
 
 
+def test_places_in_long_elements():
+    """They are far from all nodes, and in the body all the same."""
+    cells = mesh.create_rectangle(COMM, [(0, 0), (10, 1)], [2, 10], mesh.CellType.quadrilateral)
+    body = pm.Elements(cells, material=MICROPOLAR)
+    places = pm.Places(body, [(2.5, 0.5), (7.4, 0.32)])
+    own = body.nodes.position[: body.nodes.owned, :1]
+    np.testing.assert_allclose(places.values(own)[:, 0], [2.5, 7.4], rtol=1e-12)
+    with pytest.raises(pm.InputError, match=r"\(2\.5, 7\.5\) lies outside the undeformed body"):
+        pm.Places(body, [(2.5, 7.5)])
+
+
 def test_few_points_have_places():
     grid = pm.Grid.box((0, 0), (3, 3), 1.0)
     points = pm.seed(grid, bounds=((0, 0), (1, 1)), material=MICROPOLAR, points_per_cell=1)
@@ -162,6 +173,27 @@ def uneven(p, at):
     if p["a"] != 1.0 and COMM.rank == COMM.size - 1:
         raise RuntimeError("a bug of the script")
     return {"y": p["a"] * at}
+
+
+def overloaded(p):
+    """A sheet that no step carries where it is a little softer than it should be."""
+    problem, see = sheet({**SHEET, **p})
+    if p["mu"] < 0.995 * SHEET["mu"]:
+        problem.body_load(force=(0, -1e7))
+    return problem, see
+
+
+def test_runs_that_fail_on_the_way():
+    """On several ranks, too: they all step back, and go on together."""
+    data = {"deflection": (computed([1.0])["deflection"][0], 1e-3)}
+    test = pm.Experiment(overloaded, data=data, march={"adaptive": False, "steps": 1})
+    start = {"mu": np.exp(0.28) * SHEET["mu"]}  # a straight step goes .3 down
+    fit = pm.identify(test, start=start, free=["mu"])
+    assert abs(fit.values["mu"] / SHEET["mu"] - 1) < 1e-3
+    assert fit.converged
+    assert fit.failures
+    assert "mu = " in fit.failures[0]
+    assert "runs failed" in str(fit)
 
 
 def test_errors_of_a_script_are_raised_on_all_ranks():

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_MISSED = 0.25  # of what a straight line misses of an earlier point: where more is left, it tells nothing
+_MISSED = 0.5  # of what a straight line misses of an earlier point: where more is left, it tells nothing
 _STEPS, _SAME = 20, 1e-6  # of the search for the model's minimum; change that ends it, over the region
 _ROUNDING = 1e-14  # singular values below this part of the largest
 
