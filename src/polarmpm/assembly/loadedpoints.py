@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..bodies.reference import Increments
 from ..conditions.prescribed import Prescribed
 from ..geometry.nodes import ActiveNodes
 from ..kernels import native
@@ -84,6 +85,7 @@ class LoadedPoints(ProjectedPoints):
         self.mappings = [self._mapping(b) for b in interpolation.batches]
         self.project_in(interpolation)
         self._at_points: tuple[np.ndarray, np.ndarray] | None = None  # forces and couples
+        self._gathered: tuple[np.ndarray, Increments] | None = None  # increments of nodes, and at points
         self._couples: list[tuple[np.ndarray, np.ndarray]] = [
             (np.full(len(b.rows), -1, dtype=np.int32), np.zeros((1, 3))) for b in interpolation.batches
         ]
@@ -172,7 +174,15 @@ class LoadedPoints(ProjectedPoints):
         return self.interpolation.spread(self.interpolation.points.volume0[:, None])[:, 0]
 
     def at_points(self, x: np.ndarray) -> np.ndarray:
+        if x is self.x:
+            return self.gathered().value
         return self.interpolation.gather(np.ascontiguousarray(x)).value
+
+    def gathered(self) -> Increments:
+        """The present increments at the points, which several ask for."""
+        if self._gathered is None or self._gathered[0] is not self.x:
+            self._gathered = self.x, self.interpolation.gather(self.x)
+        return self._gathered[1]
 
     def from_points(self, values: np.ndarray) -> np.ndarray:
         return self.interpolation.spread(values)

@@ -41,7 +41,10 @@ class CellsThen:
 
     def left(self, grid: Grid, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rows of points that may be in other cells now, at positions x (np, d), and these (n, d)."""
-        out = np.unique(np.flatnonzero((x < self._lower) | (x > self._upper)) // grid.dim)
+        left = (x < self._lower) | (x > self._upper)
+        if not left.any():
+            return np.zeros(0, dtype=np.int64), np.zeros((0, grid.dim), dtype=np.int64)
+        out = np.flatnonzero(left.any(axis=1))
         return out, grid.cells_of(x[out])
 
 

@@ -305,7 +305,7 @@ class QuasiStatic(Regridded):
 
     # solving --------------------------------------------------------------------------------------
     def _increments(self, system: LoadedPoints) -> Increments:
-        return system.interpolation.gather(system.x)
+        return system.gathered()
 
     def volume_ratios(self, increments: Increments) -> np.ndarray:
         change = np.eye(self.grid.dim) + increments.gradient
