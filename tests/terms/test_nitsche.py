@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
+import warnings
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -596,6 +598,37 @@ def test_normals_that_point_into_the_body(thickness, share):
     for act in (lambda: problem.fix(wrong, normal=0.0), lambda: problem.pressure(wrong, 1.0)):
         with pytest.raises(pm.InputError, match="the surface's normals point into the body, such as at "):
             act()
+
+
+def told(surface: pm.Surface) -> str:
+    """What is said of the trust in a surface that holds a strip of 4 x 0.5 on cells of 0.25; rank 0's."""
+    grid = pm.Grid.box((-1.0, -2.0), (6.0, 3.0), 0.25, COMM)
+    points = pm.seed(grid, bounds=((0.137, 0.061), (4.137, 0.561)), material=SOLID)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        pm.QuasiStatic(grid, points).fix(surface, u=0)
+    found: str = COMM.bcast("".join(str(w.message) for w in caught if w.category is pm.TrustWarning))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("ends", "number", "message"),
+    [
+        (((0.0, 0.5), (0.0, 0.0)), 8, "^$"),  # the whole end
+        (((0.0, 0.0), (4.0, 0.0)), 64, "^$"),
+        (((1.0, 0.0), (3.1, 0.0)), 32, "^$"),
+        (((0.0, 0.0), (0.25, 0.0)), 8, "support 1: it is 1 cells long, and the body goes on beside it"),
+        (((1.0, 0.0), (2.0, 0.0)), 16, "support 1: it is 4 cells long, and the body goes on beside it"),
+        (
+            ((0.0, 0.5), (0.0, 0.0)),
+            2,
+            "support 1: its points are 1 cells apart: the body may be far too soft",
+        ),
+    ],
+)
+def test_surfaces_that_the_grid_does_not_resolve(ends, number, message):
+    a, b = np.add(ends, (0.137, 0.061))
+    assert re.search(message, told(pm.Surface.line(tuple(a), tuple(b), number)))
 
 
 def inverted(surface: pm.Surface) -> pm.Surface:

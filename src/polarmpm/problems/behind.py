@@ -12,18 +12,21 @@ import numpy as np
 from ..bodies.facets import FacetSurface
 from ..bodies.nearby import of_nearest
 from ..bodies.points import Points
-from ..errors import InputError
+from ..errors import InputError, TrustWarning
 from ..forms.rest import stiffness_across
 from ..geometry.surfaces import Surface
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
 from ..materials.base import Material
 from ..terms.nitsche import Behind
+from ..tools.parallel import warn_on_one_rank
 from .state import Progress
 
 # the same where a surface cuts cells, the symmetric method down to a thousandth of one
 _CUT = {"nitsche": 1e3, "nitsche-unsymmetric": 60.0}
 _SPRINGS = 1e3  # default of springs alone: a layer of a thousandth of a cell, of the body's stiffness
+_APART = 0.7  # cells between points, from which supports give way between them by more than 3 %
+_SHORT = 4.0  # cells: length of a surface up to which its edges count by a tenth
 _FEW = 0.05  # share of a surface: corners, where sides can't be told
 _THIN = 0.02  # of the points' size: how far the nearest one is inside
 _COERCIVE = 20.0  # the same beside the material's own tractions: enough for both methods (docs/theory.md)
@@ -117,6 +120,53 @@ def check_outward(problem: Body, name: str, surface: Surface) -> None:
             f"{name}: the surface's normals point into the body, such as at {where}; they have to point "
             "outward from it. A line from a to b has the body on its left: exchange its ends"
         )
+
+
+def warn_of_resolution(problem: Body, name: str, surface: Surface) -> None:
+    """Warn where a surface that is given as it is now holds the body by too few points, or on a few cells
+    of the grid beside which the body goes on. Collective."""
+    if isinstance(surface, FacetSurface):
+        return
+    spacing = surface.area ** (1.0 / (surface.dim - 1)) / _cells(problem, surface.x)
+    length = _shortest(problem, surface) / problem.cell_size
+    if (apart := float(np.median(spacing))) > _APART:
+        text = (
+            f"its points are {apart:.2g} cells apart: the body may be far too soft there; give two points a "
+            "cell, or more"
+        )
+    elif length < _SHORT * (1.0 + 1e-6):
+        text = (
+            f"it is {length:.2g} cells long, and the body goes on beside it: the grid holds half a cell "
+            "around it, too, and the body may be far too stiff; take smaller cells"
+        )
+    else:
+        return
+    warn_on_one_rank(problem.comm, f"{name}: {text} (docs/accuracy.md)", TrustWarning)
+
+
+def _cells(problem: Body, x: np.ndarray) -> np.ndarray:
+    """Sizes (m) (n,) of the cells at places x (n, d)."""
+    found = [grid.sizes(grid.cells_of(x)).max(axis=1) for grid, _ in problem.points.lattices]
+    return np.max(found, axis=0) if found else np.full(len(x), problem.cell_size)
+
+
+def _shortest(problem: Body, surface: Surface) -> float:
+    """Length (m) of a surface, the shortest one in a direction in which the body goes on beside it; infinite
+    where it doesn't. Collective."""
+    place, size = _places(problem)
+    middle, d, shortest = surface.x.mean(axis=0), surface.dim, np.inf
+    x, n = surface.x - middle, surface.normal.mean(axis=0)
+    n = n / max(float(np.linalg.norm(n)), 1e-3)
+    spacing = float(np.median(surface.area)) ** (1.0 / (d - 1))
+    _, found = of_nearest(problem.comm, place, size[:, None], surface.x)
+    step = float(np.median(found))
+    for t in np.linalg.svd(x - np.outer(x @ n, n), full_matrices=False)[2][: d - 1]:
+        along = x @ t
+        reach = 0.5 * spacing + step
+        beside = np.outer((along.min() - reach, along.max() + reach), t) - 0.5 * step * n
+        if np.any(of_nearest(problem.comm, place, place, middle + beside)[0] < 0.75 * step):
+            shortest = min(shortest, float(np.ptp(along)) + spacing)
+    return shortest
 
 
 def _places(problem: Body) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from ..terms.nitsche import ConsistentSupport
 from ..terms.surfaces import METHODS, Pressure, SurfaceSupport, Traction
 from ..terms.surfaceterms import SurfaceCondition, undeformed_area
 from ..tools import checks
-from .behind import Found, check_outward, default_stiffness, find_behind, inward
+from .behind import Found, check_outward, default_stiffness, find_behind, inward, warn_of_resolution
 from .state import Progress
 
 
@@ -135,6 +135,7 @@ def add_support(
         symmetric = method == "nitsche"
         made = ConsistentSupport(name, surface, behind=found.behind, symmetric=symmetric, **options)
     problem.add(made, counts=counts or ("from now" if late else "total"))
+    warn_of_resolution(problem, name, surface)
     return made
 
 
