@@ -205,6 +205,20 @@ def test_plastic_elements_that_nothing_cures_warn():
             pm.QuasiStaticFEM(body, locking=None, **options)
 
 
+def test_micropolar_flow_that_dilates_warns_where_cells_have_means_alone():
+    """A footing with psi = phi = 20 degrees, 4 cells of degree 1 under its half: 1.10 N_c, and rising."""
+    micropolar = pm.MicropolarElastic.bounded_stiffness(lam=5.77e3, mu=3.85e3, kappa=3.85e3, l_b=0.02)
+    for psi, degree, told in ((0.35, 1, True), (0.0, 1, False), (0.35, 2, False)):
+        soil = pm.DruckerPrager(micropolar, cone="plane strain", phi=0.35, psi=psi, c=1.0, l_p=0.02)
+        body = pm.Elements(box("quadrilateral", (2, 2)), material=soil, degree=degree)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            pm.QuasiStaticFEM(body)
+        assert sum("micropolar flow that dilates" in str(w.message) for w in said) == (
+            told and COMM.rank == 0
+        )
+
+
 def test_arguments():
     body = pm.Elements(box("quadrilateral", (1, 1)), material=NEO_HOOKEAN)
     with pytest.raises(pm.InputError, match="locking = 'never'"):

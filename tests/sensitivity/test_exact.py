@@ -363,7 +363,7 @@ def test_surfaces_along_the_path():
 
 
 def dilating(p: dict[str, float], **options: Any) -> Any:
-    """A classical block that dilates as it shears, clamped below and pushed aside, of patches of constants."""
+    """A classical block that dilates as it shears, clamped below and pushed aside."""
     grid = pm.Grid.box((0, 0), (2, 1), 0.5)
     elastic = pm.Hencky.from_engineering(E=1e4, nu=0.3)
     soil = pm.MohrCoulomb(elastic, phi=0.4, psi=0.4, c=p["c"], edges="sharp")

@@ -59,11 +59,17 @@ class Patches:
         self.reach = self._find_nodes(grid, nodes)
 
     # functions ------------------------------------------------------------------------------------
+    @cached_property
+    def _sorted(self) -> bool:
+        """Whether the points stand patch by patch."""
+        return bool(np.all(self.patch[1:] >= self.patch[:-1]))
+
     def sums(self, values: np.ndarray) -> np.ndarray:
         """Sums (patches, ...) of values (n, ...) over each patch."""
         if not self.count:
             return np.zeros((0, *values.shape[1:]))
-        found: np.ndarray = np.add.reduceat(values[self._order], self._starts, axis=0)
+        inner = values if self._sorted else values[self._order]
+        found: np.ndarray = np.add.reduceat(inner, self._starts, axis=0)
         return found
 
     def largest(self, values: np.ndarray) -> np.ndarray:
@@ -205,7 +211,7 @@ class Patches:
         sides: np.ndarray | None = None,
         both: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Vectors (kinds, :) of the modes from several kinds of work on z per volume, (kinds, n, scalars, nz),
+        """Vectors (kinds, :) of the modes from several kinds of work on z per volume (kinds, n, scalars, nz),
         and on its derivatives along the points' half axes (kinds, n, d, scalars, nz), of which the kernels
         know the axes; `both`: of bodies of revolution, on what values have on both sides (kinds, n, d,
         scalars, values)."""
@@ -231,13 +237,22 @@ class Patches:
         native.library().polarmpm_patch_products(ctypes.byref(self._structure), self.block, vectors, x, out)
         return out
 
+    @cached_property
+    def _by_size(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Patches of one number of nodes, and where their vectors stand, for each number."""
+        starts, length = self._structure.kept["offsets"], self.block * self.modes
+        sizes = np.diff(starts)
+        rows = [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
+        return [(r, starts[r][:, None] * length + np.arange(sizes[r[0]] * length)) for r in rows]
+
     def combined(self, matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """Vectors sum_b c_ab b_b of matrices (patches, modes, modes)."""
-        starts, modes, out = self._structure.kept["offsets"], self.modes, np.zeros_like(vectors)
-        sizes = np.diff(starts)
-        for size in np.unique(sizes):
-            rows = np.flatnonzero(sizes == size)
-            at = starts[rows][:, None] * self.block * modes + np.arange(size * self.block * modes)
+        modes = self.modes
+        if len(self._by_size) == 1:
+            found: np.ndarray = matrices @ vectors.reshape(self.count, modes, -1)
+            return found.ravel()
+        out = np.zeros_like(vectors)
+        for rows, at in self._by_size:
             own = vectors[at].reshape(len(rows), modes, -1)
             out[at] = (matrices[rows] @ own).reshape(len(rows), -1)
         return out

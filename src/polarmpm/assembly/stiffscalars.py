@@ -250,8 +250,9 @@ class StiffScalars:
         if yielding is not None and len(yielding.rows):
             _put_yielding(yielding, (by_t, tz, zt, tt), nz, self._turn, tangent=tangent)
         exact = self.patches.moments(by_t.whole)
-        of_e, settles = measure.columns(m, m + m * nz), settled is not None
-        own = (of_e, *((zt,) if tz.at_points is zt.at_points else (zt, tz))) if tangent and not settles else (of_e,)
+        own = [measure.columns(m, m + m * nz)]
+        if tangent and settled is None:
+            own += [zt] if tz.at_points is zt.at_points else [zt, tz]
         b, *others = self._vectors(kernels, *own)
         taken = exact
         if tangent and before is not None:

@@ -26,7 +26,6 @@ from ..geometry.planes import PlaneSpec
 from ..geometry.surfaces import Surface
 from ..kinematics import rotations
 from ..kinematics.motion import Motion
-from ..materials.base import warn_of_locking
 from ..solvers.choice import check_solver
 from ..solvers.newton import Controls
 from ..terms.base import Piece, Term, pieces_of
@@ -42,7 +41,7 @@ from .described import described, of_rank
 from .elementstages import StagedElements
 from .facetloads import SurfaceLoad, Varying, carried_so_far, forms_of_loads
 from .given import Present
-from .locking import check_locking, warn_of_plastic_locking
+from .locking import check_locking, warn_of_elements
 from .state import Progress
 from .surfaces import add_load
 from .whole import Changing
@@ -100,12 +99,8 @@ class QuasiStaticFEM(StagedElements):
         for material in elements.points.materials:
             try_energy(material, self.comm)
         with errors_on_all_ranks(elements.comm):  # of warnings a script may make errors
-            if elements.degree == 1 and elements.comm.rank == 0:
-                uncured = self.forms.uncured
-                warn_of_locking(uncured, "elements of degree 1", "degree 2")
-                simple = elements.body.cell in ("triangle", "tetrahedron")
-                remedy = "degree=2" if simple else "assembly='native'"
-                warn_of_plastic_locking(self.locking, uncured, "elements of degree 1", remedy)
+            if elements.comm.rank == 0:
+                warn_of_elements(self.locking, elements, self.forms)
         self._surface_loads: list[SurfaceLoad] = []
         self.held_slopes: dict[Support, Any] = {}  # slopes that supports hold
         self.progress.reset_due = False

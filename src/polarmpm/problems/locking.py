@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -16,8 +16,13 @@ from ..forms.choice import make_form, make_projected
 from ..forms.points import PointForm
 from ..kinematics.layout import Layout
 from ..materials.base import Material, warn_of_locking
+from ..materials.cones import DruckerPrager
+from ..materials.pyramids import MohrCoulomb
 from ..tools import checks
 from ..tools.caller import warn
+
+if TYPE_CHECKING:
+    from ..forms.elements import ElementForms
 
 
 class Patched(Protocol):
@@ -33,6 +38,7 @@ class Patched(Protocol):
 LOCKING = ("auto", "always")
 _SPLINES_LOCK = 0.495  # Poisson's ratio beyond which functions of higher degree lock on coarse cells, too
 INCOMPRESSIBLE = 0.4  # Poisson's ratio above which volume locks
+DILATES = 0.05  # angle of dilatancy (rad) from which on limit loads feel it by 2 % and more
 COUPLED = 10.0  # kappa / mu above which relative rotations lock elastic bodies
 
 
@@ -142,6 +148,32 @@ def warn_of_plastic_locking(
                 TrustWarning,
             )
             return
+
+
+def warn_of_dilatancy(forms: Sequence[PointForm], remedy: str) -> None:
+    """Warn of micropolar flow that dilates in patches of constants, which share no volumes out there
+    (`assembly.elasticvolumes` is for one scalar)."""
+    for form in forms:
+        material = form.material
+        if form.turns and isinstance(material, DruckerPrager | MohrCoulomb) and material.psi > DILATES:
+            warn(
+                f"{type(material).__name__}: micropolar flow that dilates (psi = {material.psi:.3g} rad) "
+                "brings a condition for each point, of which means over cells aren't cured: limit loads are up to a "
+                f"tenth too high at psi = 0.35 and go on to rise; take {remedy}",
+                TrustWarning,
+            )
+            return
+
+
+def warn_of_elements(locking: str | None, elements: Elements, forms: ElementForms) -> None:
+    """Warn of what locks on a mesh and has no cure. On one rank."""
+    simple = elements.body.cell in ("triangle", "tetrahedron")
+    if elements.degree == 1:
+        warn_of_locking(forms.uncured, "elements of degree 1", "degree 2")
+        remedy = "degree=2" if simple else "assembly='native'"
+        warn_of_plastic_locking(locking, forms.uncured, "elements of degree 1", remedy)
+    if elements.degree == 1 or simple:
+        warn_of_dilatancy(forms.point_forms, "quadrilaterals or hexahedra of degree 2")
 
 
 def warn_of_functions(locking: str | None, left: Sequence[Material], basis: Basis) -> None:

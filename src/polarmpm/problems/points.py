@@ -49,7 +49,7 @@ from .fitting import (
     touches_axis,
 )
 from .gridpolicies import RegridPolicy
-from .locking import check_locking, choose_form, warn_of_functions
+from .locking import check_locking, choose_form, warn_of_dilatancy, warn_of_functions
 from .ongrid import Compiled
 from .regridding import Regridded, Regridding
 from .state import Fields, Progress, choose_fields
@@ -178,6 +178,8 @@ class QuasiStatic(Regridded):
         if self.comm.rank == 0:
             left = [form.material for form in self.forms if not form.scalars]
             warn_of_functions(self.locking, left, self.basis)
+            if not self.basis.patch_linear:
+                warn_of_dilatancy(self.forms, "basis='bspline'")
 
     def _changing(self) -> Iterator[Changing]:
         yield from super()._changing()
