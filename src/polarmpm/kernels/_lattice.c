@@ -341,9 +341,10 @@ INLINE void rest_of(const int nb, const BlockRows *A, const Relaxation *S, int64
     }
 }
 
-/* C(p, q) += w T, with half rows where it belongs. */
+/* C(p, q) += w T, with half rows where it belongs. `other`: also C(q, p) += w T', for the entries of the finer matrix that
+ * aren't read, being those that are, transposed. */
 INLINE void add_coarse(const int nb, const BlockRows *C, const Transfer *P, int64_t p, int64_t q, double w, const double *T,
-                       int strict)
+                       int other)
 {
     if (!C->half || p <= q) {
         const int64_t k = P->place[p * P->codes + P->lin[q] - P->lin[p] + P->centre];
@@ -352,7 +353,7 @@ INLINE void add_coarse(const int nb, const BlockRows *C, const Transfer *P, int6
             for (int j = 0; j < nb; ++j) line[j] += w * T[i * nb + j];
         }
     }
-    if (C->half && strict && q <= p) {  /* what the other half of the finer matrix adds */
+    if (other && (!C->half || q <= p)) {
         const int64_t k = P->place[q * P->codes + P->lin[p] - P->lin[q] + P->centre];
         for (int j = 0; j < nb; ++j) {
             double *line = C->values + C->row_start[q * nb + j] + k * nb;
@@ -374,35 +375,38 @@ INLINE int coarsen_of(const int nb, const BlockRows *A, const Transfer *P, const
         const double *weight = P->weights + row * PARENTS;
         const int64_t from = own[0] < 0 ? 0 : P->lin[own[0]] - P->centre;
         double D[BLOCK_MAX * BLOCK_MAX], B[BLOCK_MAX * BLOCK_MAX];
-        int n = 0;
         if (own[0] < 0) continue;
         diagonal_block(A, nb, row, D);
         for (int i = 0; i < nb; ++i)
             if (!P->free[row * nb + i]) D[i * nb + i] = 0.0;
-        for (int64_t b = A->offsets[row]; b < A->offsets[row + 1]; ++b) {
-            const int64_t col = A->cols[b], k = b - A->offsets[row];
-            if (col == row) continue;
-            for (int i = 0; i < nb; ++i)
-                for (int j = 0; j < nb; ++j) B[i * nb + j] = block_entry(A, nb, row, k, i, j);
-            for (int a = 0; a < PARENTS && P->parents[col * PARENTS + a] >= 0; ++a) {
-                const int64_t q = P->parents[col * PARENTS + a], code = P->lin[q] - from;
-                const double w = P->weights[col * PARENTS + a];
-                if (slot[code] < 0) {
-                    slot[code] = n;
-                    met[n] = (int32_t)q;
-                    memset(T + n * size, 0, sizeof(double) * size);
-                    ++n;
+        for (int other = 1; other >= 0; --other) {
+            int n = 0;
+            for (int64_t b = A->offsets[row]; b < A->offsets[row + 1]; ++b) {
+                const int64_t col = A->cols[b], k = b - A->offsets[row];
+                const int twice = A->half || (A->symmetric && col < A->nodes);
+                if (col == row || twice != other || (twice && col < row)) continue;
+                for (int i = 0; i < nb; ++i)
+                    for (int j = 0; j < nb; ++j) B[i * nb + j] = block_entry(A, nb, row, k, i, j);
+                for (int a = 0; a < PARENTS && P->parents[col * PARENTS + a] >= 0; ++a) {
+                    const int64_t q = P->parents[col * PARENTS + a], code = P->lin[q] - from;
+                    const double w = P->weights[col * PARENTS + a];
+                    if (slot[code] < 0) {
+                        slot[code] = n;
+                        met[n] = (int32_t)q;
+                        memset(T + n * size, 0, sizeof(double) * size);
+                        ++n;
+                    }
+                    double *t = T + slot[code] * size;
+                    for (int i = 0; i < size; ++i) t[i] += w * B[i];
                 }
-                double *t = T + slot[code] * size;
-                for (int i = 0; i < size; ++i) t[i] += w * B[i];
             }
+            for (int a = 0; a < PARENTS && own[a] >= 0; ++a)
+                for (int s = 0; s < n; ++s) add_coarse(nb, C, P, own[a], met[s], weight[a], T + s * size, other);
+            for (int s = 0; s < n; ++s) slot[P->lin[met[s]] - from] = -1;
         }
-        for (int a = 0; a < PARENTS && own[a] >= 0; ++a) {
-            for (int s = 0; s < n; ++s) add_coarse(nb, C, P, own[a], met[s], weight[a], T + s * size, 1);
+        for (int a = 0; a < PARENTS && own[a] >= 0; ++a)
             for (int c = 0; c < PARENTS && own[c] >= 0; ++c)
                 add_coarse(nb, C, P, own[a], own[c], weight[a] * weight[c], D, 0);
-        }
-        for (int s = 0; s < n; ++s) slot[P->lin[met[s]] - from] = -1;
     }
     free(T);
     free(slot);
@@ -487,6 +491,17 @@ void polarmpm_prolong(int64_t nodes, int32_t nb, const Transfer *P, const double
                                           : 0.0;
 }
 
+/* Whether all of some numbers are finite, in one pass. */
+FAST int polarmpm_finite(int64_t count, const double *values)
+{
+    double_vec sum = {0.0};
+    int64_t k = 0;
+    for (; k + 8 <= count; k += 8) sum += *(const double_vec *)(values + k) * 0.0;
+    double rest = total(sum);
+    for (; k < count; ++k) rest += values[k] * 0.0;
+    return rest == 0.0;
+}
+
 /* Unknowns that are coupled with others. */
 void polarmpm_coupled(const BlockRows *A, uint8_t *coupled)
 {
@@ -496,6 +511,7 @@ void polarmpm_coupled(const BlockRows *A, uint8_t *coupled)
             for (int i = 0; i < nb; ++i)
                 for (int j = A->half && A->cols[b] == row ? i + 1 : 0; j < nb; ++j) {
                     if (A->cols[b] == row && i == j) continue;
+                    if (coupled[row * nb + i] && coupled[(int64_t)A->cols[b] * nb + j]) continue;  /* stays unread */
                     if (block_entry(A, nb, row, b - A->offsets[row], i, j) == 0.0) continue;
                     coupled[row * nb + i] = 1;
                     coupled[(int64_t)A->cols[b] * nb + j] = 1;
