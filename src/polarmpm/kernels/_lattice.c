@@ -9,16 +9,15 @@
 #include "_points.h"
 
 enum {
-    LINE = 16,                 /* numbers of a vector in single precision */
+    LINE = 8,                  /* numbers of a vector in single precision */
+    PIECE = 4,                 /* in double precision; wider vectors than a processor has are kept in memory */
     BLOCK_MAX = 6,             /* unknowns of a node */
     AHEAD = 2,                 /* rows */
     PARENTS = 8                /* nodes of the coarser lattice that a node is interpolated from */
 };
 
 typedef float single_vec __attribute__((vector_size(4 * LINE), aligned(4)));
-typedef float quarter_vec __attribute__((vector_size(LINE), aligned(4)));
-typedef double double_vec __attribute__((vector_size(64), aligned(8)));
-typedef double pair_vec __attribute__((vector_size(16), aligned(8)));
+typedef double double_vec __attribute__((vector_size(8 * PIECE), aligned(8)));
 
 typedef struct {
     int32_t block;             /* unknowns of a node */
@@ -77,16 +76,12 @@ INLINE void diagonal_block(const BlockRows *A, const int nb, int64_t row, double
 /* Sums of a vector's numbers. */
 INLINE double total(double_vec v)
 {
-    union { double_vec whole; pair_vec parts[4]; } u = {v};
-    const pair_vec sum = (u.parts[0] + u.parts[1]) + (u.parts[2] + u.parts[3]);
-    return sum[0] + sum[1];
+    return (v[0] + v[2]) + (v[1] + v[3]);
 }
 
 INLINE float single_total(single_vec v)
 {
-    union { single_vec whole; quarter_vec parts[4]; } u = {v};
-    const quarter_vec sum = (u.parts[0] + u.parts[1]) + (u.parts[2] + u.parts[3]);
-    return (sum[0] + sum[2]) + (sum[1] + sum[3]);
+    return ((v[0] + v[4]) + (v[1] + v[5])) + ((v[2] + v[6]) + (v[3] + v[7]));
 }
 
 /* sum += n blocks of a row, from `lines` on, times x. With `both` also y += these blocks, transposed, times `own`. */
@@ -99,7 +94,7 @@ INLINE void add_blocks(const int nb, const int both, int64_t n, const int32_t *c
     for (int i = 0; i < nb; ++i) s[i] = (double_vec){0.0};
     for (int64_t a = 0; a < n; ++a)
         for (int j = 0; j < nb; ++j) xg[a * nb + j] = x[(int64_t)cols[a] * nb + j];
-    for (; k + 8 <= width; k += 8) {
+    for (; k + PIECE <= width; k += PIECE) {
         const double_vec X = *(const double_vec *)(xg + k);
         double_vec Y = {0.0};
         for (int i = 0; i < nb; ++i) {
@@ -246,7 +241,7 @@ INLINE void fill_of(const int nb, const BlockRows *A, const Relaxation *S, doubl
 /* Rows are asked for in time: no processor does so by itself where they are met from the last to the first. */
 INLINE void ask_for(const float *rows, int64_t numbers)
 {
-    for (int64_t k = 0; k < numbers; k += LINE) __builtin_prefetch(rows + k);
+    for (int64_t k = 0; k < numbers; k += 2 * LINE) __builtin_prefetch(rows + k);
 }
 
 /* sum -= rows times x */
@@ -494,10 +489,12 @@ void polarmpm_prolong(int64_t nodes, int32_t nb, const Transfer *P, const double
 /* Whether all of some numbers are finite, in one pass. */
 FAST int polarmpm_finite(int64_t count, const double *values)
 {
-    double_vec sum = {0.0};
+    enum { AT_ONCE = 4 };
+    double_vec sum[AT_ONCE] = {{0.0}};
     int64_t k = 0;
-    for (; k + 8 <= count; k += 8) sum += *(const double_vec *)(values + k) * 0.0;
-    double rest = total(sum);
+    for (; k + AT_ONCE * PIECE <= count; k += AT_ONCE * PIECE)
+        for (int i = 0; i < AT_ONCE; ++i) sum[i] += *(const double_vec *)(values + k + i * PIECE) * 0.0;
+    double rest = total((sum[0] + sum[1]) + (sum[2] + sum[3]));
     for (; k < count; ++k) rest += values[k] * 0.0;
     return rest == 0.0;
 }
