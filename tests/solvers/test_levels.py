@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from polarmpm.kernels import native
+from polarmpm.solvers.coarsening import PARENTS, Coarsening
 from polarmpm.solvers.levels import BACKWARD, FORWARD, FROM_ZERO, REST, Level
 
 OWN, OTHERS = 40, 7  # nodes of this rank, and columns of others
@@ -14,7 +15,7 @@ OWN, OTHERS = 40, 7  # nodes of this rank, and columns of others
 def dense(block: int) -> np.ndarray:
     """Rows of this rank (OWN block, (OWN + OTHERS) block): the own part symmetric and definite."""
     rng = np.random.default_rng(block)
-    near = np.abs(np.arange(OWN)[:, None] - np.arange(OWN + OTHERS) % OWN) % (OWN - 3) < 4
+    near = np.abs(np.arange(OWN)[:, None] - np.arange(OWN + OTHERS)) < 4
     out = rng.normal(size=(OWN * block, (OWN + OTHERS) * block)) * np.kron(near, np.ones((block, block)))
     own = out[:, : OWN * block]
     own[:] = own + own.T + 20.0 * block * np.eye(OWN * block)
@@ -102,6 +103,29 @@ def test_sweeps_are_those_of_the_dense_rows(block, symmetric, half):
         x = x + np.linalg.solve(M, b.ravel() - own @ x - given)
         found.relax(how, b)
         np.testing.assert_allclose(found.x[:OWN].ravel(), x, **close)
+
+
+@KINDS
+def test_coarser_levels_are_products_of_the_dense_rows(symmetric, half):
+    """Every second node of a line stays; the rows of this rank alone."""
+    found, A = level(3, symmetric, half)
+    every = np.arange(OWN + OTHERS)
+    parents, weights = np.full((len(every), PARENTS), -1, dtype=np.int32), np.zeros((len(every), PARENTS))
+    parents[:, 0], weights[:, 0] = every // 2, np.where(every % 2, 0.5, 1.0)
+    odd = every % 2 == 1
+    parents[odd, 1], weights[odd, 1] = every[odd] // 2 + 1, 0.5
+    number = parents.max() + 1
+    coarse = found.couple(Coarsening((), np.arange(number)[:, None], parents, weights, 3), None)
+    found.coarsen(coarse, None)
+    P = np.zeros((len(every), number))
+    P[every, parents[:, 0]] = weights[:, 0]
+    P[every[odd], parents[odd, 1]] = 0.5
+    P = np.kron(P, np.eye(3))
+    x, out = np.random.default_rng(5).normal(size=(number, 3)), np.empty((number, 3))
+    coarse.rows.symmetric = int(half)  # the sums of one of several ranks aren't
+    coarse.product(x, out)
+    expected = P[: OWN * 3].T @ A @ P @ x.ravel()
+    np.testing.assert_allclose(out.ravel(), expected, rtol=0, atol=1e-12 * np.abs(A).max())
 
 
 @KINDS

@@ -9,16 +9,15 @@
 #include "_points.h"
 
 enum {
-    LINE = 16,                 /* numbers of a vector in single precision */
+    LINE = 8,                  /* numbers of a vector in single precision */
+    PIECE = 4,                 /* in double precision; wider vectors than a processor has are kept in memory */
     BLOCK_MAX = 6,             /* unknowns of a node */
     AHEAD = 2,                 /* rows */
     PARENTS = 8                /* nodes of the coarser lattice that a node is interpolated from */
 };
 
 typedef float single_vec __attribute__((vector_size(4 * LINE), aligned(4)));
-typedef float quarter_vec __attribute__((vector_size(LINE), aligned(4)));
-typedef double double_vec __attribute__((vector_size(64), aligned(8)));
-typedef double pair_vec __attribute__((vector_size(16), aligned(8)));
+typedef double double_vec __attribute__((vector_size(8 * PIECE), aligned(8)));
 
 typedef struct {
     int32_t block;             /* unknowns of a node */
@@ -77,16 +76,12 @@ INLINE void diagonal_block(const BlockRows *A, const int nb, int64_t row, double
 /* Sums of a vector's numbers. */
 INLINE double total(double_vec v)
 {
-    union { double_vec whole; pair_vec parts[4]; } u = {v};
-    const pair_vec sum = (u.parts[0] + u.parts[1]) + (u.parts[2] + u.parts[3]);
-    return sum[0] + sum[1];
+    return (v[0] + v[2]) + (v[1] + v[3]);
 }
 
 INLINE float single_total(single_vec v)
 {
-    union { single_vec whole; quarter_vec parts[4]; } u = {v};
-    const quarter_vec sum = (u.parts[0] + u.parts[1]) + (u.parts[2] + u.parts[3]);
-    return (sum[0] + sum[2]) + (sum[1] + sum[3]);
+    return ((v[0] + v[4]) + (v[1] + v[5])) + ((v[2] + v[6]) + (v[3] + v[7]));
 }
 
 /* sum += n blocks of a row, from `lines` on, times x. With `both` also y += these blocks, transposed, times `own`. */
@@ -99,7 +94,7 @@ INLINE void add_blocks(const int nb, const int both, int64_t n, const int32_t *c
     for (int i = 0; i < nb; ++i) s[i] = (double_vec){0.0};
     for (int64_t a = 0; a < n; ++a)
         for (int j = 0; j < nb; ++j) xg[a * nb + j] = x[(int64_t)cols[a] * nb + j];
-    for (; k + 8 <= width; k += 8) {
+    for (; k + PIECE <= width; k += PIECE) {
         const double_vec X = *(const double_vec *)(xg + k);
         double_vec Y = {0.0};
         for (int i = 0; i < nb; ++i) {
@@ -246,7 +241,7 @@ INLINE void fill_of(const int nb, const BlockRows *A, const Relaxation *S, doubl
 /* Rows are asked for in time: no processor does so by itself where they are met from the last to the first. */
 INLINE void ask_for(const float *rows, int64_t numbers)
 {
-    for (int64_t k = 0; k < numbers; k += LINE) __builtin_prefetch(rows + k);
+    for (int64_t k = 0; k < numbers; k += 2 * LINE) __builtin_prefetch(rows + k);
 }
 
 /* sum -= rows times x */
@@ -341,9 +336,10 @@ INLINE void rest_of(const int nb, const BlockRows *A, const Relaxation *S, int64
     }
 }
 
-/* C(p, q) += w T, with half rows where it belongs. */
+/* C(p, q) += w T, with half rows where it belongs. `other`: also C(q, p) += w T', for the entries of the finer matrix that
+ * aren't read, being those that are, transposed. */
 INLINE void add_coarse(const int nb, const BlockRows *C, const Transfer *P, int64_t p, int64_t q, double w, const double *T,
-                       int strict)
+                       int other)
 {
     if (!C->half || p <= q) {
         const int64_t k = P->place[p * P->codes + P->lin[q] - P->lin[p] + P->centre];
@@ -352,7 +348,7 @@ INLINE void add_coarse(const int nb, const BlockRows *C, const Transfer *P, int6
             for (int j = 0; j < nb; ++j) line[j] += w * T[i * nb + j];
         }
     }
-    if (C->half && strict && q <= p) {  /* what the other half of the finer matrix adds */
+    if (other && (!C->half || q <= p)) {
         const int64_t k = P->place[q * P->codes + P->lin[p] - P->lin[q] + P->centre];
         for (int j = 0; j < nb; ++j) {
             double *line = C->values + C->row_start[q * nb + j] + k * nb;
@@ -374,35 +370,38 @@ INLINE int coarsen_of(const int nb, const BlockRows *A, const Transfer *P, const
         const double *weight = P->weights + row * PARENTS;
         const int64_t from = own[0] < 0 ? 0 : P->lin[own[0]] - P->centre;
         double D[BLOCK_MAX * BLOCK_MAX], B[BLOCK_MAX * BLOCK_MAX];
-        int n = 0;
         if (own[0] < 0) continue;
         diagonal_block(A, nb, row, D);
         for (int i = 0; i < nb; ++i)
             if (!P->free[row * nb + i]) D[i * nb + i] = 0.0;
-        for (int64_t b = A->offsets[row]; b < A->offsets[row + 1]; ++b) {
-            const int64_t col = A->cols[b], k = b - A->offsets[row];
-            if (col == row) continue;
-            for (int i = 0; i < nb; ++i)
-                for (int j = 0; j < nb; ++j) B[i * nb + j] = block_entry(A, nb, row, k, i, j);
-            for (int a = 0; a < PARENTS && P->parents[col * PARENTS + a] >= 0; ++a) {
-                const int64_t q = P->parents[col * PARENTS + a], code = P->lin[q] - from;
-                const double w = P->weights[col * PARENTS + a];
-                if (slot[code] < 0) {
-                    slot[code] = n;
-                    met[n] = (int32_t)q;
-                    memset(T + n * size, 0, sizeof(double) * size);
-                    ++n;
+        for (int other = 1; other >= 0; --other) {
+            int n = 0;
+            for (int64_t b = A->offsets[row]; b < A->offsets[row + 1]; ++b) {
+                const int64_t col = A->cols[b], k = b - A->offsets[row];
+                const int twice = A->half || (A->symmetric && col < A->nodes);
+                if (col == row || twice != other || (twice && col < row)) continue;
+                for (int i = 0; i < nb; ++i)
+                    for (int j = 0; j < nb; ++j) B[i * nb + j] = block_entry(A, nb, row, k, i, j);
+                for (int a = 0; a < PARENTS && P->parents[col * PARENTS + a] >= 0; ++a) {
+                    const int64_t q = P->parents[col * PARENTS + a], code = P->lin[q] - from;
+                    const double w = P->weights[col * PARENTS + a];
+                    if (slot[code] < 0) {
+                        slot[code] = n;
+                        met[n] = (int32_t)q;
+                        memset(T + n * size, 0, sizeof(double) * size);
+                        ++n;
+                    }
+                    double *t = T + slot[code] * size;
+                    for (int i = 0; i < size; ++i) t[i] += w * B[i];
                 }
-                double *t = T + slot[code] * size;
-                for (int i = 0; i < size; ++i) t[i] += w * B[i];
             }
+            for (int a = 0; a < PARENTS && own[a] >= 0; ++a)
+                for (int s = 0; s < n; ++s) add_coarse(nb, C, P, own[a], met[s], weight[a], T + s * size, other);
+            for (int s = 0; s < n; ++s) slot[P->lin[met[s]] - from] = -1;
         }
-        for (int a = 0; a < PARENTS && own[a] >= 0; ++a) {
-            for (int s = 0; s < n; ++s) add_coarse(nb, C, P, own[a], met[s], weight[a], T + s * size, 1);
+        for (int a = 0; a < PARENTS && own[a] >= 0; ++a)
             for (int c = 0; c < PARENTS && own[c] >= 0; ++c)
                 add_coarse(nb, C, P, own[a], own[c], weight[a] * weight[c], D, 0);
-        }
-        for (int s = 0; s < n; ++s) slot[P->lin[met[s]] - from] = -1;
     }
     free(T);
     free(slot);
@@ -487,6 +486,19 @@ void polarmpm_prolong(int64_t nodes, int32_t nb, const Transfer *P, const double
                                           : 0.0;
 }
 
+/* Whether all of some numbers are finite, in one pass. */
+FAST int polarmpm_finite(int64_t count, const double *values)
+{
+    enum { AT_ONCE = 4 };
+    double_vec sum[AT_ONCE] = {{0.0}};
+    int64_t k = 0;
+    for (; k + AT_ONCE * PIECE <= count; k += AT_ONCE * PIECE)
+        for (int i = 0; i < AT_ONCE; ++i) sum[i] += *(const double_vec *)(values + k + i * PIECE) * 0.0;
+    double rest = total((sum[0] + sum[1]) + (sum[2] + sum[3]));
+    for (; k < count; ++k) rest += values[k] * 0.0;
+    return rest == 0.0;
+}
+
 /* Unknowns that are coupled with others. */
 void polarmpm_coupled(const BlockRows *A, uint8_t *coupled)
 {
@@ -496,6 +508,7 @@ void polarmpm_coupled(const BlockRows *A, uint8_t *coupled)
             for (int i = 0; i < nb; ++i)
                 for (int j = A->half && A->cols[b] == row ? i + 1 : 0; j < nb; ++j) {
                     if (A->cols[b] == row && i == j) continue;
+                    if (coupled[row * nb + i] && coupled[(int64_t)A->cols[b] * nb + j]) continue;  /* stays unread */
                     if (block_entry(A, nb, row, b - A->offsets[row], i, j) == 0.0) continue;
                     coupled[row * nb + i] = 1;
                     coupled[(int64_t)A->cols[b] * nb + j] = 1;

@@ -11,6 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from ..kernels import native
 from .direct import DirectSolver
 from .hierarchy import Hierarchy
 from .krylov import INDEFINITE, LIMIT, Equations, Result, conjugate_gradients, flexible_gmres
@@ -90,9 +91,8 @@ class LatticeSolver:
                 self._factor_direct()
 
     def _finite(self, values: np.ndarray) -> bool:
-        with np.errstate(over="ignore", invalid="ignore"):
-            largest = max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
-        return math.isfinite(self.comm.allreduce(largest if largest == largest else math.inf, op=MPI.MAX))
+        here = bool(native.library().polarmpm_finite(len(values), values))
+        return bool(self.comm.allreduce(here, op=MPI.LAND))
 
     def _build(self) -> None:
         """A hierarchy of this tangent; where there can be none the direct solver stands in."""

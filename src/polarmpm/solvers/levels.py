@@ -9,13 +9,14 @@ from mpi4py import MPI
 
 import numpy as np
 
-from ..kernels import native
+from ..kernels import native, structures
 from ..tools.parallel import Route
 from .coarsening import Coarsening
 from .factors import Factor
 from .linear import SingularTangent
 
 LIFT = 1e-6  # of blocks' diagonals that are inverted, and of weak nodes', which may be singular
+LINE = structures.constant("_lattice.c", "LINE")  # numbers in single precision that stand for one vector
 FROM_ZERO, BACKWARD, FORWARD, REST = range(4)  # kinds of sweeps
 
 
@@ -75,7 +76,7 @@ class Level:
             mine = np.flatnonzero(which)
             counts = np.bincount(row[mine], minlength=self.nodes)
             widest = max(widest, int(counts.max(initial=0)))
-            size = (counts * self.block + 15) // 16 * 16 * self.block
+            size = -(counts * self.block // -LINE) * LINE * self.block
             start = np.concatenate([[0], np.cumsum(size)])
             found = {
                 side: np.concatenate([[0], np.cumsum(counts)]),
