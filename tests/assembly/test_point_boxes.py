@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import polarmpm as pm
+from polarmpm.assembly import pointboxes
 from polarmpm.assembly.pointboxes import FLOWED, PointBoxes
 from polarmpm.assembly.points import PointSystem
 from polarmpm.basis.registry import basis_of
@@ -105,6 +106,21 @@ def test_right_after_a_reset_the_moduli_of_the_points_serve():
     whole = tangent_at(system, x)
     system.box_tangent, system.step.tangents = None, 0
     np.testing.assert_allclose(tangent_at(system, 0 * x), whole, atol=1e-6 * abs(whole).max())
+
+
+def test_where_gradients_hardly_vary_the_moduli_of_the_points_serve(monkeypatch):
+    """The tangent is off by as much as they vary; beyond `SLIGHT` nothing is left out."""
+    _, system = boxed(2, MICROPOLAR, "bspline")
+    direction, found = random_increment(system, 1.0), {}
+    for size in (1e-3, 1e-1):
+        for slight in (0.0, pointboxes.SLIGHT):
+            monkeypatch.setattr(pointboxes, "SLIGHT", slight)
+            system.box_tangent, system.step.tangents = None, 0
+            found[size, slight] = tangent_at(system, size * direction)
+        monkeypatch.undo()
+    small, large = (found[size, pointboxes.SLIGHT] - found[size, 0.0] for size in (1e-3, 1e-1))
+    assert not large.any()
+    assert 0.0 < abs(small).max() < 2e-3 * abs(found[1e-3, 0.0]).max() or COMM.size > 1
 
 
 def test_a_boxs_energy_is_exact_for_bending():
@@ -299,6 +315,20 @@ def test_a_strip_of_one_row_of_points_warns_once():
     assert min(step.unresolved for step in steps) > 0.5
     assert "in doubt" in problem.trust()
     assert 0.5 < COMM.allreduce(float(problem.points.unresolved.sum())) / problem.points.total <= 1.0
+
+
+def test_the_share_is_that_of_what_sums_have_stored(monkeypatch):
+    """Or of what is evaluated again at both ends of a step, where that would take too much memory."""
+    found = []
+    for most in (pointboxes._STORED_MOST, 0):
+        monkeypatch.setattr(pointboxes, "_STORED_MOST", most)
+        problem = strip(1.0, 2, reset=3)
+        steps = list(problem.march(5, progress=False))
+        boxes = problem.system.interpolation.boxes[0]
+        assert bool(boxes._stored) == (most > 0)
+        found.append(([s.unresolved for s in steps], by_id(problem.points, problem.points.unresolved)))
+    np.testing.assert_allclose(found[1][0], found[0][0], rtol=1e-9)
+    np.testing.assert_allclose(found[1][1], found[0][1], rtol=1e-6, atol=1e-9)
 
 
 def test_a_thick_strip_does_not():

@@ -365,7 +365,7 @@ class BatchRates:
         form = self.form
         assert isinstance(form, ProjectedForm)
         kernels = form.compile_scalars(self.along.comm)
-        mean = self._mean(kernels.conjugate, at.z, at.zk, at.state, self.numbers).columns(0, form.scalars)
+        mean = self._mean(kernels.slopes, at.z, at.zk, at.state, self.numbers)
         if at.yielding is not None:
             mean.at_points = mean.at_points.copy()
             mean.at_points[at.yielding.rows] = self._returned(at)[:, self.layout.unknowns :]

@@ -229,6 +229,8 @@ class LoadedPoints(ProjectedPoints):
             native.fill(kernels, couple=self.couple_kernel.address, couple_of=rows, couples=couples)
         if self._boxes is not None:
             self._boxes[k].put(kernels, self.kernels[k][0])
+            if not self.interpolation.forms[k].scalars:  # projected ones are other ones at the end of a step
+                self._boxes[k].store(kernels, self.x, first=self.step.initial is None)
         mapping = self.mappings[k]
         if mapping is not None:
             self._put_yielding(mapping, k, tangent, kernels)

@@ -26,9 +26,11 @@ from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
 
-_BENT = structures.constant("_boxes.h", "BENT")
+_BENT, _LANES = structures.constant("_boxes.h", "BENT"), structures.constant("_points.h", "LANES")
+_STORED_MOST = 2**27  # bytes that a batch may store of a state for `PointBoxes.work`, twice
 _INSIDE = 1.0 - 1e-5  # how far a box reaches to the axis of a body of revolution, over its radius; rounding
 # on a side is divided by what is left
+SLIGHT = 0.001  # variation of gradients over a box that a tangent may leave out
 FLOWED = 0.003  # share of points that have flowed: what keeps cells from deforming for nothing
 
 
@@ -76,6 +78,8 @@ class PointBoxes:
             axes, hoop = axes * shorter[:, :, None], np.ascontiguousarray(hoop * shorter)
         self._axes, self._hoop = np.ascontiguousarray(axes), hoop
         self._arrays: dict[str, np.ndarray | None] = {"box_axes": self._axes, "box_hoop": hoop}
+        self._stored: dict[bool, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        self._stored_size: int | None = None
 
     @property
     def share(self) -> np.ndarray:
@@ -191,7 +195,7 @@ class PointBoxes:
         self.put(kernels, None)
         add = native.library().polarmpm_assemble_boxes
         structures = map(ctypes.byref, (self.batch, kernels, matrix))
-        if add(*structures, int(whole), int(lift_only), x, lifted):
+        if add(*structures, int(whole), SLIGHT, int(lift_only), x, lifted):
             raise MemoryError("no memory for the sums over the points' boxes")
 
     def gather(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
@@ -251,6 +255,7 @@ class PointBoxes:
         weight: np.ndarray,
         *,
         with_odd: bool = True,
+        among: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
         """What a kernel of z, state and parameters gives at the points (n, k), and what their boxes add with
         weights (n,): to it (n, k), times the derivatives along the half axes (n, d, k), and in bodies of
@@ -258,11 +263,13 @@ class PointBoxes:
 
         Args:
             z, zk, both: from `gather`.
+            among: the points are these of the batch's; not in bodies of revolution.
         """
         if both is not None:
             return self._means_of_rings(kernel, z, zk, both, weight)
         kept, (n, d, nz) = self.batch.kept, zk.shape
         state, param = kept["state"], kept["param"]
+        state = state if among is None else np.ascontiguousarray(state[among])
         if nz + state.shape[1] + len(param) != kernel.inputs:
             raise ValueError(
                 f"kernel has {kernel.inputs} inputs, {nz + state.shape[1] + len(param)} are given"
@@ -294,6 +301,28 @@ class PointBoxes:
         sides = weight[:, None, None]
         return here, weight[:, None] * even, sides * odd, sides * same
 
+    def store(self, kernels: native.PointKernels, x: np.ndarray, *, first: bool) -> None:
+        """Let the sums at nodal increments x (nodes, block) store what `work` needs of them; those at the
+        `first` of a step are kept beside the last ones. Local."""
+        if self._stored_size is None:
+            size = native.library().polarmpm_stored(ctypes.byref(self.batch))
+            number = -(-len(self.rows) // _LANES) * size
+            # what projects writes its scalars into the state, which isn't the same at both ends
+            kept = number * 8 <= _STORED_MOST and not self.layout.axial
+            self._stored_size = number if kept else 0
+        if not self._stored_size:
+            return
+        values = self._stored[first][2] if first in self._stored else np.empty(self._stored_size)
+        self._stored[first] = x.copy(), self.batch.kept["state"], values
+        native.fill(kernels, box_store=values)
+
+    def _stored_at(self, x: np.ndarray) -> np.ndarray | None:
+        """What has been stored at these nodal increments, in the present state."""
+        for at, state, values in self._stored.values():
+            if state is self.batch.kept["state"] and np.array_equal(at, x):
+                return values
+        return None
+
     def work(self, kernel: Kernel, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Work (J) of the change of the elastic stresses on the change of the strains between nodal
         increments (nodes, block), for each point (n,): inside its box, and in all.
@@ -306,7 +335,8 @@ class PointBoxes:
         native.fill(kernels, kernel=kernel.address)
         self.put(kernels, kernel)
         native.fill(kernels, box_share=np.ones(len(self.rows)))  # what the strains are, not what they count
+        ends = start, end, self._stored_at(start), self._stored_at(end)
         work = native.library().polarmpm_box_work
-        if work(ctypes.byref(self.batch), ctypes.byref(kernels), start, end, inside, whole):
+        if work(ctypes.byref(self.batch), ctypes.byref(kernels), *ends, inside, whole):
             raise MemoryError("no memory for the work in the points' boxes")
         return inside, whole

@@ -81,7 +81,7 @@ class ProjectedPoints(NodalSystem):
         """Energy (J) that holds points to their patches at increments x (nodes, block), on this rank."""
         parts = enumerate(self.projected)
         total = sum(p.energy(x, self._boxes_of(k)) for k, p in parts if p is not None)
-        if any(p is not None for p in self.projected):
+        if any(p is not None and p.form.stabilisation for p in self.projected):
             self.place()
         return float(total)
 

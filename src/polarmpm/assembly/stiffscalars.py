@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from mpi4py import MPI
@@ -24,7 +24,7 @@ from ..tools.rows import flat
 from .elasticvolumes import ElasticVolumes, Settled
 from .interpolation import Interpolation, PointBatch
 from .patches import Patches
-from .pointboxes import PointBoxes
+from .pointboxes import FLOWED, PointBoxes
 
 if TYPE_CHECKING:
     from ..forms.returnmapping import ReturnMapping, Yielding
@@ -68,6 +68,15 @@ class Mean:
     def whole(self) -> np.ndarray:
         """Points and boxes (n, k)."""
         return self.at_points if self.even is None else self.at_points + self.even
+
+
+@dataclass
+class Moduli:
+    """L_tz, L_zt, which elastic points have alike, and L_tt."""
+
+    tz: Mean
+    zt: Mean
+    tt: Mean
 
 
 @dataclass
@@ -240,19 +249,13 @@ class StiffScalars:
         kernels = native.PointKernels()
         if boxes is not None:
             boxes.put(kernels, None)
-        mean = self._mean(self.kernels.conjugate, boxes)
-        by_t, tz, tt = (
-            mean.columns(0, m),
-            mean.columns(m, m + m * nz),
-            mean.columns(m + m * nz, m * (1 + nz + m)),
-        )
-        zt = Mean(tz.at_points, tz.even, tz.odd, tz.both)
+        by_t, moduli = self._conjugates(boxes, tangent=tangent)
         if yielding is not None and len(yielding.rows):
-            _put_yielding(yielding, (by_t, tz, zt, tt), nz, self._turn, tangent=tangent)
+            _put_yielding(yielding, by_t, moduli, nz, self._turn)
         exact = self.patches.moments(by_t.whole)
         own = [measure.columns(m, m + m * nz)]
-        if tangent and settled is None:
-            own += [zt] if tz.at_points is zt.at_points else [zt, tz]
+        if moduli is not None and settled is None:
+            own += [moduli.zt] if moduli.zt is moduli.tz else [moduli.zt, moduli.tz]
         b, *others = self._vectors(kernels, *own)
         taken = exact
         if tangent and before is not None:
@@ -262,10 +265,10 @@ class StiffScalars:
         modes = len(exact), self.patches.modes
         found = Evaluated(b, exact.reshape(modes), taken.reshape(modes))
         local = None
-        if tangent and settled is not None:
-            local = self._share(found, settled, (tz, zt, tt), kernels)
-        elif tangent:
-            matrices = self.patches.products(tt.whole.reshape(n, m, m))
+        if moduli is not None and settled is not None:
+            local = self._share(found, settled, moduli, kernels)
+        elif moduli is not None:
+            matrices = self.patches.products(moduli.tt.whole.reshape(n, m, m))
             found.g, found.h = others[0], others[-1] + self.patches.combined(matrices, b)
         if yielding is not None and len(yielding.rows):
             found.returned = yielding.rows, self._returned(yielding, measure, local, tangent=tangent)
@@ -295,12 +298,32 @@ class StiffScalars:
         self._shared, mapping.yielding, self.dilates = (x.copy(), t), y, settled is not None
         return y, settled
 
-    def _share(
-        self, found: Evaluated, s: Settled, of: tuple[Mean, Mean, Mean], kernels: native.PointKernels
-    ) -> np.ndarray:
+    def _conjugates(self, boxes: PointBoxes | None, *, tangent: bool) -> tuple[Mean, Moduli | None]:
+        """L_t, and with the tangent its derivatives, in which the sides of boxes are left out that count for
+        little, as of points that have flowed."""
+        m, nz, k = self.form.scalars, self.form.layout.unknowns, self.kernels
+        if not tangent:
+            return self._mean(k.slopes, boxes), None
+        felt = None
+        if boxes is not None and self._zk is not None and self._both is None:
+            felt = np.flatnonzero(boxes.share > FLOWED)
+        if boxes is None or self._zk is None or felt is None or len(felt) == len(self._z):
+            mean = self._mean(k.conjugate, boxes)
+            by_t = mean.columns(0, m)
+        else:
+            by_t, here = self._mean(k.slopes, boxes), k.conjugate(*self._inputs(self._z))
+            even, odd = np.zeros_like(here), np.zeros((len(here), self._zk.shape[1], here.shape[1]))
+            if len(felt):
+                at = self._z[felt], self._zk[felt], None, boxes.share[felt] / 6.0
+                _, even[felt], odd[felt], _ = boxes.means(k.conjugate, *at, among=felt)
+            mean = Mean(here, even, odd).turned(self._turn, nz)
+        tz, tt = mean.columns(m, m + m * nz), mean.columns(m + m * nz, m * (1 + nz + m))
+        return by_t, Moduli(tz, tz, tt)
+
+    def _share(self, found: Evaluated, s: Settled, of: Moduli, kernels: native.PointKernels) -> np.ndarray:
         """The patches' part of the tangent where points share volumes out; L_zt f_z / f_t (n, nz, nz)."""
         patches, plain = self.patches, native.PointKernels()
-        tz, zt, tt = of
+        tz, zt, tt = of.tz, of.zt, of.tt
         by_z = s.by_z / s.by_t[:, None]
         found.g, of_z = self._vectors(kernels, zt.over(s.by_t), tz)
         f_z, of_t = self._vectors(plain, Mean(by_z), Mean(tt.whole * by_z))
@@ -382,22 +405,23 @@ def _turned(turn: np.ndarray, a: np.ndarray, nz: int) -> np.ndarray:
     return found
 
 
-def _put_yielding(
-    y: Yielding, means: tuple[Mean, Mean, Mean, Mean], nz: int, turn: np.ndarray | None, *, tangent: bool
-) -> None:
-    """Put what the return mapping gives at the points that yield in the place of L_t, L_tz, L_zt and L_tt."""
-    by_t, tz, zt, tt = means
+def _put_yielding(y: Yielding, by_t: Mean, moduli: Moduli | None, nz: int, turn: np.ndarray | None) -> None:
+    """Put what the return mapping gives at the points that yield in the place of L_t and its derivatives."""
     rows, n = y.rows, nz + by_t.at_points.shape[1]
     by_t.at_points = by_t.at_points.copy()
     of_t = y.returned[:, nz:n]
     by_t.at_points[rows] = of_t if turn is None else np.einsum("pij,pj->pi", turn[rows], of_t)
-    if tangent:
-        moduli = y.returned[:, n:].reshape(len(rows), n, n)
-        if turn is not None:
-            moduli = moduli.copy()
-            moduli[:, nz:] = turn[rows] @ moduli[:, nz:]
-            moduli[:, :, nz:] = moduli[:, :, nz:] @ np.swapaxes(turn[rows], 1, 2)
-        zt.at_points, tz.at_points, tt.at_points = (a.at_points.copy() for a in (tz, tz, tt))
-        zt.at_points[rows] = flat(np.swapaxes(moduli[:, :nz, nz:], 1, 2))
-        tz.at_points[rows] = flat(moduli[:, nz:, :nz])
-        tt.at_points[rows] = flat(moduli[:, nz:, nz:])
+    if moduli is None:
+        return
+    found = y.returned[:, n:].reshape(len(rows), n, n)
+    if turn is not None:
+        found = found.copy()
+        found[:, nz:] = turn[rows] @ found[:, nz:]
+        found[:, :, nz:] = found[:, :, nz:] @ np.swapaxes(turn[rows], 1, 2)
+    of_both, moduli.tz, moduli.zt = moduli.tz, replace(moduli.tz), replace(moduli.tz)
+    for mean in (moduli.tz, moduli.zt):
+        mean.at_points = of_both.at_points.copy()
+    moduli.tt.at_points = moduli.tt.at_points.copy()
+    moduli.zt.at_points[rows] = flat(np.swapaxes(found[:, :nz, nz:], 1, 2))
+    moduli.tz.at_points[rows] = flat(found[:, nz:, :nz])
+    moduli.tt.at_points[rows] = flat(found[:, nz:, nz:])

@@ -22,6 +22,8 @@ enum {
     BENT = 2                   /* values in z of a body of revolution: of the displacement and of the rotation */
 };
 
+#define LITTLE 0.01            /* share of a box whose sides' own moduli don't matter in a tangent */
+
 /* Memory for LANES points and their boxes. */
 typedef struct {
     vec *curved;               /* [lane][PAIRS][sv]: second derivatives of a point's functions */
@@ -208,6 +210,30 @@ INLINE void evaluate_boxes(const int dim, const int rot, const int second, const
     }
 }
 
+/* What is stored of LANES points and their boxes, LANES numbers each: z, what it does work on, the same of the box, then
+ * z_k (in a body of revolution the values' quadratic parts, too), and what these do work on. */
+INLINE int stored_sides(int dim, int rot, int second)
+{
+    return dim * unknowns_of(dim, rot, second) + (second == AXIAL) * SIDES * BENT;
+}
+
+INLINE int stored_of(int dim, int rot, int second)
+{
+    return (3 * unknowns_of(dim, rot, second) + 2 * stored_sides(dim, rot, second)) * LANES;
+}
+
+INLINE void store_boxes(const int dim, const int rot, const int second, const double *in, const double *residual, const BoxWork *w,
+                        double *out)
+{
+    const int block = unknowns_of(dim, rot, second) * LANES, bent = (second == AXIAL) * SIDES * BENT * LANES;
+    const void *parts[] = {in, residual, w->sums, w->zk, w->arched, w->sums + block, w->both};
+    const int sizes[] = {block, block, block, dim * block, bent, dim * block, bent};
+    for (int k = 0; k < 7; ++k) {
+        memcpy(out, parts[k], sizeof(double) * sizes[k]);
+        out += sizes[k];
+    }
+}
+
 /* What virtual values and derivatives multiply in place of virtual z and z_k: the first `sums`, and `bent`. */
 INLINE void collect_sides(const int dim, const int rot, const int second, const BoxWork *w)
 {
@@ -305,6 +331,35 @@ INLINE void evaluate_sides(const int dim, const int rot, const int second, const
             put_side(dim, rot, second, in, sign, k, w);
             kernel(w->z, w->moduli + (2 * k + down) * outputs * LANES);
         }
+}
+
+/* Whether a point's sides may have its own moduli in a tangent: its box counts for little, as of points that have flowed,
+ * or displacement gradients and rotations vary by no more than `slight` over it. */
+INLINE int is_simple(const int dim, const int rot, const int second, const PointKernels *kernels, int64_t p, int l, double slight,
+                     const BoxWork *w)
+{
+    if (second == AXIAL) return 0;
+    if (kernels->box_share[p] <= LITTLE) return 1;
+    const int nz = unknowns_of(dim, rot, second);
+    double most = 0.0;
+    for (int k = 0; k < dim; ++k) {
+        const double *zk = w->zk + k * nz * LANES + l;
+        double sum = 0.0;
+        for (int i = 0; i < dim; ++i)
+            for (int c = 0; c < dim; ++c) sum += zk[(gradient_slot(dim, rot, i) + c) * LANES] * zk[(gradient_slot(dim, rot, i) + c) * LANES];
+        for (int i = dim; i < dim + rot; ++i) sum += zk[value_slot(dim, rot, i) * LANES] * zk[value_slot(dim, rot, i) * LANES];
+        most = sum > most ? sum : most;
+    }
+    return most <= slight * slight;
+}
+
+/* Gives the sides of lanes the moduli of their points. */
+INLINE void simplify_sides(const int dim, const int rot, const int second, const int *simple, int lanes, const double *out, BoxWork *w)
+{
+    const int nz = unknowns_of(dim, rot, second), outputs = nz + nz * (nz + 1) / 2;
+    for (int l = 0; l < lanes; ++l)
+        for (int side = 0; simple[l] && side < 2 * dim; ++side)
+            for (int i = nz; i < outputs; ++i) w->moduli[(side * outputs + i) * LANES + l] = out[i * LANES + l];
 }
 
 /* Shapes of lanes l .. end moved to the centre of a side, by sign times their derivatives. */

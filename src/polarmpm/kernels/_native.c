@@ -108,59 +108,52 @@ INLINE int lanes_from(const Batch *b, int64_t start)
     return (int)(b->npoints - start < LANES ? b->npoints - start : LANES);
 }
 
-/* Evaluate LANES points from `start` on, of which `lanes_from` are real: shapes of each, then the kernels. */
-INLINE void evaluate(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
-                     const double *x, int64_t start, int64_t *group, int64_t *group_of, Work *w, int *coupled)
+/* What the kernels read of LANES points from `start` on, of which `lanes_from` are real: shapes of each, then z and the
+ * state. */
+INLINE void gather_lanes(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
+                         const double *x, int64_t start, int64_t *group, int64_t *group_of, Work *w)
 {
     const int nb = dim + rot, nz = unknowns_of(dim, rot, second), ns = b->nstate, np = b->nparam, sv = w->sv;
-    const int turn = value_slot(dim, rot, dim);  /* rotations in z; couples do work in space only */
     const int lanes = lanes_from(b, start);
-    int open = 0;
-    *coupled = 0;
+    BoxWork *boxes = &w->boxes;
     for (int l = 0; l < lanes; ++l) {
         const int64_t p = start + l;
-        open |= !kernels->returned_of || kernels->returned_of[p] < 0;
         while (p >= b->offsets[*group + 1]) ++*group;
         group_of[l] = *group;
-        const int n = nodes_of(b, *group), nv = (n + WIDTH - 1) / WIDTH;
-        const int32_t *nodes = b->nodes + b->node_offsets[*group];
-        if (w->gathered != *group) {
+        const int n = nodes_of(b, *group);
+        const int32_t *count = b->count + *group * dim;
+        vec *s = w->shapes + (int64_t)l * shapes_of(second) * sv;
+        shape(dim, b, p, count, b->state + p * ns, sv * WIDTH, (double *)s);
+        if (second == SECOND) second_shape(dim, b, p, count, b->state + p * ns, n, sv, w->raw, s);
+        if (kernels->box_axes) find_curved(dim, rot, b, kernels, p, count, n, sv, l, boxes);
+        for (int k = 0; k < ns; ++k) w->in[(nz + k) * LANES + l] = b->state[p * ns + k];
+    }
+    for (int l = 0; l < lanes; ++l) {
+        const int64_t g = group_of[l];
+        const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH;
+        const int32_t *nodes = b->nodes + b->node_offsets[g];
+        if (w->gathered != g) {
             gather_group(nb, n, sv, nodes, x, w->x);
             if (kernels->before) gather_group(nb, n, sv, nodes, kernels->before, w->before);
-            w->gathered = *group;
+            w->gathered = g;
         }
-        vec *s = w->shapes + (int64_t)l * shapes_of(second) * sv;
-        shape(dim, b, p, b->count + *group * dim, b->state + p * ns, sv * WIDTH, (double *)s);
-        if (second == SECOND) second_shape(dim, b, p, b->count + *group * dim, b->state + p * ns, n, sv, w->raw, s);
+        const vec *s = w->shapes + (int64_t)l * shapes_of(second) * sv;
         interpolate(dim, rot, second, nv, sv, s, w->x, w->in + l, LANES);
         if (kernels->before)
             interpolate(dim, rot, second, nv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l, LANES);
         if (kernels->box_axes) {
-            BoxWork *boxes = &w->boxes;
-            find_curved(dim, rot, b, kernels, p, b->count + *group * dim, n, sv, l, boxes);
             gather_curved(dim, rot, nv, sv, w->x, l, boxes, boxes->h);
             if (kernels->before) gather_curved(dim, rot, nv, sv, w->before, l, boxes, boxes->h_before);
-        }
-        for (int k = 0; k < ns; ++k) w->in[(nz + k) * LANES + l] = b->state[p * ns + k];
-        if (kernels->couple) {
-            const int32_t row = kernels->couple_of[p];
-            *coupled |= row >= 0;
-            for (int k = 0; k < SPIN; ++k) {
-                w->cin[k * LANES + l] = w->in[(turn + k) * LANES + l];
-                w->cin[(SPIN + k) * LANES + l] = row >= 0 ? kernels->couples[SPIN * row + k] : 0.0;
-            }
         }
     }
     for (int l = lanes; l < LANES; ++l) {  /* lanes without a point repeat the last one */
         for (int k = 0; k < nz + ns; ++k) w->in[k * LANES + l] = w->in[k * LANES + lanes - 1];
         for (int k = nz + ns + np; kernels->before && k < 2 * nz + ns + np; ++k)
             w->in[k * LANES + l] = w->in[k * LANES + lanes - 1];
-        for (int k = 0; k < 2 * SPIN; ++k) w->cin[k * LANES + l] = w->cin[k * LANES + lanes - 1];
     }
     for (int l = lanes; kernels->box_hoop && l < LANES; ++l)
-        for (int k = 0; k < dim; ++k) w->boxes.hoop[k][l] = w->boxes.hoop[k][lanes - 1];
+        for (int k = 0; k < dim; ++k) boxes->hoop[k][l] = boxes->hoop[k][lanes - 1];
     if (kernels->box_axes) {
-        BoxWork *boxes = &w->boxes;
         find_along(dim, w->in + nz * LANES, boxes);
         find_zk(dim, rot, second, kernels, start, lanes, w->in, boxes->h, boxes, boxes->zk);
         find_arched(dim, rot, second, boxes->h, boxes, boxes->arched);
@@ -168,8 +161,31 @@ INLINE void evaluate(const int dim, const int rot, const int second, const Batch
         if (kernels->before) find_zk(dim, rot, second, kernels, start, lanes, before, boxes->h_before, boxes, boxes->before);
         if (kernels->before) find_arched(dim, rot, second, boxes->h_before, boxes, boxes->arched_before);
     }
-    if (open || kernels->box_axes) kernels->kernel(w->in, w->out);
+}
+
+/* Evaluate LANES points from `start` on, and their boxes. */
+INLINE void evaluate(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
+                     const double *x, int64_t start, int64_t *group, int64_t *group_of, Work *w, int *coupled)
+{
+    const int turn = value_slot(dim, rot, dim);  /* rotations in z; couples do work in space only */
+    const int lanes = lanes_from(b, start);
+    int open = 0;
+    *coupled = 0;
+    gather_lanes(dim, rot, second, b, kernels, x, start, group, group_of, w);
+    for (int l = 0; l < lanes; ++l) open |= !kernels->returned_of || kernels->returned_of[start + l] < 0;
+    for (int l = 0; kernels->couple && l < LANES; ++l) {
+        const int32_t row = kernels->couple_of[start + (l < lanes ? l : lanes - 1)];
+        *coupled |= row >= 0;
+        for (int k = 0; k < SPIN; ++k) {
+            w->cin[k * LANES + l] = w->in[(turn + k) * LANES + l];
+            w->cin[(SPIN + k) * LANES + l] = row >= 0 ? kernels->couples[SPIN * row + k] : 0.0;
+        }
+    }
+    if (open || (kernels->box_axes && !kernels->box_kernel)) kernels->kernel(w->in, w->out);
+    else if (kernels->box_kernel) kernels->box_kernel(w->in, w->out);  /* points that yield: the boxes' residual alone */
     if (kernels->box_kernel) evaluate_boxes(dim, rot, second, b, kernels->box_kernel, w->in, w->out, &w->boxes);
+    if (kernels->box_store)
+        store_boxes(dim, rot, second, w->in, w->out, &w->boxes, kernels->box_store + start / LANES * stored_of(dim, rot, second));
     if (*coupled) kernels->couple(w->cin, w->cout);
     if (kernels->initial) evaluate_initial(dim, rot, second, kernels, start, lanes, w);
 }
@@ -389,7 +405,7 @@ static int is_lifted(const Batch *b, const Matrix *M, int64_t g, int nb)
 }
 
 INLINE void assemble_boxes(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Matrix *M,
-                           int32_t whole, int32_t lift_only, const double *x, double *rhs, Work *w)
+                           int32_t whole, double slight, int32_t lift_only, const double *x, double *rhs, Work *w)
 {
     int64_t group = 0, group_of[LANES];
     int lifted[LANES];
@@ -408,12 +424,18 @@ INLINE void assemble_boxes(const int dim, const int rot, const int second, const
             if (!some) continue;
         }
         evaluate_sized(b, kernels, x, start, &group, group_of, w, &coupled);
-        if (whole) evaluate_sides(dim, rot, second, b, kernels->kernel, w->in, &w->boxes);
+        int simple[LANES], large = 0;
+        for (int l = 0; whole && l < lanes; ++l)
+            large |= !(simple[l] = is_simple(dim, rot, second, kernels, start + l, l, slight, &w->boxes));
+        if (large) {
+            evaluate_sides(dim, rot, second, b, kernels->kernel, w->in, &w->boxes);
+            simplify_sides(dim, rot, second, simple, lanes, w->out, &w->boxes);
+        }
         for (int l = 0, end; l < lanes; l = end) {
             const int64_t g = group_of[l];
             for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
             if (lift_only && !lifted[l]) continue;
-            add_boxes(dim, rot, second, b, kernels, M, whole, w, start, g, l, end);
+            add_boxes(dim, rot, second, b, kernels, M, large, w, start, g, l, end);
             if (start + end < b->offsets[g + 1]) continue;
             const int n = nodes_of(b, g);
             if (lift_only) add_lifted(b, M, g, dim + rot, n, (n + WIDTH - 1) / WIDTH, (double *)w->K, rhs);
@@ -422,19 +444,20 @@ INLINE void assemble_boxes(const int dim, const int rot, const int second, const
     }
 }
 
-SPECIALISED(assemble_boxes, (const Batch *b, const PointKernels *kernels, const Matrix *M, int32_t whole,
-            int32_t lift_only, const double *x, double *rhs, Work *w), b, kernels, M, whole, lift_only, x, rhs, w)
+SPECIALISED(assemble_boxes, (const Batch *b, const PointKernels *kernels, const Matrix *M, int32_t whole, double slight,
+            int32_t lift_only, const double *x, double *rhs, Work *w), b, kernels, M, whole, slight, lift_only, x, rhs, w)
 
-/* The tangent of the boxes to M: `whole`, or what their sides' strains add while the moduli are those of the points. The
+/* The tangent of the boxes to M: `whole`, or what their sides' strains add while the moduli are those of the points; the
+ * latter also of points over whose boxes gradients vary by no more than `slight`. The
  * kernel is that of the elastic energy. `rhs` as in polarmpm_assemble; with `lift_only` nothing else is summed. Returns
  * nonzero when memory ran out. */
 int polarmpm_assemble_boxes(const Batch *b, const PointKernels *kernels, const Matrix *M, int32_t whole,
-                            int32_t lift_only, const double *x, double *rhs)
+                            double slight, int32_t lift_only, const double *x, double *rhs)
 {
     if (b->npoints == 0) return 0;
     Work w;
     const int failed = create_work(b, 1, 1, 1 + whole, &w);
-    if (!failed) assemble_boxes_sized(b, kernels, M, whole, lift_only, x, rhs, &w);
+    if (!failed) assemble_boxes_sized(b, kernels, M, whole, slight, lift_only, x, rhs, &w);
     free_work(&w);
     return failed;
 }
@@ -442,25 +465,16 @@ int polarmpm_assemble_boxes(const Batch *b, const PointKernels *kernels, const M
 INLINE void gather_boxes(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const double *x,
                          double *z, double *zk, double *bent, Work *w)
 {
-    const int nb = dim + rot, nz = unknowns_of(dim, rot, second), sv = w->sv;
-    for (int64_t g = 0; g < b->ngroups; ++g) {
-        const int32_t *count = b->count + g * dim;
-        const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH;
-        gather_group(nb, n, sv, b->nodes + b->node_offsets[g], x, w->x);
-        for (int64_t p = b->offsets[g]; p < b->offsets[g + 1]; ++p) {
-            shape(dim, b, p, count, b->state + p * b->nstate, sv * WIDTH, (double *)w->shapes);
-            if (second == SECOND) second_shape(dim, b, p, count, b->state + p * b->nstate, n, sv, w->raw, w->shapes);
-            interpolate(dim, rot, second, nv, sv, w->shapes, w->x, w->in, LANES);
-            find_curved(dim, rot, b, kernels, p, count, n, sv, 0, &w->boxes);
-            gather_curved(dim, rot, nv, sv, w->x, 0, &w->boxes, w->boxes.h);
-            for (int k = 0; k < dim * dim; ++k) w->in[(nz + k) * LANES] = b->state[p * b->nstate + k];
-            find_along(dim, w->in + nz * LANES, &w->boxes);
-            find_zk(dim, rot, second, kernels, p, 1, w->in, w->boxes.h, &w->boxes, w->boxes.zk);
-            for (int i = 0; i < nz; ++i) z[p * nz + i] = w->in[i * LANES];
-            for (int i = 0; i < dim * nz; ++i) zk[p * dim * nz + i] = w->boxes.zk[i * LANES];
-            find_arched(dim, rot, second, w->boxes.h, &w->boxes, w->boxes.arched);
+    const int nz = unknowns_of(dim, rot, second);
+    int64_t group = 0, group_of[LANES];
+    for (int64_t start = 0; start < b->npoints; start += LANES) {
+        gather_lanes(dim, rot, second, b, kernels, x, start, &group, group_of, w);
+        for (int l = 0; l < lanes_from(b, start); ++l) {
+            const int64_t p = start + l;
+            for (int i = 0; i < nz; ++i) z[p * nz + i] = w->in[i * LANES + l];
+            for (int i = 0; i < dim * nz; ++i) zk[p * dim * nz + i] = w->boxes.zk[i * LANES + l];
             for (int k = 0; bent && k < dim; ++k)
-                for (int v = 0; v < values_of(rot, second); ++v) bent[(p * dim + k) * BENT + v] = w->boxes.arched[k * BENT + v][0];
+                for (int v = 0; v < values_of(rot, second); ++v) bent[(p * dim + k) * BENT + v] = w->boxes.arched[k * BENT + v][l];
         }
     }
 }
@@ -480,59 +494,60 @@ int polarmpm_gather_boxes(const Batch *b, const PointKernels *kernels, const dou
 }
 
 INLINE void box_work(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const double *from,
-                     const double *to, double *inside, double *whole, Work *w, double *old)
+                     const double *to, const double *from_store, const double *to_store, double *inside, double *whole, Work *w,
+                     double *room)
 {
-    const int nz = unknowns_of(dim, rot, second), block = nz * LANES, sides = (1 + dim) * block;
-    double *z = old, *r = z + block, *zk = r + block, *sums = zk + dim * block;
-    double *bent = old + (3 + 2 * SIDES) * block, *both = bent + SIDES * BENT * LANES;
-    const BoxWork *boxes = &w->boxes;
+    const int size = stored_of(dim, rot, second), nz = unknowns_of(dim, rot, second), sides = stored_sides(dim, rot, second);
     int64_t group = 0, group_of[LANES];
     for (int64_t start = 0; start < b->npoints; start += LANES) {
-        int coupled;
-        int64_t first = group;
-        evaluate_sized(b, kernels, from, start, &first, group_of, w, &coupled);
-        memcpy(z, w->in, sizeof(double) * block), memcpy(r, w->out, sizeof(double) * block);
-        memcpy(zk, boxes->zk, sizeof(double) * dim * block), memcpy(sums, boxes->sums, sizeof(double) * sides);
-        memcpy(bent, boxes->arched, sizeof(double) * SIDES * BENT * LANES);
-        memcpy(both, boxes->both, sizeof(double) * SIDES * BENT * LANES);
-        w->gathered = -1;  /* the same group at other nodal values */
-        const int lanes = lanes_from(b, start);
-        evaluate_sized(b, kernels, to, start, &group, group_of, w, &coupled);
-        w->gathered = -1;
-        const double *arched = (const double *)boxes->arched, *on_both = (const double *)boxes->both;
-        for (int l = 0; l < lanes; ++l) {
+        const double *given[2] = {from_store, to_store}, *x[2] = {from, to};
+        const loose_t *at[2];
+        for (int end = 0; end < 2; ++end) {
+            at[end] = (const loose_t *)(given[end] ? given[end] + start / LANES * size : room + end * size);
+            if (given[end]) continue;
+            int coupled;
+            int64_t first = group;
+            evaluate_sized(b, kernels, x[end], start, &first, group_of, w, &coupled);
+            w->gathered = -1;  /* the same group at other nodal values */
+            store_boxes(dim, rot, second, w->in, w->out, &w->boxes, room + end * size);
+            if (end) group = first;
+        }
+        loose_t at_point = {0}, in_box = {0};  /* z and what it does work on at the point; z_k and so on in its box */
+        for (int i = 0; i < nz; ++i) {
+            const loose_t moved = at[1][i] - at[0][i];
+            at_point += moved * (at[1][nz + i] - at[0][nz + i]);
+            in_box += moved * (at[1][2 * nz + i] - at[0][2 * nz + i]);
+        }
+        for (int i = 3 * nz; i < 3 * nz + sides; ++i)
+            in_box += (at[1][i] - at[0][i]) * (at[1][sides + i] - at[0][sides + i]);
+        for (int l = 0; l < lanes_from(b, start); ++l) {
             const double volume = b->volume[start + l], weight = volume * kernels->box_share[start + l] / 6.0;
-            double at_point = 0.0, in_box = 0.0;
-            for (int i = l; i < block; i += LANES) {
-                at_point += (w->in[i] - z[i]) * (w->out[i] - r[i]);
-                in_box += (w->in[i] - z[i]) * (boxes->sums[i] - sums[i]);
-            }
-            for (int i = l; i < dim * block; i += LANES)
-                in_box += (boxes->zk[i] - zk[i]) * (boxes->sums[block + i] - sums[block + i]);
-            for (int i = l; second == AXIAL && i < dim * BENT * LANES; i += LANES)
-                in_box += (arched[i] - bent[i]) * (on_both[i] - both[i]);
-            inside[start + l] = weight * in_box;
-            whole[start + l] = volume * at_point + weight * in_box;
+            inside[start + l] = weight * in_box[l];
+            whole[start + l] = volume * at_point[l] + weight * in_box[l];
         }
     }
 }
 
-SPECIALISED(box_work, (const Batch *b, const PointKernels *kernels, const double *from, const double *to,
-            double *inside, double *whole, Work *w, double *old), b, kernels, from, to, inside, whole, w, old)
+SPECIALISED(box_work, (const Batch *b, const PointKernels *kernels, const double *from, const double *to, const double *from_store,
+            const double *to_store, double *inside, double *whole, Work *w, double *room), b, kernels, from, to, from_store,
+            to_store, inside, whole, w, room)
+
+/* Numbers that `box_store` takes for LANES points. */
+int polarmpm_stored(const Batch *b) { return stored_of(b->dim, b->rot, b->second); }
 
 /* Of each point, the work of the change of its elastic stresses on the increments between two nodal states, and what of
- * it is done inside its box: (z' - z)(R' - R), twice the energy of the change where that is linear. Returns nonzero when
- * memory ran out. */
-int polarmpm_box_work(const Batch *b, const PointKernels *kernels, const double *from, const double *to,
-                      double *inside, double *whole)
+ * it is done inside its box: (z' - z)(R' - R), twice the energy of the change where that is linear. What a `box_store` has
+ * taken in these states isn't evaluated again; NULL: nothing. Returns nonzero when memory ran out. */
+int polarmpm_box_work(const Batch *b, const PointKernels *kernels, const double *from, const double *to, const double *from_store,
+                      const double *to_store, double *inside, double *whole)
 {
     if (b->npoints == 0) return 0;
     Work w;
-    double *old = vectors(((size_t)(3 + 2 * SIDES) * unknowns_of(b->dim, b->rot, b->second) + 2 * SIDES * BENT) * LANES);
-    const int failed = create_work(b, 0, 0, 1, &w) || !old;
-    if (!failed) box_work_sized(b, kernels, from, to, inside, whole, &w, old);
+    double *room = vectors(2 * (size_t)stored_of(b->dim, b->rot, b->second));
+    const int failed = create_work(b, 0, 0, 1, &w) || !room;
+    if (!failed) box_work_sized(b, kernels, from, to, from_store, to_store, inside, whole, &w, room);
     free_work(&w);
-    free(old);
+    free(room);
     return failed;
 }
 

@@ -19,6 +19,7 @@ enum {
 
 typedef double vec __attribute__((vector_size(8 * WIDTH), aligned(8 * WIDTH)));
 typedef double lanes_t __attribute__((vector_size(8 * LANES), aligned(8 * LANES)));  /* a number of LANES points */
+typedef double loose_t __attribute__((vector_size(8 * LANES), aligned(8)));  /* anywhere in memory */
 typedef int64_t mask_t __attribute__((vector_size(8 * LANES), aligned(8 * LANES)));  /* all bits or none of a lane */
 typedef void (*kernel_t)(const double *in, double *out);
 
@@ -75,6 +76,7 @@ typedef struct {
     const double *box_turns;   /* [point][dim][rot (1 + dim)] what z_k begins with, of rotations and their gradients; NULL: zero */
     const double *box_hoop;    /* [point][dim] of bodies of revolution: what the half axes have along the radius, over it */
     const double *box_share;   /* [point] share of the boxes' energy */
+    double *box_store;         /* [LANES points][polarmpm_stored] takes what polarmpm_box_work needs of a state; NULL: nothing */
 } PointKernels;
 
 typedef struct {
