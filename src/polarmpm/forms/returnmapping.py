@@ -30,7 +30,7 @@ from .returns import Return
 # last step sits on the surface: its tangent at the start of a step is the elastoplastic one.
 _YIELD = -1e-10
 _TOLERANCE = 1e-13  # of the local residual, as a strain
-_OFF = 1e-6  # of the way to the trial state: start values that another run gives
+_OFF = 1e-4  # of the way to the trial state: start values that another run gives
 _LOOSE = 1e-9  # accepted where rounding ends the iteration; T 4.3.3 uses it throughout
 _BACKWARDS = -1e-8  # a strain: flow that is no more than rounding
 _OUTSIDE = 1e-9  # yield function over elastic modulus that a solution on another surface may have
