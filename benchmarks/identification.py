@@ -203,7 +203,7 @@ def other(args):
         inside, z, chi2 = [], [], []
         for seed in range(args.realisations):
             noisy = clean + sigma * np.random.default_rng(seed).standard_normal(clean.shape)
-            test = pm.Experiment(strip, data={"field": (noisy[None], sigma)}, cell=cell, march={"steps": 2})
+            test = pm.Experiment(strip, data={"field": (noisy, sigma)}, cell=cell, march={"steps": 2})
             fit = pm.identify(test, start=STRIP, free=list(STRIP))
             ends = fit.intervals()
             inside += [ends[n][0] < STRIP[n] < ends[n][1] for n in fit.names]

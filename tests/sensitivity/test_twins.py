@@ -152,6 +152,36 @@ def test_a_run_that_is_dropped_is_gone():
         gc.enable()
 
 
+def test_local_iterations_begin_from_those_of_the_run(monkeypatch):
+    """They are fewer, and closer: kappa, which hardly matters, has a digit more."""
+    from polarmpm.assembly import borrowed
+    from polarmpm.forms.returnmapping import ReturnMapping
+
+    evaluate = ReturnMapping.evaluate
+
+    def noted(self: Any, *args: Any) -> Any:
+        found = evaluate(self, *args)
+        if self.near is not None:
+            counts.append((int(found.iterations.sum()), len(found.rows)))
+        return found
+
+    def run() -> tuple[Any, float]:
+        counts.clear()
+        found = rates(scenes.column, SOIL, ["c", "kappa"], marches(3))
+        iterations, points = COMM.allreduce(np.sum(counts, axis=0, dtype=float))
+        return found, iterations / points
+
+    counts: list[tuple[int, int]] = []
+    monkeypatch.setattr(ReturnMapping, "evaluate", noted)
+    near, few = run()
+    monkeypatch.setattr(borrowed, "_yielding_near", lambda *args: None)
+    far, many = run()
+    exact = rates(scenes.column, SOIL, ["c", "kappa"], marches(3), method="exact")
+    assert digits(near, exact) >= 6.5
+    assert digits(far, exact) >= 5.5
+    assert few < 0.7 * many
+
+
 def test_one_side_costs_half():
     with pm.Sensitivity(scenes.cantilever, BEAM, ["l"], sides=1) as run:
         found = [run.rates["root"]["l"] for _ in run.march(2)]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
@@ -20,8 +21,20 @@ from .interpolation import Interpolation
 from .loadedpoints import LoadedPoints, Shift
 from .points import PointSystem
 
+if TYPE_CHECKING:
+    from ..forms.returnmapping import Yielding
+
 _GRADIENTS = 1e-10, 1e-6  # relative residuals of the first motion, and of one that improves it
 _MOST_GRADIENTS, _WORSE = 60, 100.0  # iterations; growth of a square at which they lead nowhere
+
+
+def _yielding_near(leader: Callable[[], Any], k: int, rows: np.ndarray) -> Yielding | None:
+    """What the leader has found at the points of batch k, rows (n,), that yield."""
+    lead = leader()
+    if not np.array_equal(lead.interpolation.batches[k].rows, rows):
+        return None
+    found: Yielding | None = lead.mappings[k].yielding
+    return found
 
 
 class BorrowedPoints(PointSystem):
@@ -45,6 +58,9 @@ class BorrowedPoints(PointSystem):
     ):
         LoadedPoints.__init__(self, interpolation, kernels, couple_kernel, prescribed, timer)
         self._leader, self._keeps_boxes, self._few = leader, False, False
+        for k, (mapping, batch) in enumerate(zip(self.mappings, interpolation.batches, strict=True)):
+            if mapping is not None:  # which must not hold this system: no circles
+                mapping.near = partial(_yielding_near, leader, k, batch.rows)
 
     def solve(self, right: np.ndarray, fresh: bool, accuracy: float) -> np.ndarray:
         found: np.ndarray = self._leader().solve_again(right)

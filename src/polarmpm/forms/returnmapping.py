@@ -8,6 +8,7 @@ has no admissible solution, the others are tried.
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 from mpi4py import MPI
@@ -29,6 +30,7 @@ from .returns import Return
 # last step sits on the surface: its tangent at the start of a step is the elastoplastic one.
 _YIELD = -1e-10
 _TOLERANCE = 1e-13  # of the local residual, as a strain
+_OFF = 1e-4  # of the way to the trial state: start values that another run gives
 _LOOSE = 1e-9  # accepted where rounding ends the iteration; T 4.3.3 uses it throughout
 _BACKWARDS = -1e-8  # a strain: flow that is no more than rounding
 _OUTSIDE = 1e-9  # yield function over elastic modulus that a solution on another surface may have
@@ -86,7 +88,11 @@ class ReturnMapping:
         yielding: what the last evaluation found.
         dissipated: of the step that ends next, by the stresses at which forces are in balance: rows of
             points, and what they dissipate (Pa); None: those are the stresses at its end.
+        near: gives what another run has found close by, from which the local iterations begin; None: they
+            begin from the trial state.
     """
+
+    near: Callable[[], Yielding | None] | None = None
 
     def __init__(self, form: PointForm, comm: MPI.Comm, ids: np.ndarray):
         assert isinstance(form, PlasticForm)
@@ -123,7 +129,8 @@ class ReturnMapping:
             np.zeros((len(rows), nz * (1 + nz) if tangent else nz)),
             np.zeros(len(rows), dtype=np.int32),
         )
-        open_ = self._solve_all(y, tangent)
+        known_near = None if self.near is None else self._begin_near(y, among)
+        open_ = self._solve_all(y, tangent, known_near)
         # on the surface to rounding, with no flow to speak of: elastic
         idle = open_ & (f[rows] <= -_YIELD * modulus)
         failed = np.concatenate([lost, ids[rows[open_ & ~idle]]])
@@ -141,9 +148,31 @@ class ReturnMapping:
         than the first one."""
         return np.where(likely.max(axis=1) > 0, 1 + likely.argmax(axis=1), 0)
 
-    def _solve_all(self, y: Yielding, tangent: bool) -> np.ndarray:
+    def _begin_near(self, y: Yielding, among: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Local unknowns (n, nx) of another run close by, and the regions (n,) on which it has found them; -1
+        where it has none. They are a little off, so that one iteration is made at least: what is right to
+        the tolerance there isn't here."""
+        X, region = y.X.copy(), np.full(len(y.rows), -1)
+        assert self.near is not None
+        other = self.near()
+        if other is not None and len(other.rows):
+            rows = y.rows if among is None else among[y.rows]
+            order = np.argsort(other.rows)
+            at = order[np.minimum(np.searchsorted(other.rows[order], rows), len(order) - 1)]
+            there = other.rows[at] == rows
+            X[there] = other.X[at[there]] + _OFF * (y.X[there] - other.X[at[there]])
+            region[there] = other.region[at[there]]
+        return X, region
+
+    def _solve_all(
+        self, y: Yielding, tangent: bool, near: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> np.ndarray:
         """Solve for all yielding points; which of them are left without a solution (n,). Every rank makes
-        the same attempts."""
+        the same attempts.
+
+        Args:
+            near: what is attempted first, see `_begin_near`.
+        """
         open_, start, first = np.ones(len(y.rows), dtype=bool), y.X.copy(), y.region.copy()
         numbers = range(len(self.form.regions))
 
@@ -154,8 +183,12 @@ class ReturnMapping:
                     y.X[at] = start[at]
                 open_[at] = ~self._solve(y, at, region, tangent)
 
+        if near is not None:
+            y.X[:] = near[0]
+            for k in numbers:
+                attempt(near[1] == k, k, afresh=False)
         for k in numbers:
-            attempt(first == k, k)
+            attempt(open_ & (first == k), k)
         if len(numbers) > 1:
             for k in numbers:
                 attempt(open_ & (first != k), k)

@@ -170,6 +170,8 @@ class Sensitivity:
             problem, observables, value = self._beside(leader, name, sign * self.steps[name])
             twins.append(Twin(leader, problem, observables))
             used.append(value)
+        if len(twins) == 2:
+            twins[1].search.mirror = twins[0].search
         over = used[0] - (used[1] if self.sides == 2 else self.given[name])
         return _Pair(name, self.steps[name], twins, over)
 

@@ -50,11 +50,16 @@ class TwinSearch(Search):
 
     Attributes:
         check: imbalance after the chord steps over that before them, of the last step.
+        mirror: of a twin with a change of the parameter to the other side, which goes first; None: there is
+            none. To second order it is as far from the leading run.
     """
 
     def __init__(self, lead: Lead):
         self.lead = lead
         self.check = 0.0
+        self.mirror: TwinSearch | None = None
+        self._before = 0.0
+        self._found: tuple[Record, np.ndarray, float] | None = None  # the step, its end, the imbalance before
 
     def at_factor(
         self, system: NodalSystem, start: np.ndarray, increments: np.ndarray, controls: Controls
@@ -88,12 +93,21 @@ class TwinSearch(Search):
 
     # at a load factor -------------------------------------------------------------------------------
     def _chords(self, system: NodalSystem, start: np.ndarray, increments: np.ndarray, record: Record) -> None:
-        moved, fixed = record.end - record.start, system.prescribed.fixed
-        _put(system, np.where(fixed, increments, start + moved))
-        self.check = self._balance(system, record.residual, record.level)
+        fixed, other = system.prescribed.fixed, None if self.mirror is None else self.mirror._found
+        guess, before = start + (record.end - record.start), 0.0
+        if other is not None and other[0] is record:
+            guess, before = 2.0 * record.end - other[1], other[2]
+        _put(system, np.where(fixed, increments, guess))
+        self.check = self._balance(system, record.residual, record.level, before=before)
+        self._found = record, system.x, self._before
 
     def _balance(
-        self, system: NodalSystem, left: np.ndarray, level: float, path: Path | None = None
+        self,
+        system: NodalSystem,
+        left: np.ndarray,
+        level: float,
+        path: Path | None = None,
+        before: float = 0.0,
     ) -> float:
         """Chord steps; what they leave of the imbalance. Collective.
 
@@ -101,6 +115,7 @@ class TwinSearch(Search):
             left: out of balance in the leading run (nodes, block).
             level: forces that rounding makes.
             path: its load factor is an unknown, too.
+            before: imbalance where the parameter's change alone is felt; 0: that of the start.
         """
         found: list[float] = []
         secants, best = _Secants(system), system.x
@@ -109,7 +124,8 @@ class TwinSearch(Search):
             r = system.residual - left
             found.append(_norm(system, r))
             best = system.x if found[-1] <= min(found) else best
-            if _ended(found, level):
+            self._before = first = max(found[0], before)
+            if _ended(found, level, first):
                 break
             if path is None:
                 system.add(secants.step(r))
@@ -119,7 +135,7 @@ class TwinSearch(Search):
             system.jump(best)
             system.evaluate(False)
             found.append(min(found))
-        first, last = found[0], found[-1]
+        last = found[-1]
         if not np.isfinite(last):
             return np.inf
         share = last / first if first > 0.0 else 0.0
@@ -148,16 +164,17 @@ class TwinSearch(Search):
         self.check = max(checks)
 
 
-def _ended(found: list[float], level: float) -> bool:
-    """Whether chord steps have come to their end, of the imbalances before the first and after each."""
+def _ended(found: list[float], level: float, first: float) -> bool:
+    """Whether chord steps have come to their end, of the imbalances at the start and after each, and of that
+    which the parameter's change makes."""
     steps, now = len(found) - 1, found[-1]
     if not np.isfinite(now) or now == 0.0 or steps == MOST_CHORDS:
         return True
     if steps < CHORDS:
         return steps > 0 and now <= _ROUNDING * level
-    patience = 1 if min(found) <= _GOOD * found[0] else _PATIENCE
+    patience = 1 if min(found) <= _GOOD * first else _PATIENCE
     stalled = steps >= CHORDS + patience - 1 and min(found[-patience:]) > _STALLED * min(found[:-patience])
-    return now <= max(ENOUGH * found[0], _ROUNDING * level) or stalled
+    return now <= max(ENOUGH * first, _ROUNDING * level) or stalled
 
 
 class _Secants:
