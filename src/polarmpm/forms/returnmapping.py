@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 from mpi4py import MPI
 
@@ -76,6 +77,16 @@ class Yielding:
         return Yielding(*both)
 
 
+class Flow(NamedTuple):
+    """Of points that yield: sums of their multipliers (n,), what they dissipate (Pa) (n,), after which share
+    of a step, and themselves."""
+
+    multipliers: np.ndarray
+    work: np.ndarray
+    share: float
+    of: Yielding
+
+
 class ReturnMapping:
     """Return mapping for the points of one elastoplastic material. Collective.
 
@@ -86,8 +97,8 @@ class ReturnMapping:
     Attributes:
         start_elastic: points on the yield surface, with no flow, are elastic.
         yielding: what the last evaluation found.
-        dissipated: of the step that ends next, by the stresses at which forces are in balance: rows of
-            points, and what they dissipate (Pa); None: those are the stresses at its end.
+        balanced: what the points that yield do where forces are in balance, within the step that ends next;
+            None: they are at its end.
         near: gives what another run has found close by, from which the local iterations begin; None: they
             begin from the trial state.
     """
@@ -100,7 +111,7 @@ class ReturnMapping:
         self._trial: Kernel = form.trial_kernel(comm)
         self.start_elastic = False
         self.yielding: Yielding | None = None
-        self.dissipated: tuple[np.ndarray, np.ndarray] | None = None
+        self.balanced: Flow | None = None
 
     # evaluation -----------------------------------------------------------------------------------
     def evaluate(self, inputs: np.ndarray, tangent: bool, among: np.ndarray | None = None) -> Yielding:
@@ -265,9 +276,31 @@ class ReturnMapping:
 
     # plastic state --------------------------------------------------------------------------------------
     def dissipate(self, share: float) -> None:
-        """What points dissipate in the state at hand is a share of that of the whole step."""
+        """Forces are in balance in the state at hand, after a share of the step: what points dissipate in it
+        is by its stresses."""
         y = self.yielding
-        self.dissipated = None if y is None else (y.rows, self.dissipation() / share)
+        self.balanced = None if y is None else Flow(self._multipliers(y), self.dissipation(), share, y)
+
+    def _multipliers(self, y: Yielding) -> np.ndarray:
+        sums: np.ndarray = y.X[:, self.form.hardening_column + 1 :].sum(axis=1)
+        return sums
+
+    def _dissipated(self, y: Yielding) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of points, and what they dissipate (Pa) in a step that has converged: the flow of the whole
+        step times the stresses at which forces are in balance. Where there is flow at one of the two states
+        only, or by other regions, it's what that one says, or the earlier one."""
+        then, now, self.balanced = self.balanced, self.dissipation(), None
+        if then is None or not len(then.work):
+            return y.rows, now
+        out, known = np.zeros(len(self.ids)), np.full(len(self.ids), -1)
+        out[y.rows], out[then.of.rows] = now, then.work / then.share
+        known[then.of.rows] = np.arange(len(then.of.rows))
+        at = known[y.rows]
+        both = (at >= 0) & (then.of.region[at] == y.region) & (then.multipliers[at] > 0.0)
+        rows, at = y.rows[both], at[both]
+        out[rows] = then.work[at] * self._multipliers(y)[both] / then.multipliers[at]
+        flows = np.flatnonzero(out)
+        return flows, out[flows]
 
     def update_plastic_state(self, points: Points, rows: np.ndarray, base: np.ndarray) -> None:
         """Put the flow of a converged step into the plastic state of the points that yield.
@@ -286,8 +319,8 @@ class ReturnMapping:
             points.plastic_wryness = replaced(points.plastic_wryness, at, wryness)
         points.plastic_F = replaced(points.plastic_F, at, flowed)
         points.hardening = replaced(points.hardening, at, y.X[:, form.hardening_column])
-        which, more = self.dissipated or (y.rows, self.dissipation())
-        self.dissipated, at = None, rows[which]
+        which, more = self._dissipated(y)
+        at = rows[which]
         points.dissipation = replaced(points.dissipation, at, points.dissipation[at] + more)
 
     def flowed(

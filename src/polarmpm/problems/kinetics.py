@@ -246,6 +246,7 @@ class WithInertia(Problem):
 
         - external: also the kinetic energy that `velocity` has given;
         - kinetic: of the points, with that of their microrotations;
+        - dissipated: by the stresses at which forces are in balance, within the step;
         - damped: work against drag and viscosity;
         - residue: also what the method in time damps (`rho_inf` below 1), and its error.
         """
