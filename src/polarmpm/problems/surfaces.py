@@ -111,12 +111,10 @@ def add_support(
             given[key] = checks.number(f"{name}: {key}", value, least=least, above=above)
     if surface.dim != layout.dim:
         raise InputError(f"{name}: the surface has {surface.dim} dimensions, the body has {layout.dim}")
-    if normal is not None:
+    if normal is None:
+        surface = _turned_outward(problem, surface)
+    else:
         check_outward(problem, name, surface)
-    else:  # only the tractions ask which side is outside
-        turned = inward(problem, surface)
-        if turned.any():
-            surface = Surface(surface.x, surface.area, np.where(turned[:, None], -1.0, 1.0) * surface.normal)
     found = find_behind(problem, surface)
     if layout.axial and not found.no_stress:
         found.no_stress = "tractions on a body of revolution aren't known"
@@ -137,6 +135,14 @@ def add_support(
     problem.add(made, counts=counts or ("from now" if late else "total"))
     warn_of_resolution(problem, name, surface)
     return made
+
+
+def _turned_outward(problem: Loaded, surface: Surface) -> Surface:
+    """A surface with normals outward from the body, where only the tractions ask which side that is."""
+    turned = inward(problem, surface)
+    if not turned.any():
+        return surface
+    return Surface(surface.x, surface.area, np.where(turned[:, None], -1.0, 1.0) * surface.normal)
 
 
 def _check_total(problem: Loaded, name: str, components: dict[str, Any]) -> None:
