@@ -219,12 +219,13 @@ def block(dim, basis, material, locking, cells):
     if basis in BASES:
         grid = pm.Grid.box((0,) * dim, (1,) * dim, 1 / cells)
         points = pm.seed(grid, material=material, points_per_cell=3 if dim == 2 else 2)
-        problem = pm.QuasiStatic(grid, points, basis=basis, reset=None, locking=locking, boxes=False)
+        given = {"reset": None, "boxes": False, "solver": "direct"}
+        problem = pm.QuasiStatic(grid, points, basis=basis, locking=locking, **given)
     else:
         made = dmesh.create_rectangle if dim == 2 else dmesh.create_box
         body = made(MPI.COMM_WORLD, [np.zeros(dim), np.ones(dim)], (cells,) * dim, ELEMENTS[dim])
         elements = pm.Elements(body, material=material, degree=int(basis[-1]))
-        problem = pm.QuasiStaticFEM(elements, locking=locking)
+        problem = pm.QuasiStaticFEM(elements, locking=locking, solver="direct")
     problem.fix(pm.plane(y=0.0), u=0)
     problem.body_load(force=(0.0, 1.0, 0.0)[:dim])
     return problem
