@@ -214,9 +214,8 @@ def test_micropolar_flow_that_dilates_warns_where_cells_have_means_alone():
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             pm.QuasiStaticFEM(body)
-        assert sum("micropolar flow that dilates" in str(w.message) for w in said) == (
-            told and COMM.rank == 0
-        )
+        found = ["micropolar flow that dilates" in str(w.message) for w in said]
+        assert any(found) == (told and COMM.rank == 0)
 
 
 def test_arguments():

@@ -158,8 +158,8 @@ def warn_of_dilatancy(forms: Sequence[PointForm], remedy: str) -> None:
         if form.turns and isinstance(material, DruckerPrager | MohrCoulomb) and material.psi > DILATES:
             warn(
                 f"{type(material).__name__}: micropolar flow that dilates (psi = {material.psi:.3g} rad) "
-                "brings a condition for each point, of which means over cells aren't cured: limit loads are up "
-                f"to a tenth too high at psi = 0.35 and go on to rise; take {remedy}",
+                "brings a condition for each point, of which means over cells aren't cured: limit loads "
+                f"are up to a tenth too high at psi = 0.35 and go on to rise; take {remedy}",
                 TrustWarning,
             )
             return
