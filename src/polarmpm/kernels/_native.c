@@ -568,12 +568,9 @@ void polarmpm_mirror(const Matrix *M, int32_t nb, int64_t pairs, const int32_t *
 #include "_patches.h"
 #include "_moments.h"
 #include "_measures.h"
-#include "_band.h"
-#include "_return.h"
 
 SIZE_OF(Batch);
 SIZE_OF(Matrix);
 SIZE_OF(PointKernels);
 SIZE_OF(Elements);
 SIZE_OF(Patches);
-SIZE_OF(Return);

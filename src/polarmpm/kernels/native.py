@@ -48,7 +48,7 @@ class Elements(Structure):
     """Finite elements of one material, and where their nodes' blocks stand in the sparse matrix."""
 
 
-@declared_in("_return.h")
+@declared_in("_return.c")
 class Return(Structure):
     """Kernels and controls of a return mapping."""
 

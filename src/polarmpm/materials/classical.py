@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import ufl
@@ -35,7 +35,7 @@ class _Classical(Material):
         return cls(lam=lam, mu=mu)
 
     def parameters(self) -> dict[str, float]:
-        return asdict(self)
+        return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def measures(self, F: Any) -> tuple[Any, ...]:
         found = self.measures_of(ufl.dot(ufl.transpose(F), F))

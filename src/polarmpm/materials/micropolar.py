@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import ufl
@@ -130,7 +130,7 @@ class MicropolarElastic(Material):
         }
 
     def parameters(self) -> dict[str, float]:
-        return asdict(self)
+        return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def energy(self, E: Any, Gamma: Any, p: Any) -> Any:
         def quadratic(a: Any, trace: Any, symmetric: Any, skew: Any) -> Any:

@@ -136,10 +136,9 @@ def _iterate(system: System, controls: Controls, outcome: Outcome, search: bool)
     """
     tangent, chord, lifted = True, False, True
     while True:
-        if search and not lifted:
-            _evaluate_less(system, tangent, outcome.history[-1][0])
-        else:
-            evaluate(system, tangent, system.backtrack)
+        evaluate(
+            system, tangent, system.backtrack, outcome.history[-1][0] if search and not lifted else math.inf
+        )
         force, energy = system.convergence_measures()
         if outcome.history and not force < _FALLS * outcome.history[-1][0] and shorten(system, tangent):
             force, energy = system.convergence_measures()
@@ -170,39 +169,23 @@ def _iterate(system: System, controls: Controls, outcome: Outcome, search: bool)
         tangent = tangent and not system.waits()
 
 
-def evaluate(system: System, tangent: bool, backtrack: Callable[[], bool]) -> None:
-    """Evaluate where the points have stresses: while they have none, go back half of the last correction.
+def evaluate(system: System, tangent: bool, backtrack: Callable[[], bool], below: float = math.inf) -> None:
+    """Evaluate where the points have stresses, and where the force measure is `below` a number: while it
+    isn't so, go back half of the last correction, a few times.
 
     Raises:
-        LocalFailure: they still have none, or there is nothing to go back.
+        LocalFailure: the points still have no stresses.
     """
-    for _ in range(_BACKTRACKS):
+    for _ in range(_BACKTRACKS if below == math.inf else _SEARCHES):
         try:
-            return system.evaluate(tangent)
+            system.evaluate(tangent)
         except LocalFailure:
             if not backtrack():
                 raise
-            tangent = True  # prescribed values may be pending again
-    system.evaluate(True)
-
-
-def _evaluate_less(system: System, tangent: bool, before: float) -> None:
-    """Evaluate, and while the force measure isn't smaller than before, go back half of the last correction;
-    where points have no stresses it counts as infinite.
-
-    Raises:
-        LocalFailure: they still have none.
-    """
-    for _ in range(_SEARCHES):
-        try:
-            system.evaluate(tangent)
-            if system.convergence_measures()[0] < before:
+        else:
+            if below == math.inf or system.convergence_measures()[0] < below or not backtrack():
                 return
-        except LocalFailure:
-            pass
-        if not system.backtrack():
-            break
-        tangent = True
+        tangent = True  # prescribed values may be pending again
     system.evaluate(True)
 
 

@@ -58,12 +58,14 @@ def expression_signature(expr: Any, terminals: dict[Any, int]) -> str:
     from ufl.algorithms.signature import compute_expression_signature
     from ufl.corealg.traversal import traverse_unique_terminals
 
-    # newer UFL takes labels of variables by their running numbers unless it's told others
-    labels = (t for t in traverse_unique_terminals(expr) if isinstance(t, ufl.classes.Label))
+    numbers = dict(terminals)
+    if (
+        _HAS_BASIX_ELEMENTS
+    ):  # newer UFL takes labels of variables by their running numbers unless it's told others
+        labels = (t for t in traverse_unique_terminals(expr) if isinstance(t, ufl.classes.Label))
+        numbers.update({t: k for k, t in enumerate(labels)})
     try:
-        signature: str = compute_expression_signature(
-            expr, {**terminals, **{t: k for k, t in enumerate(labels)}}
-        )
+        signature: str = compute_expression_signature(expr, numbers)
         return signature
     except KeyError as e:
         raise KernelError(f"{e.args[0]} is not an input of this kernel") from None

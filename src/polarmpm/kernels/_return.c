@@ -1,4 +1,4 @@
-/* Return mapping of points that yield (forms/returnmapping.py); the last part of _native.c.
+/* Return mapping of points that yield (forms/returnmapping.py).
  *
  * Local unknowns X solve r(X; inputs) = 0 by Newton's method with step halving, LANES points at a time. The
  * consistent tangent is ds/dz - ds/dX (dr/dX)^-1 dr/dz (implicit function theorem). All of the derivatives come
@@ -330,3 +330,5 @@ int polarmpm_evaluate(kernel_t kernel, int64_t rows, int32_t arrays, const int32
     free(in), free(out);
     return failed;
 }
+
+SIZE_OF(Return);
