@@ -33,6 +33,7 @@ from ..geometry.planes import Plane, PlaneSpec
 from ..kernels.kernel import Kernel
 from ..kinematics.motion import Motion
 from ..solvers.resetting import Never, ResetPolicy
+from ..tools import checks
 from ..tools.disposal import dispose_of_dropped
 from ..tools.parallel import Route, reduced, values_by_number
 from . import initial, slopes
@@ -102,6 +103,18 @@ class OnGrid(Problem):
 
     def _dismiss(self, support: Support) -> None:
         self._moving.dismiss(support, self.progress.factor if self.progress.step else None)
+
+    @property
+    def cell_size(self) -> float:
+        return min(self.grid.smallest)
+
+    @property
+    def rotation_limit(self) -> float:
+        return self._rotation_limit
+
+    @rotation_limit.setter
+    def rotation_limit(self, limit: float) -> None:
+        self._rotation_limit = checks.number("rotation_limit", limit, above=0.0)
 
     @property
     def _in_patches(self) -> bool:

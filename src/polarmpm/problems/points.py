@@ -295,18 +295,6 @@ class QuasiStatic(Regridded):
             system.set_loads(*self._attempted)
         self._set_terms(last if factor is None else factor)
 
-    @property
-    def cell_size(self) -> float:
-        return min(self.grid.smallest)
-
-    @property
-    def rotation_limit(self) -> float:
-        return self._rotation_limit
-
-    @rotation_limit.setter
-    def rotation_limit(self, limit: float) -> None:
-        self._rotation_limit = checks.number("rotation_limit", limit, above=0.0)
-
     # solving --------------------------------------------------------------------------------------
     def _increments(self, system: LoadedPoints) -> Increments:
         return system.gathered()
