@@ -30,7 +30,6 @@ _BENT, _LANES = structures.constant("_boxes.h", "BENT"), structures.constant("_p
 _STORED_MOST = 2**27  # bytes that a batch may store of a state for `PointBoxes.work`, twice
 _INSIDE = 1.0 - 1e-5  # how far a box reaches to the axis of a body of revolution, over its radius; rounding
 # on a side is divided by what is left
-SLIGHT = 0.001  # variation of gradients over a box that a tangent may leave out
 FLOWED = 0.003  # share of points that have flowed: what keeps cells from deforming for nothing
 
 
@@ -195,7 +194,7 @@ class PointBoxes:
         self.put(kernels, None)
         add = native.library().polarmpm_assemble_boxes
         structures = map(ctypes.byref, (self.batch, kernels, matrix))
-        if add(*structures, int(whole), SLIGHT, int(lift_only), x, lifted):
+        if add(*structures, int(whole), int(lift_only), x, lifted):
             raise MemoryError("no memory for the sums over the points' boxes")
 
     def gather(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:

@@ -333,24 +333,10 @@ INLINE void evaluate_sides(const int dim, const int rot, const int second, const
         }
 }
 
-/* Whether a point's sides may have its own moduli in a tangent: its box counts for little, as of points that have flowed,
- * or displacement gradients and rotations vary by no more than `slight` over it. */
-INLINE int is_simple(const int dim, const int rot, const int second, const PointKernels *kernels, int64_t p, int l, double slight,
-                     const BoxWork *w)
+/* Whether a point's sides have its own moduli in a tangent: its box counts for little, as of points that have flowed. */
+INLINE int is_simple(const int second, const PointKernels *kernels, int64_t p)
 {
-    if (second == AXIAL) return 0;
-    if (kernels->box_share[p] <= LITTLE) return 1;
-    const int nz = unknowns_of(dim, rot, second);
-    double most = 0.0;
-    for (int k = 0; k < dim; ++k) {
-        const double *zk = w->zk + k * nz * LANES + l;
-        double sum = 0.0;
-        for (int i = 0; i < dim; ++i)
-            for (int c = 0; c < dim; ++c) sum += zk[(gradient_slot(dim, rot, i) + c) * LANES] * zk[(gradient_slot(dim, rot, i) + c) * LANES];
-        for (int i = dim; i < dim + rot; ++i) sum += zk[value_slot(dim, rot, i) * LANES] * zk[value_slot(dim, rot, i) * LANES];
-        most = sum > most ? sum : most;
-    }
-    return most <= slight * slight;
+    return second != AXIAL && kernels->box_share[p] <= LITTLE;
 }
 
 /* Gives the sides of lanes the moduli of their points. */

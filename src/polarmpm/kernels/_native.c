@@ -405,7 +405,7 @@ static int is_lifted(const Batch *b, const Matrix *M, int64_t g, int nb)
 }
 
 INLINE void assemble_boxes(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Matrix *M,
-                           int32_t whole, double slight, int32_t lift_only, const double *x, double *rhs, Work *w)
+                           int32_t whole, int32_t lift_only, const double *x, double *rhs, Work *w)
 {
     int64_t group = 0, group_of[LANES];
     int lifted[LANES];
@@ -426,7 +426,7 @@ INLINE void assemble_boxes(const int dim, const int rot, const int second, const
         evaluate_sized(b, kernels, x, start, &group, group_of, w, &coupled);
         int simple[LANES], large = 0;
         for (int l = 0; whole && l < lanes; ++l)
-            large |= !(simple[l] = is_simple(dim, rot, second, kernels, start + l, l, slight, &w->boxes));
+            large |= !(simple[l] = is_simple(second, kernels, start + l));
         if (large) {
             evaluate_sides(dim, rot, second, b, kernels->kernel, w->in, &w->boxes);
             simplify_sides(dim, rot, second, simple, lanes, w->out, &w->boxes);
@@ -444,20 +444,20 @@ INLINE void assemble_boxes(const int dim, const int rot, const int second, const
     }
 }
 
-SPECIALISED(assemble_boxes, (const Batch *b, const PointKernels *kernels, const Matrix *M, int32_t whole, double slight,
-            int32_t lift_only, const double *x, double *rhs, Work *w), b, kernels, M, whole, slight, lift_only, x, rhs, w)
+SPECIALISED(assemble_boxes, (const Batch *b, const PointKernels *kernels, const Matrix *M, int32_t whole,
+            int32_t lift_only, const double *x, double *rhs, Work *w), b, kernels, M, whole, lift_only, x, rhs, w)
 
 /* The tangent of the boxes to M: `whole`, or what their sides' strains add while the moduli are those of the points; the
- * latter also of points over whose boxes gradients vary by no more than `slight`. The
+ * latter also of points whose boxes count for little. The
  * kernel is that of the elastic energy. `rhs` as in polarmpm_assemble; with `lift_only` nothing else is summed. Returns
  * nonzero when memory ran out. */
 int polarmpm_assemble_boxes(const Batch *b, const PointKernels *kernels, const Matrix *M, int32_t whole,
-                            double slight, int32_t lift_only, const double *x, double *rhs)
+                            int32_t lift_only, const double *x, double *rhs)
 {
     if (b->npoints == 0) return 0;
     Work w;
     const int failed = create_work(b, 1, 1, 1 + whole, &w);
-    if (!failed) assemble_boxes_sized(b, kernels, M, whole, slight, lift_only, x, rhs, &w);
+    if (!failed) assemble_boxes_sized(b, kernels, M, whole, lift_only, x, rhs, &w);
     free_work(&w);
     return failed;
 }
