@@ -229,7 +229,7 @@ class Driven:
         loss = self.mapping.dissipation()
         p.F, _, p.wryness = self.motion(z)
         p.q = rotations.multiply(rotations.from_vector(self.parts(z)[1]), p.q)
-        self.mapping.update_plastic_state(p, y.rows, base[y.rows])
+        self.mapping.update_plastic_state(p, np.arange(len(p)), base)
         return y, loss
 
 
