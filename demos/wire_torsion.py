@@ -50,8 +50,7 @@ def build(diameter, args, solid=None):
     controls = pm.Controls(energy_tolerance=1e-20)
     # with beta = 0 nothing but kappa stiffens the skew part of the wryness
     ghost = pm.GhostPenalty(0.0, args.ghost * elastic(args.length).gamma) if args.ghost else None
-    # as published: resets that let go, and nothing projected. The faces turn the wire by kappa alone, within
-    # a length of them, which means over larger cells wouldn't see
+    # as published: resets that let go, and nothing projected
     problem = pm.QuasiStatic(
         grid,
         points,

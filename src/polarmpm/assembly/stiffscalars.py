@@ -213,12 +213,14 @@ class StiffScalars:
     def _vectors(self, kernels: native.PointKernels, *means: Mean) -> np.ndarray:
         """Vectors (means, :) of the modes; all means have boxes or none."""
         m, nz, n = self.form.scalars, self.form.layout.unknowns, len(self._z)
-        whole = np.stack([mean.whole for mean in means]).reshape(-1, n, m, nz)
-        sides, both, odd, bent = None, None, [a.odd for a in means], [a.both for a in means]
-        if odd[0] is not None:
-            sides = np.stack(odd).reshape(len(means), n, -1, m, nz)  # type: ignore[arg-type]
-        if bent[0] is not None:
-            both = np.stack(bent).reshape(len(means), n, -1, m, nz)[..., self._value_slots]  # type: ignore[arg-type]
+        kinds, sides, both = len(means), None, None
+        whole = np.stack([mean.whole for mean in means]).reshape(kinds, n, m, nz)
+        odd = [mean.odd for mean in means if mean.odd is not None]
+        bent = [mean.both for mean in means if mean.both is not None]
+        if odd:
+            sides = np.stack(odd).reshape(kinds, n, odd[0].shape[1], m, nz)
+        if bent:
+            both = np.stack(bent).reshape(kinds, n, bent[0].shape[1], m, nz)[..., self._value_slots]
         return self.patches.vectors(kernels, whole, sides, both)
 
     def evaluate(
