@@ -293,7 +293,7 @@ def test_an_edited_file_is_refused(saved, folder):
     COMM.barrier()
     with pytest.raises(pm.InputError, match="its checksum doesn't fit"):
         pm.load_restart(strip(cell=1.0), saved)
-    other = content.replace(b"format 11", b"format 12", 1)
+    other = content.replace(b"format 12", b"format 13", 1)
     refuse(folder / "other.h5", other, strip(cell=1.0), "is of format 12")
 
 

@@ -28,6 +28,7 @@ SMALL = 0.05
 MISSED = 0.08  # share that a sum over points without boxes misses: the answer is a tenth off or more
 MISSED_GAUSS = 0.15  # of points of quadrature rules, of which what they stand for is guessed, and too large
 UNRESISTED = 0.01  # of the work of a balanced reset's motion; 1e-8 to 1e-6 in good runs
+LET_GO = 0.03  # of a moving body's energy, lost at resets
 HOPELESS = 1.0  # above which the boxes alone hold the body
 _REMEDY = "take more points a cell (points_per_cell), or smaller cells"
 
@@ -143,6 +144,15 @@ class BoxRecord:
         """Take note of the share of the work of a balanced reset's motion that the material doesn't do."""
         if share > UNRESISTED:
             self._warn(f"{unresisted(share)} {_REMEDY}, fewer resets, or another basis")
+
+    def note_let_go(self, energy: float, whole: float) -> None:
+        """Take note of the energy (J) that resets of a moving body have let go so far, of a whole."""
+        if energy > LET_GO * whole:
+            self._warn(
+                f"resets have let go {energy / whole:.0%} of the body's energy, which was inside the points' "
+                "boxes: the motion loses as much; take smaller cells, or fewer resets (reset=None, "
+                "InMotion(limit=...)) where the body doesn't need new nodes"
+            )
 
     def _note_share(self, share: float, step: int, size: float) -> None:
         """Take note of the share inside the boxes."""

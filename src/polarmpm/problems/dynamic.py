@@ -182,6 +182,14 @@ class Dynamic(Moving, QuasiStatic):
             self._filter(system)
         return system
 
+    def _reset(self) -> LoadedPoints:
+        """As of `QuasiStatic`; what varies within the points' boxes is let go."""
+        p, stored = self.progress, self.box_record.energy(self._system)
+        system = super()._reset()
+        p.reset_work += stored
+        self.box_record.note_let_go(p.reset_work, max(abs(p.external_work), self._kinetic()))
+        return system
+
     def _filter(self, system: LoadedPoints) -> None:
         """Project velocities and accelerations. Collective."""
         before = self._kinetic()

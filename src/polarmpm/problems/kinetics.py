@@ -248,15 +248,12 @@ class WithInertia(Problem):
         - kinetic: of the points, with that of their microrotations;
         - dissipated: by the stresses at which forces are in balance, within the step;
         - damped: work against drag and viscosity;
+        - reset: what resets have let go, the energy in the variation over the points' boxes;
         - residue: also what the method in time damps (`rho_inf` below 1), and its error.
         """
-        found, kinetic, damped = super().energies(), self._kinetic(), self.progress.damped_work
-        return {
-            **found,
-            "kinetic": kinetic,
-            "damped": damped,
-            "residue": found["residue"] - kinetic - damped,
-        }
+        found, progress = super().energies(), self.progress
+        own = {"kinetic": self._kinetic(), "damped": progress.damped_work, "reset": progress.reset_work}
+        return {**found, **own, "residue": found["residue"] - sum(own.values())}
 
 
 def _values(name: str, value: Any, x: np.ndarray, size: int) -> np.ndarray:

@@ -30,8 +30,8 @@ class Progress:
         reset_factor, rotation_factor: load factor at the last reset and rotation base.
         reset_due: the grid is to be reset before the next step.
         factor_change: of the last step.
-        external_work, carried_work, ghost_work, patch_work, term_work, damped_work: work (J) so far, see
-            `Problem.energies`.
+        external_work, carried_work, ghost_work, patch_work, term_work, damped_work, reset_work: work (J) so
+            far, see `Problem.energies`.
         box_solutions: see `BoxTangent`.
     """
 
@@ -48,6 +48,7 @@ class Progress:
     patch_work: float = 0.0
     term_work: float = 0.0
     damped_work: float = 0.0
+    reset_work: float = 0.0
     box_solutions: int = 0
 
 
