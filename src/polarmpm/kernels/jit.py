@@ -26,8 +26,8 @@ _FLAGS = [
     "-fno-math-errno",
     "-fno-trapping-math",
     "-w",
-    # How gcc looks for registers in functions of thousands of vectors: by default nine tenths of the time, with the
-    # same code, where a processor has 16 registers (110 s instead of 22 for a plastic point in space).
+    # How far gcc looks for registers in functions of thousands of vectors. Its default takes nine tenths of the
+    # time where a processor has 16 of them, for code of the same size (a plastic point in space: 110 s, now 22).
     "--param=lra-max-considered-reload-pseudos=20",
 ]
 _LONG = (
