@@ -26,8 +26,8 @@ _FLAGS = [
     "-fno-math-errno",
     "-fno-trapping-math",
     "-w",
-    # How far gcc looks for registers in functions of thousands of vectors. Its default takes nine tenths of the
-    # time where a processor has 16 of them, for code of the same size (a plastic point in space: 110 s, now 22).
+    # How far gcc looks for registers in functions of thousands of vectors. Its default takes nine tenths of
+    # the time where a processor has 16 of them, for code of the same size (a plastic point: 110 s, now 22).
     "--param=lra-max-considered-reload-pseudos=20",
 ]
 _LONG = (
