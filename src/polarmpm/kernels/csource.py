@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from .graph import Graph
 
 LANES = 8  # points in one kernel call; one AVX-512 register, two of AVX2
-_LONG = 24000  # statements from which a function is divided
-_PART = 4000  # statements of each part
+# statements from which a function is divided, and of each part: compilers take time with their squares, while
+# the code hardly gets slower (docs/performance.md)
+_LONG, _PART = 2000, 500
 
 
 def _used(graph: Graph, outputs: Sequence[int]) -> list[int]:
