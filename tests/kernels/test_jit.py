@@ -253,7 +253,10 @@ COMPILERS = {
     "does nothing": ("true", "wrote no library.*set CC"),
     "no command": ('gcc "', "CC = .* is no command.*set CC"),
     "killed": ("sh -c 'kill -9 $$'", "ended by SIGKILL"),
-    "writes rubbish": ("""sh -c 'echo x > "${10}"'""", "can't be kept or loaded"),
+    "writes rubbish": (  # into the last but one of its arguments
+        """sh -c 'for a; do library=$next; next=$a; done; echo x > "$library"'""",
+        "can't be kept or loaded",
+    ),
 }
 
 
