@@ -31,7 +31,7 @@ def test_a_run_with_it(monkeypatch):
     monkeypatch.setitem(BASES, "hats", Hats())
     found = []
     for basis in ("mpm", "hats"):
-        grid = pm.Grid.box((0, 0), (4, 2), 0.5)
+        grid = pm.Grid.box((0, -1), (4, 2), 0.5)
         points = pm.seed(grid, material=MICROPOLAR, bounds=((0, 0), (3, 1)), points_per_cell=3)
         problem = pm.QuasiStatic(grid, points, basis=basis)
         problem.fix(pm.plane(x=0.0), u=0, theta=0)
