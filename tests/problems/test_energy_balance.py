@@ -62,7 +62,7 @@ def turned_on() -> Any:
 def on_surface(kind: str, **options: Any) -> Any:
     """Across cells, in no particular direction."""
     problem = beam(2, basis="mpm", **{"reset": None, **options})
-    surface = pm.Surface.line((2.2, 0.5), (2.9, 1.1), 5)
+    surface = pm.Surface.line((2.9, 1.1), (2.2, 0.5), 5)
     if kind == "pressure":
         problem.pressure(surface, 60.0)
     elif kind == "traction":
