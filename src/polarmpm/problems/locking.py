@@ -16,8 +16,6 @@ from ..forms.choice import make_form, make_projected
 from ..forms.points import PointForm
 from ..kinematics.layout import Layout
 from ..materials.base import Material, warn_of_locking
-from ..materials.cones import DruckerPrager
-from ..materials.pyramids import MohrCoulomb
 from ..tools import checks
 from ..tools.caller import warn
 
@@ -153,6 +151,11 @@ def warn_of_plastic_locking(
 def warn_of_dilatancy(forms: Sequence[PointForm], remedy: str) -> None:
     """Warn of micropolar flow that dilates in patches of constants, which share no volumes out there
     (`assembly.elasticvolumes` is for one scalar)."""
+    if not any(form.turns and form.material.yields for form in forms):
+        return
+    from ..materials.cones import DruckerPrager
+    from ..materials.pyramids import MohrCoulomb
+
     for form in forms:
         material = form.material
         if form.turns and isinstance(material, DruckerPrager | MohrCoulomb) and material.psi > DILATES:
