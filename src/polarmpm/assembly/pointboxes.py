@@ -306,7 +306,6 @@ class PointBoxes:
         if self._stored_size is None:
             size = native.library().polarmpm_stored(ctypes.byref(self.batch))
             number = -(-len(self.rows) // _LANES) * size
-            # what projects writes its scalars into the state, which isn't the same at both ends
             kept = number * 8 <= _STORED_MOST and not self.layout.axial
             self._stored_size = number if kept else 0
         if not self._stored_size:
