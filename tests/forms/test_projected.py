@@ -62,7 +62,7 @@ class Case:
         return np.stack(columns, axis=2)
 
 
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("rotation", [False, True])
 @pytest.mark.parametrize("name", list(ELASTIC))
 def test_derivatives(name, dim, rotation):
