@@ -15,7 +15,7 @@
  * that d_k has along it. They are at other radii, and z_k isn't all of their change: the displacement itself and the
  * rotation are in z, of which the quadratic part, `arched`, is the same on both sides.
  */
-#include "_points.h"
+#include "_lanes.h"
 
 enum {
     SIDES = 3,                 /* half axes in space */
@@ -73,16 +73,18 @@ INLINE int values_of(int rot, int second) { return second == AXIAL ? 1 + rot : 0
 INLINE int value_component(int dim, int value) { return value ? dim : 0; }
 INLINE int bent_slot(int dim, int rot, int value) { return value_slot(dim, rot, value_component(dim, value)); }
 
-/* Of lane l, point p: second derivatives of its n functions, and its half axes. */
-INLINE void find_curved(const int dim, const int rot, const Batch *b, const PointKernels *kernels, int64_t p,
-                        const int32_t *count, int n, int sv, int l, const BoxWork *w)
+/* Half axes of LANES points from `start` on, the last of them that of the last lane. */
+INLINE void find_axes(const int dim, const PointKernels *kernels, int64_t start, int count, const BoxWork *w)
+{
+    rows_to_lanes(kernels->box_axes, start, count, dim * dim, w->axes);
+    if (kernels->box_lean) rows_to_lanes(kernels->box_lean, start, count, dim * dim, w->lean);
+    if (kernels->box_hoop) rows_to_lanes(kernels->box_hoop, start, count, dim, w->hoop);
+}
+
+/* Of lane l, point p: second derivatives of its n functions. */
+INLINE void find_curved(const int dim, const Batch *b, int64_t p, const int32_t *count, int n, int sv, int l, const BoxWork *w)
 {
     second_rows(dim, b, p, count, n, sv * WIDTH, (double *)(w->curved + (int64_t)l * PAIRS * sv));
-    for (int k = 0; k < dim * dim; ++k) {
-        w->axes[k][l] = kernels->box_axes[p * dim * dim + k];
-        if (kernels->box_lean) w->lean[k][l] = kernels->box_lean[p * dim * dim + k];
-    }
-    for (int k = 0; kernels->box_hoop && k < dim; ++k) w->hoop[k][l] = kernels->box_hoop[p * dim + k];
 }
 
 /* What second derivatives make of gradients along the half axes, with LANES frames. */
@@ -99,28 +101,11 @@ INLINE void find_along(const int dim, const double *frames, const BoxWork *w)
                 }
 }
 
-/* The sums of the entries of s[0] .. s[3]. */
-INLINE void add_up(const vec *s, vec *out)
+/* Second derivatives of nodal values, from the rows of these. */
+INLINE void take_curved(const int dim, const int rot, const lanes_t *rows, lanes_t *h)
 {
-    typedef int64_t places __attribute__((vector_size(8 * WIDTH)));
-    const places even = {0, 4, 2, 6}, odd = {1, 5, 3, 7}, low = {0, 1, 4, 5}, high = {2, 3, 6, 7};
-    const vec a = __builtin_shuffle(s[0], s[1], even) + __builtin_shuffle(s[0], s[1], odd);
-    const vec b = __builtin_shuffle(s[2], s[3], even) + __builtin_shuffle(s[2], s[3], odd);
-    *out = __builtin_shuffle(a, b, low) + __builtin_shuffle(a, b, high);
-}
-
-/* Second derivatives of a group's nodal values at lane l. */
-INLINE void gather_curved(const int dim, const int rot, int nv, int sv, const vec *x, int l, const BoxWork *w, lanes_t *h)
-{
-    const vec *curved = w->curved + (int64_t)l * PAIRS * sv;
-    const int pairs = pairs_of(dim);
-    for (int i = 0; i < dim + rot; ++i) {
-        vec sum[2 * WIDTH] = {{0}}, out[2];
-        for (int v = 0; v < nv; ++v)
-            for (int k = 0; k < pairs; ++k) sum[k] += x[i * sv + v] * curved[k * sv + v];
-        for (int k = 0; k * WIDTH < pairs; ++k) add_up(sum + k * WIDTH, out + k);
-        for (int k = 0; k < pairs; ++k) h[i * pairs + k][l] = out[k / WIDTH][k % WIDTH];
-    }
+    for (int i = 0; i < dim + rot; ++i)
+        for (int k = 0; k < pairs_of(dim); ++k) h[i * pairs_of(dim) + k] = rows[i * rows_of(dim, 1) + 1 + dim + k];
 }
 
 /* In a body of revolution, the quadratic parts of the values at the sides, from second derivatives. */
@@ -259,23 +244,12 @@ INLINE void collect_sides(const int dim, const int rot, const int second, const 
                         0.5 * w->axes[k * dim + i] * w->axes[k * dim + j] * w->both[k * BENT + v];
 }
 
-/* The boxes' share in the residual r of a point on lane l, and what its second derivatives add to the group's nodal
- * forces. */
-INLINE void add_sides(const int dim, const int rot, const int second, int nv, int sv, const BoxWork *w, double weight, int l, double *r,
-                      vec *f)
+/* The boxes' share in the residuals r of LANES points, times `weight`, and in `bent`. */
+INLINE void add_sides(const int dim, const int rot, const int second, const BoxWork *w, const lanes_t *weight, lanes_t *r)
 {
-    const int nz = unknowns_of(dim, rot, second), pairs = pairs_of(dim);
-    const vec *curved = w->curved + (int64_t)l * PAIRS * sv;
-    for (int i = 0; i < nz; ++i) r[i] += weight * w->sums[i * LANES + l];
-    for (int i = 0; i < dim + rot; ++i) {
-        double bent[PAIRS];
-        for (int j = 0; j < pairs; ++j) bent[j] = weight * w->bent[i * pairs + j][l];
-        for (int v = 0; v < nv; ++v) {
-            vec sum = f[i * sv + v];
-            for (int j = 0; j < pairs; ++j) sum += bent[j] * curved[j * sv + v];
-            f[i * sv + v] = sum;
-        }
-    }
+    const lanes_t *sums = (const lanes_t *)w->sums;
+    for (int i = 0; i < unknowns_of(dim, rot, second); ++i) r[i] += *weight * sums[i];
+    for (int i = 0; i < (dim + rot) * pairs_of(dim); ++i) w->bent[i] *= *weight;
 }
 
 /* What the values' quadratic parts do work on, into nodal forces, with the shapes on a side. */
