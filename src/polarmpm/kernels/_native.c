@@ -336,8 +336,8 @@ INLINE void add_points(const int dim, const int rot, const int second, const Bat
         point_moduli(dim, rot, second, b, kernels, w, start + q, q, coupled, w->A + q * nz * nz);
     for (int P; l < end; l += P) {
         P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
-        add_tangents(dim, rot, second, nv, M->half, P, start + l == b->offsets[g], n, w->A + l * nz * nz,
-                     w->shapes + l * shapes * sv, sv, w->K);
+        add_tangents(dim, rot, second, 0, nv, M->half, P, start + l == b->offsets[g], n, w->A + l * nz * nz,
+                     w->shapes + l * shapes * sv, NULL, sv, w->K);
     }
 }
 
@@ -394,49 +394,46 @@ int polarmpm_assemble(const Batch *b, const PointKernels *kernels, const Matrix 
     return failed;
 }
 
-/* scale B^T A B of points l .. end of these lanes, all of group g, with the moduli of `out` and shapes [lane]. */
-INLINE void add_box_moduli(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Matrix *M,
-                           const Work *w, const double *out, const vec *shapes, double scale, int k, double sign, int first, int64_t start,
-                           int64_t g, int l, int end)
+/* The tangent of the boxes of points l .. end of these lanes, all of group g, into the group's sums: what `find_whole` has
+ * found. */
+INLINE void add_whole(const int dim, const int rot, const int second, const Batch *b, const Matrix *M, const Work *w, int first, int64_t g,
+                      int l, int end)
 {
-    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot, second), sv = w->sv;
-    for (int q = l; q < end; ++q) {
-        const double on_side = second == AXIAL && sign != 0.0 ? SIDE_WEIGHT(&w->boxes, k, sign)[q] : 1.0;
-        const double weight = scale * on_side * b->volume[start + q] * kernels->box_share[start + q];
-        const double *upper = out + nz * LANES + q;
-        double *A = w->A + q * nz * nz;
-        for (int i = 0; i < nz; ++i)
-            for (int j = i; j < nz; ++j, upper += LANES) A[i * nz + j] = A[j * nz + i] = weight * *upper;
-    }
-    for (int P; l < end; l += P) {
+    const BoxWork *boxes = &w->boxes;
+    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, all = moduli_of(dim, rot, second), sv = w->sv;
+    for (int P; l < end; l += P, first = 0) {
         P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
-        add_tangents(dim, rot, second, nv, M->half, P, first && start + l == b->offsets[g], n, w->A + l * nz * nz,
-                     shapes + l * shapes_of(second) * sv, sv, w->K);
+        for (int i = 0; i < all; ++i)
+            for (int j = i; j < all; ++j)
+                for (int q = 0; q < P; ++q) {
+                    double *A = boxes->full + q * all * all;
+                    A[i * all + j] = A[j * all + i] = boxes->whole[i * all + j][l + q];
+                }
+        add_tangents(dim, rot, second, 1, nv, M->half, P, first, n, boxes->full, w->shapes + l * shapes_of(second) * sv,
+                     boxes->curved + l * PAIRS * sv, sv, w->K);
     }
 }
 
-/* The tangent of the boxes of points l .. end of these lanes into their group's sums; see polarmpm_assemble_boxes. */
-INLINE void add_boxes(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Matrix *M,
-                      int32_t whole, const Work *w, int64_t start, int64_t g, int l, int end)
+/* The same while the sides have the moduli of the points: sum_k B_k^T A B_k / 3. */
+INLINE void add_alike(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Matrix *M,
+                      const Work *w, int first, int64_t start, int64_t g, int l, int end)
 {
-    const BoxWork *boxes = &w->boxes;
-    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, sv = w->sv, nz = unknowns_of(dim, rot, second);
-    const int outputs = nz + nz * (nz + 1) / 2;
-    for (int q = l; q < end; ++q) side_shapes(dim, rot, second, nv, sv, w->shapes + (int64_t)q * shapes_of(second) * sv, q, boxes);
-    if (whole)
-        add_box_moduli(dim, rot, second, b, kernels, M, w, w->out, w->shapes, -dim / 3.0, 0, 0.0, 1, start, g, l, end);
-    for (int k = 0; k < dim; ++k) {
-        const vec *side = boxes->sides + (int64_t)k * LANES * shapes_of(second) * sv;
-        if (!whole) {
-            add_box_moduli(dim, rot, second, b, kernels, M, w, w->out, side, 1.0 / 3.0, 0, 0.0, k == 0, start, g, l, end);
-            continue;
-        }
-        for (int down = 0; down < 2; ++down) {
-            move_shapes(second, sv, w->shapes, side, down ? -1.0 : 1.0, l, end, boxes->moved);
-            add_box_moduli(dim, rot, second, b, kernels, M, w, boxes->moduli + (2 * k + down) * outputs * LANES, boxes->moved,
-                           1.0 / 6.0, k, down ? -1.0 : 1.0, 0, start, g, l, end);
-        }
+    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot, second), sv = w->sv;
+    const int64_t size = (int64_t)shapes_of(second) * sv;
+    for (int q = l; q < end; ++q) {
+        const double weight = b->volume[start + q] * kernels->box_share[start + q] / 3.0;
+        const double *upper = w->out + nz * LANES + q;
+        double *A = w->A + q * nz * nz;
+        side_shapes(dim, rot, second, nv, sv, w->shapes + q * size, q, &w->boxes);
+        for (int i = 0; i < nz; ++i)
+            for (int j = i; j < nz; ++j, upper += LANES) A[i * nz + j] = A[j * nz + i] = weight * *upper;
     }
+    for (int k = 0; k < dim; ++k)
+        for (int q = l, P; q < end; q += P, first = 0) {
+            P = end - q >= MANY ? MANY : end - q >= 2 ? 2 : 1;
+            add_tangents(dim, rot, second, 0, nv, M->half, P, first, n, w->A + q * nz * nz,
+                         w->boxes.sides + (k * LANES + q) * size, NULL, sv, w->K);
+        }
 }
 
 /* Whether a group has nodes that are still to be moved as prescribed. */
@@ -475,12 +472,17 @@ INLINE void assemble_boxes(const int dim, const int rot, const int second, const
         if (large) {
             evaluate_sides(dim, rot, second, b, kernels->kernel, w->in, &w->boxes);
             simplify_sides(dim, rot, second, simple, lanes, w->out, &w->boxes);
+            lanes_t weight = {0};
+            for (int l = 0; l < lanes; ++l) weight[l] = b->volume[start + l] * kernels->box_share[start + l] / 6.0;
+            find_whole(dim, rot, second, w->out, &weight, &w->boxes);
         }
         for (int l = 0, end; l < lanes; l = end) {
             const int64_t g = group_of[l];
             for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
             if (lift_only && !lifted[l]) continue;
-            add_boxes(dim, rot, second, b, kernels, M, large, w, start, g, l, end);
+            const int first = start + l == b->offsets[g];
+            if (large) add_whole(dim, rot, second, b, M, w, first, g, l, end);
+            else add_alike(dim, rot, second, b, kernels, M, w, first, start, g, l, end);
             if (start + end < b->offsets[g + 1]) continue;
             const int n = nodes_of(b, g);
             if (lift_only) add_lifted(b, M, g, dim + rot, n, (n + WIDTH - 1) / WIDTH, (double *)w->K, rhs);
