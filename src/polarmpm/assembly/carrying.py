@@ -23,6 +23,7 @@ from .system import NodalSystem
 _SOFTEST = 1e-8  # stiffness of directions that the material has none in (turns), over that of the others
 _SOLUTIONS = 2  # the shift leaves 1e-8 of r after the first one, an iterative solver its accuracy
 _THIN = 1e-7  # shift of the matrix over its largest diagonal, where nodes are reached by too little
+_SINGULAR = 1e-3  # of the forces left after a solution without a shift: there are motions that no point feels
 _RANK = 1e-10  # of the equations for closing forces
 
 
@@ -107,24 +108,40 @@ def carry_stress(system: LoadedPoints) -> None:
     assert initial is not None
     initial.replace(np.zeros_like(i.reference.initial_stress))
     left = system.imbalance()
-    size, thin = _norm(system, left), i.basis.thin_reach
-    try:
-        if size > 0.0:
-            moduli = [Moduli(system, k) for k in range(len(i.batches))]
-            system.assemble_moduli([m.blocks for m in moduli], _THIN if thin else 0.0)
-            for k in range(1 if thin else _SOLUTIONS):
-                w, before = system.carrying_motion(left, k, moduli), i.reference.initial_stress.copy()
-                initial.replace(before + _stresses(system, moduli, w))
-                now = system.imbalance()
-                if not _norm(system, now) < size:  # rounding is reached
-                    initial.replace(before)
-                    break
-                system.carried_by = [*system.carried_by[:k], w]
-                system.unresisted = system.unresisted if k else _unresisted(system, moduli, w)
-                left, size = now, _norm(system, now)
-    except SingularTangent:  # a body in parts that nothing holds
-        return carry_forces(system)
-    system.carried = left + closing(system, left)
+    size, shifts = _norm(system, left), (_THIN,) if i.basis.thin_reach else (0.0, _THIN)
+    if size == 0.0:
+        system.carried = left + closing(system, left)
+        return
+    moduli = [Moduli(system, k) for k in range(len(i.batches))]
+    for shift in shifts:
+        initial.replace(np.zeros_like(i.reference.initial_stress))
+        try:
+            rest = _carry(system, left, moduli, shift)
+        except SingularTangent:  # a body in parts that nothing holds, or motions that no point feels
+            continue
+        if shift or _norm(system, rest) <= _SINGULAR * size:  # or else rounding has chosen the stresses
+            system.carried = rest + closing(system, rest)
+            return
+    carry_forces(system)
+
+
+def _carry(system: LoadedPoints, left: np.ndarray, moduli: Sequence[Moduli], shift: float) -> np.ndarray:
+    """Carry forces (nodes, block) as initial stresses, by moduli with a shift of their matrix; what is left
+    of them. Collective."""
+    initial, i, size = system.initial, system.interpolation, _norm(system, left)
+    assert initial is not None
+    system.assemble_moduli([m.blocks for m in moduli], shift)
+    for k in range(1 if shift else _SOLUTIONS):
+        w, before = system.carrying_motion(left, k, moduli), i.reference.initial_stress.copy()
+        initial.replace(before + _stresses(system, moduli, w))
+        now = system.imbalance()
+        if not _norm(system, now) < size:  # rounding is reached
+            initial.replace(before)
+            break
+        system.carried_by = [*system.carried_by[:k], w]
+        system.unresisted = system.unresisted if k else _unresisted(system, moduli, w)
+        left, size = now, _norm(system, now)
+    return left
 
 
 def _unresisted(system: LoadedPoints, moduli: Sequence[Moduli], w: np.ndarray) -> float:

@@ -15,7 +15,8 @@
  * that d_k has along it. They are at other radii, and z_k isn't all of their change: the displacement itself and the
  * rotation are in z, of which the quadratic part, `arched`, is the same on both sides.
  */
-#include "_points.h"
+#include "_lanes.h"
+#include "_scatter.h"
 
 enum {
     SIDES = 3,                 /* half axes in space */
@@ -37,34 +38,44 @@ typedef struct {
     lanes_t *bent;             /* [component][pair] what virtual second derivatives multiply */
     double *z, *up, *down;     /* inputs, and outputs on both sides */
     double *moduli;            /* [2 side + (0: up, 1: down)][outputs][LANES]: residuals and moduli on the sides */
-    vec *moved;                /* [lane][shapes_of(second)][sv]: shapes on a side */
+    lanes_t *even, *odd;       /* [nz][nz]: sums and differences of the moduli on both sides */
+    lanes_t *common, *apart;   /* [nz][moduli_of]: what they make of z and second derivatives, see find_whole */
+    lanes_t *whole;            /* [moduli_of][moduli_of] */
+    double *full;              /* [MANY][moduli_of][moduli_of]: the same of single points */
     lanes_t *hoop;             /* [side]: `box_hoop` */
     lanes_t *arched, *arched_before;  /* [side][BENT]: quadratic parts of the values in z; before the last correction */
     lanes_t *both;             /* [side][BENT]: sum of what the values do work on, on both sides */
 } BoxWork;
+
+/* Length of z with the second derivatives of all components behind it. */
+INLINE int moduli_of(int dim, int rot, int second) { return unknowns_of(dim, rot, second) + (dim + rot) * pairs_of(dim); }
 
 /* With `shapes` for shapes along the half axes, with `whole` for the moduli at the sides, too. */
 static int create_boxes(const Batch *b, int sv, int shapes, int whole, BoxWork *w)
 {
     const int nz = unknowns_of(b->dim, b->rot, b->second), outputs = nz + nz * (nz + 1) / 2;
     const size_t stride = (size_t)sv * WIDTH, inputs = 2 * nz + b->nstate + b->nparam, rows = LANES * shapes_of(b->second);
-    const size_t bent = (size_t)block_size(b) * PAIRS * LANES;
+    const size_t bent = (size_t)block_size(b) * PAIRS * LANES, all = whole ? moduli_of(b->dim, b->rot, b->second) : 0;
     *w = (BoxWork){.curved = vectors(LANES * PAIRS * stride), .sides = vectors(shapes ? SIDES * rows * stride : 1),
                    .axes = vectors(SIDES * 3 * LANES), .along = vectors(SIDES * 3 * PAIRS * LANES), .lean = vectors(SIDES * 3 * LANES), .h = vectors(bent),
                    .h_before = vectors(bent), .zk = vectors(SIDES * nz * LANES), .before = vectors(SIDES * nz * LANES),
                    .sums = vectors((1 + SIDES) * nz * LANES), .bent = vectors(bent), .z = vectors(inputs * LANES),
                    .up = vectors(nz * LANES), .down = vectors(nz * LANES),
-                   .moduli = vectors(whole ? (size_t)2 * SIDES * outputs * LANES : 1), .moved = vectors(shapes ? rows * stride : 1),
+                   .moduli = vectors(whole ? (size_t)2 * SIDES * outputs * LANES : 1),
+                   .even = vectors(whole ? (size_t)nz * nz * LANES : 1), .odd = vectors(whole ? (size_t)nz * nz * LANES : 1),
+                   .common = vectors(nz * all * LANES), .apart = vectors(nz * all * LANES), .whole = vectors(all * all * LANES),
+                   .full = vectors(all * all * MANY),
                    .hoop = vectors(SIDES * LANES), .arched = vectors(SIDES * BENT * LANES),
                    .arched_before = vectors(SIDES * BENT * LANES), .both = vectors(SIDES * BENT * LANES)};
     return !(w->curved && w->sides && w->axes && w->along && w->lean && w->h && w->h_before && w->zk && w->before && w->sums && w->bent &&
-             w->z && w->up && w->down && w->moduli && w->moved && w->hoop && w->arched && w->arched_before && w->both);
+             w->z && w->up && w->down && w->moduli && w->even && w->odd && w->common && w->apart && w->whole && w->full && w->hoop && w->arched && w->arched_before && w->both);
 }
 
 static void free_boxes(BoxWork *w)
 {
     free(w->curved), free(w->sides), free(w->axes), free(w->along), free(w->lean), free(w->h), free(w->h_before), free(w->zk), free(w->before);
-    free(w->sums), free(w->bent), free(w->z), free(w->up), free(w->down), free(w->moduli), free(w->moved);
+    free(w->sums), free(w->bent), free(w->z), free(w->up), free(w->down), free(w->moduli);
+    free(w->even), free(w->odd), free(w->common), free(w->apart), free(w->whole), free(w->full);
     free(w->hoop), free(w->arched), free(w->arched_before), free(w->both);
 }
 
@@ -73,16 +84,18 @@ INLINE int values_of(int rot, int second) { return second == AXIAL ? 1 + rot : 0
 INLINE int value_component(int dim, int value) { return value ? dim : 0; }
 INLINE int bent_slot(int dim, int rot, int value) { return value_slot(dim, rot, value_component(dim, value)); }
 
-/* Of lane l, point p: second derivatives of its n functions, and its half axes. */
-INLINE void find_curved(const int dim, const int rot, const Batch *b, const PointKernels *kernels, int64_t p,
-                        const int32_t *count, int n, int sv, int l, const BoxWork *w)
+/* Half axes of LANES points from `start` on, the last of them that of the last lane. */
+INLINE void find_axes(const int dim, const PointKernels *kernels, int64_t start, int count, const BoxWork *w)
+{
+    rows_to_lanes(kernels->box_axes, start, count, dim * dim, w->axes);
+    if (kernels->box_lean) rows_to_lanes(kernels->box_lean, start, count, dim * dim, w->lean);
+    if (kernels->box_hoop) rows_to_lanes(kernels->box_hoop, start, count, dim, w->hoop);
+}
+
+/* Of lane l, point p: second derivatives of its n functions. */
+INLINE void find_curved(const int dim, const Batch *b, int64_t p, const int32_t *count, int n, int sv, int l, const BoxWork *w)
 {
     second_rows(dim, b, p, count, n, sv * WIDTH, (double *)(w->curved + (int64_t)l * PAIRS * sv));
-    for (int k = 0; k < dim * dim; ++k) {
-        w->axes[k][l] = kernels->box_axes[p * dim * dim + k];
-        if (kernels->box_lean) w->lean[k][l] = kernels->box_lean[p * dim * dim + k];
-    }
-    for (int k = 0; kernels->box_hoop && k < dim; ++k) w->hoop[k][l] = kernels->box_hoop[p * dim + k];
 }
 
 /* What second derivatives make of gradients along the half axes, with LANES frames. */
@@ -99,28 +112,11 @@ INLINE void find_along(const int dim, const double *frames, const BoxWork *w)
                 }
 }
 
-/* The sums of the entries of s[0] .. s[3]. */
-INLINE void add_up(const vec *s, vec *out)
+/* Second derivatives of nodal values, from the rows of these. */
+INLINE void take_curved(const int dim, const int rot, const lanes_t *rows, lanes_t *h)
 {
-    typedef int64_t places __attribute__((vector_size(8 * WIDTH)));
-    const places even = {0, 4, 2, 6}, odd = {1, 5, 3, 7}, low = {0, 1, 4, 5}, high = {2, 3, 6, 7};
-    const vec a = __builtin_shuffle(s[0], s[1], even) + __builtin_shuffle(s[0], s[1], odd);
-    const vec b = __builtin_shuffle(s[2], s[3], even) + __builtin_shuffle(s[2], s[3], odd);
-    *out = __builtin_shuffle(a, b, low) + __builtin_shuffle(a, b, high);
-}
-
-/* Second derivatives of a group's nodal values at lane l. */
-INLINE void gather_curved(const int dim, const int rot, int nv, int sv, const vec *x, int l, const BoxWork *w, lanes_t *h)
-{
-    const vec *curved = w->curved + (int64_t)l * PAIRS * sv;
-    const int pairs = pairs_of(dim);
-    for (int i = 0; i < dim + rot; ++i) {
-        vec sum[2 * WIDTH] = {{0}}, out[2];
-        for (int v = 0; v < nv; ++v)
-            for (int k = 0; k < pairs; ++k) sum[k] += x[i * sv + v] * curved[k * sv + v];
-        for (int k = 0; k * WIDTH < pairs; ++k) add_up(sum + k * WIDTH, out + k);
-        for (int k = 0; k < pairs; ++k) h[i * pairs + k][l] = out[k / WIDTH][k % WIDTH];
-    }
+    for (int i = 0; i < dim + rot; ++i)
+        for (int k = 0; k < pairs_of(dim); ++k) h[i * pairs_of(dim) + k] = rows[i * rows_of(dim, 1) + 1 + dim + k];
 }
 
 /* In a body of revolution, the quadratic parts of the values at the sides, from second derivatives. */
@@ -259,23 +255,12 @@ INLINE void collect_sides(const int dim, const int rot, const int second, const 
                         0.5 * w->axes[k * dim + i] * w->axes[k * dim + j] * w->both[k * BENT + v];
 }
 
-/* The boxes' share in the residual r of a point on lane l, and what its second derivatives add to the group's nodal
- * forces. */
-INLINE void add_sides(const int dim, const int rot, const int second, int nv, int sv, const BoxWork *w, double weight, int l, double *r,
-                      vec *f)
+/* The boxes' share in the residuals r of LANES points, times `weight`, and in `bent`. */
+INLINE void add_sides(const int dim, const int rot, const int second, const BoxWork *w, const lanes_t *weight, lanes_t *r)
 {
-    const int nz = unknowns_of(dim, rot, second), pairs = pairs_of(dim);
-    const vec *curved = w->curved + (int64_t)l * PAIRS * sv;
-    for (int i = 0; i < nz; ++i) r[i] += weight * w->sums[i * LANES + l];
-    for (int i = 0; i < dim + rot; ++i) {
-        double bent[PAIRS];
-        for (int j = 0; j < pairs; ++j) bent[j] = weight * w->bent[i * pairs + j][l];
-        for (int v = 0; v < nv; ++v) {
-            vec sum = f[i * sv + v];
-            for (int j = 0; j < pairs; ++j) sum += bent[j] * curved[j * sv + v];
-            f[i * sv + v] = sum;
-        }
-    }
+    const lanes_t *sums = (const lanes_t *)w->sums;
+    for (int i = 0; i < unknowns_of(dim, rot, second); ++i) r[i] += *weight * sums[i];
+    for (int i = 0; i < (dim + rot) * pairs_of(dim); ++i) w->bent[i] *= *weight;
 }
 
 /* What the values' quadratic parts do work on, into nodal forces, with the shapes on a side. */
@@ -348,13 +333,83 @@ INLINE void simplify_sides(const int dim, const int rot, const int second, const
             for (int i = nz; i < outputs; ++i) w->moduli[(side * outputs + i) * LANES + l] = out[i * LANES + l];
 }
 
-/* Shapes of lanes l .. end moved to the centre of a side, by sign times their derivatives. */
-INLINE void move_shapes(const int second, int sv, const vec *shapes, const vec *side, double sign, int l, int end, vec *out)
+/* y^T U + t^T V, where z + U x +- V x are the unknowns at the sides of half axis k, x those at the point and second
+ * derivatives: V of z_k, U of what is common to both sides, z and, in a body of revolution, its values' quadratic parts. */
+INLINE void side_row(const int dim, const int rot, const int second, int k, const lanes_t *y, const lanes_t *t, const BoxWork *w, lanes_t *out)
 {
-    for (int64_t i = (int64_t)l * shapes_of(second) * sv; i < (int64_t)end * shapes_of(second) * sv; ++i) out[i] = shapes[i] + sign * side[i];
-    for (int q = l; second == AXIAL && q < end; ++q) {  /* in the plane: three rows, and the quadratic parts */
-        const int64_t first = (int64_t)q * SHAPES * sv;
-        for (int v = 0; v < sv; ++v) out[first + v] += side[first + 3 * sv + v];
+    const int nz = unknowns_of(dim, rot, second), pairs = pairs_of(dim);
+    for (int i = 0; i < nz; ++i) out[i] = y[i];
+    for (int i = 0; i < dim + rot; ++i) {
+        const int gradient = gradient_slot(dim, rot, i);
+        for (int j = 0; j < pairs; ++j) {
+            lanes_t sum = t[gradient] * w->along[k * dim * pairs + j];
+            for (int c = 1; c < dim; ++c) sum += t[gradient + c] * w->along[(k * dim + c) * pairs + j];
+            out[nz + i * pairs + j] = sum;
+        }
+        for (int c = 0; has_value(dim, second, i) && c < dim; ++c) out[gradient + c] += t[value_slot(dim, rot, i)] * w->lean[k * dim + c];
+    }
+    for (int v = 0; v < values_of(rot, second); ++v)
+        for (int i = 0; i < dim; ++i)
+            for (int j = 0; j < dim; ++j)
+                out[nz + value_component(dim, v) * pairs + pair_of(dim, i, j)] +=
+                    y[bent_slot(dim, rot, v)] * (0.5 * w->axes[k * dim + i] * w->axes[k * dim + j]);
+}
+
+/* Transposed, of rows F [z][all] for what is common to both sides, and G for the rest: added to the upper triangle of M. */
+INLINE void add_rows(const int dim, const int rot, const int second, int k, const lanes_t *F, const lanes_t *G, const BoxWork *w, lanes_t *M)
+{
+    const int nz = unknowns_of(dim, rot, second), all = moduli_of(dim, rot, second), pairs = pairs_of(dim);
+    for (int r = 0; r < nz; ++r)
+        for (int q = r; q < all; ++q) M[r * all + q] += F[r * all + q];
+    for (int i = 0; i < dim + rot; ++i) {
+        const int gradient = gradient_slot(dim, rot, i), value = value_slot(dim, rot, i), bent = nz + i * pairs;
+        for (int j = 0; j < pairs; ++j)
+            for (int q = bent + j; q < all; ++q)
+                for (int c = 0; c < dim; ++c)
+                    M[(bent + j) * all + q] += w->along[(k * dim + c) * pairs + j] * G[(gradient + c) * all + q];
+        for (int c = 0; has_value(dim, second, i) && c < dim; ++c)
+            for (int q = gradient + c; q < all; ++q) M[(gradient + c) * all + q] += w->lean[k * dim + c] * G[value * all + q];
+    }
+    for (int v = 0; v < values_of(rot, second); ++v)
+        for (int i = 0; i < dim; ++i)
+            for (int j = 0; j < dim; ++j) {
+                const int row = nz + value_component(dim, v) * pairs + pair_of(dim, i, j);
+                const lanes_t factor = 0.5 * w->axes[k * dim + i] * w->axes[k * dim + j];
+                for (int q = row; q < all; ++q) M[row * all + q] += factor * F[bent_slot(dim, rot, v) * all + q];
+            }
+}
+
+/* The sum and the difference of the moduli on both sides of half axis k, times `weight`, symmetric [z][z]. */
+INLINE void pair_moduli(const int dim, const int rot, const int second, int k, const lanes_t *weight, const BoxWork *w)
+{
+    const int nz = unknowns_of(dim, rot, second), outputs = nz + nz * (nz + 1) / 2;
+    const lanes_t *up = (const lanes_t *)w->moduli + 2 * k * outputs + nz, *down = up + outputs;
+    lanes_t above = *weight, below = *weight;
+    if (second == AXIAL) above *= SIDE_WEIGHT(w, k, 1.0), below *= SIDE_WEIGHT(w, k, -1.0);
+    for (int i = 0; i < nz; ++i)
+        for (int j = i; j < nz; ++j, ++up, ++down) {
+            const lanes_t a = above * *up, b = below * *down;
+            w->even[i * nz + j] = w->even[j * nz + i] = a + b;
+            w->odd[i * nz + j] = w->odd[j * nz + i] = a - b;
+        }
+}
+
+/* The whole tangent of LANES boxes in terms of z and of second derivatives, `weight` the sixth of what they count: with
+ * z + U x +- V x at the sides it is sum_k [(U +- V)^T A (U +- V)] - 2 dim A. The upper triangle of w->whole [all][all]. */
+INLINE void find_whole(const int dim, const int rot, const int second, const double *out, const lanes_t *weight, const BoxWork *w)
+{
+    const int nz = unknowns_of(dim, rot, second), all = moduli_of(dim, rot, second);
+    const lanes_t *upper = (const lanes_t *)out + nz;
+    memset(w->whole, 0, sizeof(lanes_t) * all * all);
+    for (int i = 0; i < nz; ++i)
+        for (int j = i; j < nz; ++j, ++upper) w->whole[i * all + j] = -2.0 * dim * *weight * *upper;
+    for (int k = 0; k < dim; ++k) {
+        pair_moduli(dim, rot, second, k, weight, w);
+        for (int r = 0; r < nz; ++r) {
+            side_row(dim, rot, second, k, w->even + r * nz, w->odd + r * nz, w, w->common + r * all);
+            side_row(dim, rot, second, k, w->odd + r * nz, w->even + r * nz, w, w->apart + r * all);
+        }
+        add_rows(dim, rot, second, k, w->common, w->apart, w, w->whole);
     }
 }
 

@@ -129,8 +129,8 @@ INLINE void assemble_elements(const int dim, const int rot, const int second, co
             }
             for (int P; M && l < end; l += P) {
                 P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
-                add_tangents(dim, rot, second, sv, M->half, P, start + l == first, n, w->A + l * nz * nz,
-                             w->shapes + l * SHAPES * sv, sv, w->K);
+                add_tangents(dim, rot, second, 0, sv, M->half, P, start + l == first, n, w->A + l * nz * nz,
+                             w->shapes + l * SHAPES * sv, NULL, sv, w->K);
             }
             if (start + end < last) continue;
             const int32_t *nodes = e->cells + element * n;

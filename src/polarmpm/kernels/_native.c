@@ -75,9 +75,14 @@ typedef struct {
     double *in, *out, *cin, *cout, *iin, *iout, *A;
     vec *shapes, *x, *before, *f, *K;  /* shapes [lane][shapes_of(second)][sv], nodal values [component][sv] of a group */
     vec *raw;                          /* what second_shape needs */
+    lanes_t *weights, *rows;           /* of LANES points: their weights; values and derivatives, see _lanes.h */
+    lanes_t *nodal, *nodal_before;     /* nodal values of the lanes' groups */
+    lanes_t *forces, *sums;            /* nodal forces of lanes, and of those of a group */
+    double *room;                      /* what pad_groups needs */
+    int shaped;                        /* evaluation forms shapes, too; 2: and second derivatives */
     Place *at;
     int sv;                            /* vectors of the nodes of the largest group */
-    int64_t gathered;                  /* the group of which x and before are; -1: none */
+    int64_t gathered;                  /* the group (element) of which all nodal values are; -1: several, or none */
     BoxWork boxes;                     /* without memory where no point has a box */
 } Work;
 
@@ -108,58 +113,60 @@ INLINE int lanes_from(const Batch *b, int64_t start)
     return (int)(b->npoints - start < LANES ? b->npoints - start : LANES);
 }
 
-/* What the kernels read of LANES points from `start` on, of which `lanes_from` are real: shapes of each, then z and the
- * state. */
+/* Shapes of LANES points, for sums of their tangents. */
+INLINE void find_shapes(const int dim, const int second, const Batch *b, int64_t start, const int64_t *group_of, const Work *w)
+{
+    for (int l = 0; l < lanes_from(b, start); ++l) {
+        const int64_t p = start + l;
+        const double *frame = b->state + p * b->nstate;
+        const int32_t *count = b->count + group_of[l] * dim;
+        const int n = nodes_of(b, group_of[l]);
+        vec *s = w->shapes + (int64_t)l * shapes_of(second) * w->sv;
+        shape(dim, b, p, count, frame, w->sv * WIDTH, (double *)s);
+        if (second == SECOND) second_shape(dim, b, p, count, frame, n, w->sv, w->raw, s);
+        if (w->shaped > 1) find_curved(dim, b, p, count, n, w->sv, l, &w->boxes);
+    }
+}
+
+/* What the kernels read of LANES points from `start` on, of which `lanes_from` are real: z and the state; and where
+ * tangents are summed, shapes of each. */
 INLINE void gather_lanes(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
                          const double *x, int64_t start, int64_t *group, int64_t *group_of, Work *w)
 {
-    const int nb = dim + rot, nz = unknowns_of(dim, rot, second), ns = b->nstate, np = b->nparam, sv = w->sv;
-    const int lanes = lanes_from(b, start);
+    const int nz = unknowns_of(dim, rot, second), lanes = lanes_from(b, start), filled = kernels->box_axes != NULL;
+    const int curved = second == SECOND || filled;
     BoxWork *boxes = &w->boxes;
-    for (int l = 0; l < lanes; ++l) {
-        const int64_t p = start + l;
-        while (p >= b->offsets[*group + 1]) ++*group;
+    lanes_t *in = (lanes_t *)w->in, *state = in + nz, *before = state + b->nstate + b->nparam;
+    for (int l = 0; l < LANES; ++l) {
+        while (start + l >= b->offsets[*group + 1] && l < lanes) ++*group;
         group_of[l] = *group;
-        const int n = nodes_of(b, *group);
-        const int32_t *count = b->count + *group * dim;
-        vec *s = w->shapes + (int64_t)l * shapes_of(second) * sv;
-        shape(dim, b, p, count, b->state + p * ns, sv * WIDTH, (double *)s);
-        if (second == SECOND) second_shape(dim, b, p, count, b->state + p * ns, n, sv, w->raw, s);
-        if (kernels->box_axes) find_curved(dim, rot, b, kernels, p, count, n, sv, l, boxes);
-        for (int k = 0; k < ns; ++k) w->in[(nz + k) * LANES + l] = b->state[p * ns + k];
     }
-    for (int l = 0; l < lanes; ++l) {
-        const int64_t g = group_of[l];
-        const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH;
-        const int32_t *nodes = b->nodes + b->node_offsets[g];
-        if (w->gathered != g) {
-            gather_group(nb, n, sv, nodes, x, w->x);
-            if (kernels->before) gather_group(nb, n, sv, nodes, kernels->before, w->before);
-            w->gathered = g;
-        }
-        const vec *s = w->shapes + (int64_t)l * shapes_of(second) * sv;
-        interpolate(dim, rot, second, nv, sv, s, w->x, w->in + l, LANES);
-        if (kernels->before)
-            interpolate(dim, rot, second, nv, sv, s, w->before, w->in + (nz + ns + np) * LANES + l, LANES);
-        if (kernels->box_axes) {
-            gather_curved(dim, rot, nv, sv, w->x, l, boxes, boxes->h);
-            if (kernels->before) gather_curved(dim, rot, nv, sv, w->before, l, boxes, boxes->h_before);
-        }
+    if (w->shaped) find_shapes(dim, second, b, start, group_of, w);
+    rows_to_lanes(b->state, start, lanes, b->nstate, state);
+    rows_to_lanes(b->weights, start, lanes, dim * b->orders * b->slots, w->weights);
+    if (w->gathered != group_of[0] || w->gathered != group_of[LANES - 1]) {
+        pad_groups(dim + rot, b, group_of, x, w->room, w->nodal);
+        if (kernels->before) pad_groups(dim + rot, b, group_of, kernels->before, w->room, w->nodal_before);
+        w->gathered = group_of[0] == group_of[LANES - 1] ? group_of[0] : -1;
     }
-    for (int l = lanes; l < LANES; ++l) {  /* lanes without a point repeat the last one */
-        for (int k = 0; k < nz + ns; ++k) w->in[k * LANES + l] = w->in[k * LANES + lanes - 1];
-        for (int k = nz + ns + np; kernels->before && k < 2 * nz + ns + np; ++k)
-            w->in[k * LANES + l] = w->in[k * LANES + lanes - 1];
+    if (filled) {
+        find_axes(dim, kernels, start, lanes, boxes);
+        find_along(dim, (const double *)state, boxes);
     }
-    for (int l = lanes; kernels->box_hoop && l < LANES; ++l)
-        for (int k = 0; k < dim; ++k) boxes->hoop[k][l] = boxes->hoop[k][lanes - 1];
-    if (kernels->box_axes) {
-        find_along(dim, w->in + nz * LANES, boxes);
+    derive_lanes(b, curved, w->weights, w->nodal, w->rows);
+    put_rows(dim, rot, second, curved, w->rows, state, in);
+    if (filled) {
+        take_curved(dim, rot, w->rows, boxes->h);
         find_zk(dim, rot, second, kernels, start, lanes, w->in, boxes->h, boxes, boxes->zk);
         find_arched(dim, rot, second, boxes->h, boxes, boxes->arched);
-        const double *before = w->in + (nz + ns + np) * LANES;
-        if (kernels->before) find_zk(dim, rot, second, kernels, start, lanes, before, boxes->h_before, boxes, boxes->before);
-        if (kernels->before) find_arched(dim, rot, second, boxes->h_before, boxes, boxes->arched_before);
+    }
+    if (!kernels->before) return;
+    derive_lanes(b, curved, w->weights, w->nodal_before, w->rows);
+    put_rows(dim, rot, second, curved, w->rows, state, before);
+    if (filled) {
+        take_curved(dim, rot, w->rows, boxes->h_before);
+        find_zk(dim, rot, second, kernels, start, lanes, (const double *)before, boxes->h_before, boxes, boxes->before);
+        find_arched(dim, rot, second, boxes->h_before, boxes, boxes->arched_before);
     }
 }
 
@@ -193,19 +200,34 @@ INLINE void evaluate(const int dim, const int rot, const int second, const Batch
 SPECIALISED(evaluate, (const Batch *b, const PointKernels *kernels, const double *x, int64_t start, int64_t *group,
             int64_t *group_of, Work *w, int *coupled), b, kernels, x, start, group, group_of, w, coupled)
 
-/* What a point's virtual work multiplies, times its volume: r [nz] and, if wanted, A [nz][nz]; gradients in
- * the point's frame. */
-INLINE void point_terms(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
-                        const Work *w, int64_t p, int l, int coupled, double *r, double *A)
+/* What the virtual work of LANES points multiplies, times their volumes, [nz]; gradients in the points' frames. */
+INLINE void lane_residuals(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Work *w,
+                           int64_t start, int coupled, int tangent, lanes_t *r)
+{
+    const int nz = unknowns_of(dim, rot, second), turn = value_slot(dim, rot, dim), lanes = lanes_from(b, start);
+    const lanes_t *out = (const lanes_t *)w->out, *initial = (const lanes_t *)w->iout, *couples = (const lanes_t *)w->cout;
+    lanes_t volume = {0}, share = {0};
+    for (int l = 0; l < lanes; ++l) volume[l] = b->volume[start + l];
+    for (int k = 0; k < nz; ++k) r[k] = volume * out[k];
+    for (int l = 0; kernels->returned_of && l < lanes; ++l) {
+        const int64_t row = kernels->returned_of[start + l];
+        for (int k = 0; row >= 0 && k < nz; ++k) r[k][l] = volume[l] * kernels->returned[row * (nz + (tangent ? nz * nz : 0)) + k];
+    }
+    for (int k = 0; kernels->initial && k < nz; ++k) r[k] += volume * initial[k];
+    for (int k = 0; coupled && k < SPIN; ++k) r[turn + k] += couples[k];
+    if (!kernels->box_kernel) return;
+    for (int l = 0; l < lanes; ++l) share[l] = kernels->box_share[start + l];
+    share *= volume / 6.0;
+    add_sides(dim, rot, second, &w->boxes, &share, r);
+}
+
+/* The moduli of a point, times its volume: A [nz][nz]. */
+INLINE void point_moduli(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Work *w,
+                         int64_t p, int l, int coupled, double *A)
 {
     const int nz = unknowns_of(dim, rot, second), turn = value_slot(dim, rot, dim);
     const int64_t row = kernels->returned_of ? kernels->returned_of[p] : -1;
-    const double *block = row < 0 ? NULL : kernels->returned + row * (nz + (A ? nz * nz : 0)), volume = b->volume[p];
-    for (int k = 0; k < nz; ++k) r[k] = volume * (block ? block[k] : w->out[k * LANES + l]);
-    for (int k = 0; kernels->initial && k < nz; ++k) r[k] += volume * w->iout[k * LANES + l];
-    if (coupled)
-        for (int k = 0; k < SPIN; ++k) r[turn + k] += w->cout[k * LANES + l];
-    if (!A) return;
+    const double *block = row < 0 ? NULL : kernels->returned + row * (nz + nz * nz), volume = b->volume[p];
     const double *upper = w->out + nz * LANES + l;
     if (block)
         for (int k = 0; k < nz * nz; ++k) A[k] = volume * block[nz + k];
@@ -224,6 +246,20 @@ INLINE void point_terms(const int dim, const int rot, const int second, const Ba
                 A[(turn + i) * nz + turn + j] += w->cout[(SPIN * (1 + i) + j) * LANES + l];
 }
 
+/* The same of a point: r [nz] and, if wanted, A. */
+INLINE void point_terms(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
+                        const Work *w, int64_t p, int l, int coupled, double *r, double *A)
+{
+    const int nz = unknowns_of(dim, rot, second), turn = value_slot(dim, rot, dim);
+    const int64_t row = kernels->returned_of ? kernels->returned_of[p] : -1;
+    const double *block = row < 0 ? NULL : kernels->returned + row * (nz + (A ? nz * nz : 0)), volume = b->volume[p];
+    for (int k = 0; k < nz; ++k) r[k] = volume * (block ? block[k] : w->out[k * LANES + l]);
+    for (int k = 0; kernels->initial && k < nz; ++k) r[k] += volume * w->iout[k * LANES + l];
+    if (coupled)
+        for (int k = 0; k < SPIN; ++k) r[turn + k] += w->cout[k * LANES + l];
+    if (A) point_moduli(dim, rot, second, b, kernels, w, p, l, coupled, A);
+}
+
 /* Memory for the evaluation of points, with `scatter` for sums of a group, with `boxes` (2: for their whole tangent) for
  * the points' boxes. Returns nonzero without memory. */
 static int create_work(const Batch *b, int tangent, int scatter, int boxes, Work *w)
@@ -231,6 +267,7 @@ static int create_work(const Batch *b, int tangent, int scatter, int boxes, Work
     const int nb = block_size(b), nz = unknowns_of(b->dim, b->rot, b->second), largest = largest_group(b);
     const int most = scatter ? largest : 0, outputs = nz + (tangent ? nz * (nz + 1) / 2 : 0);
     const size_t sv = (largest + WIDTH - 1) / WIDTH, stride = sv * WIDTH, inputs = 2 * nz + b->nstate + b->nparam;
+    const size_t padded = (size_t)nb * padded_nodes(b) * LANES;
     *w = (Work){.in = vectors(inputs * LANES), .out = vectors((size_t)outputs * LANES),
                 .cin = vectors(2 * SPIN * LANES), .cout = vectors(SPIN * (1 + SPIN) * LANES),
                 .iin = vectors((nz + b->dim * b->dim + INITIAL_MAX) * LANES), .iout = vectors((size_t)outputs * LANES),
@@ -238,8 +275,12 @@ static int create_work(const Batch *b, int tangent, int scatter, int boxes, Work
                 .shapes = vectors(LANES * shapes_of(b->second) * stride),
                 .raw = vectors(b->second == SECOND ? (3 + PAIRS) * stride : 1), .x = vectors(nb * stride), .before = vectors(nb * stride),
                 .f = vectors(nb * stride), .K = vectors(tangent && scatter ? most * nb * nb * stride : 1),
-                .at = malloc(sizeof(Place) * (most + 1)), .sv = (int)sv, .gathered = -1};
-    if (!(w->in && w->out && w->cin && w->cout && w->iin && w->iout && w->A && w->shapes && w->raw && w->x && w->before && w->f && w->K && w->at))
+                .at = malloc(sizeof(Place) * (most + 1)), .sv = (int)sv, .gathered = -1,
+                .weights = vectors((size_t)b->dim * b->orders * b->slots * LANES), .rows = vectors(nb * ROWS * LANES),
+                .nodal = vectors(padded), .nodal_before = vectors(padded), .forces = vectors(scatter ? padded : 1),
+                .sums = vectors(scatter ? padded : 1), .room = vectors(padded), .shaped = tangent && scatter};
+    if (!(w->in && w->out && w->cin && w->cout && w->iin && w->iout && w->A && w->shapes && w->raw && w->x && w->before && w->f && w->K && w->at && w->weights &&
+          w->rows && w->nodal && w->nodal_before && w->forces && w->sums && w->room))
         return 1;
     for (int k = 0; k < b->nparam; ++k)
         for (int l = 0; l < LANES; ++l) w->in[(nz + b->nstate + k) * LANES + l] = b->param[k];
@@ -250,6 +291,7 @@ static void free_work(Work *w)
 {
     free(w->in), free(w->out), free(w->cin), free(w->cout), free(w->iin), free(w->iout), free(w->A);
     free(w->shapes), free(w->raw), free(w->x), free(w->before), free(w->f), free(w->K), free(w->at);
+    free(w->weights), free(w->rows), free(w->nodal), free(w->nodal_before), free(w->forces), free(w->sums), free(w->room);
     free_boxes(&w->boxes);
 }
 
@@ -284,26 +326,32 @@ int polarmpm_gather(const Batch *b, const double *x, int32_t framed, double *z, 
     return failed;
 }
 
-/* Points l .. end of these lanes, all of group g: their work into the group's sums. */
+/* Points l .. end of these lanes, all of group g: their tangents into the group's sums. */
 INLINE void add_points(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
                        const Matrix *M, const Work *w, int64_t start, int64_t g, int l, int end, int coupled)
 {
     const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot, second), sv = w->sv;
     const int shapes = shapes_of(second);
-    for (int q = l; q < end; ++q) {
-        double r[UNKNOWNS_MAX];
-        point_terms(dim, rot, second, b, kernels, w, start + q, q, coupled, r, M ? w->A + q * nz * nz : NULL);
-        if (kernels->box_kernel) {
-            const double weight = b->volume[start + q] * kernels->box_share[start + q] / 6.0;
-            add_sides(dim, rot, second, nv, sv, &w->boxes, weight, q, r, w->f);
-        }
-        add_residual(dim, rot, second, nv, sv, w->shapes + q * shapes * sv, r, w->f);
-    }
-    for (int P; M && l < end; l += P) {
+    for (int q = l; q < end; ++q)
+        point_moduli(dim, rot, second, b, kernels, w, start + q, q, coupled, w->A + q * nz * nz);
+    for (int P; l < end; l += P) {
         P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
-        add_tangents(dim, rot, second, nv, M->half, P, start + l == b->offsets[g], n, w->A + l * nz * nz,
-                     w->shapes + l * shapes * sv, sv, w->K);
+        add_tangents(dim, rot, second, 0, nv, M->half, P, start + l == b->offsets[g], n, w->A + l * nz * nz,
+                     w->shapes + l * shapes * sv, NULL, sv, w->K);
     }
+}
+
+/* Nodal forces of LANES points, from what the kernels have given. */
+INLINE void find_forces(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, int64_t start,
+                        int coupled, int tangent, const Work *w)
+{
+    const int curved = second == SECOND || kernels->box_kernel;
+    const lanes_t *frame = (const lanes_t *)w->in + unknowns_of(dim, rot, second);
+    lanes_t r[UNKNOWNS_MAX];
+    if (kernels->box_kernel) collect_sides(dim, rot, second, &w->boxes);
+    lane_residuals(dim, rot, second, b, kernels, w, start, coupled, tangent, r);
+    take_rows(dim, rot, second, curved, r, kernels->box_kernel ? w->boxes.bent : NULL, frame, w->rows);
+    spread_lanes(b, curved, w->weights, w->rows, w->forces);
 }
 
 INLINE void assemble(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
@@ -315,18 +363,15 @@ INLINE void assemble(const int dim, const int rot, const int second, const Batch
         int coupled;
         const int lanes = lanes_from(b, start);
         evaluate_sized(b, kernels, x, start, &group, group_of, w, &coupled);
-        if (kernels->box_kernel) collect_sides(dim, rot, second, &w->boxes);
+        find_forces(dim, rot, second, b, kernels, start, coupled, M != NULL, w);
         for (int l = 0, end; l < lanes; l = end) {
             const int64_t g = group_of[l];
-            for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
-            if (start + l == b->offsets[g]) memset(w->f, 0, sizeof(vec) * nb * w->sv);
-            add_points(dim, rot, second, b, kernels, M, w, start, g, l, end, coupled);
-            if (start + end < b->offsets[g + 1]) continue;
-            const int32_t *nodes = b->nodes + b->node_offsets[g];
             const int n = nodes_of(b, g);
-            for (int a = 0; a < n; ++a)
-                for (int i = 0; i < nb; ++i)
-                    force[(int64_t)nodes[a] * nb + i] += ((const double *)w->f)[i * w->sv * WIDTH + a];
+            for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
+            add_lanes(w->forces, nb * padded_nodes(b), l, end, start + l == b->offsets[g], w->sums);
+            if (M) add_points(dim, rot, second, b, kernels, M, w, start, g, l, end, coupled);
+            if (start + end < b->offsets[g + 1]) continue;
+            flush_lanes(nb, b, g, w->sums, force);
             if (M) flush_matrix(b, M, g, nb, n, (n + WIDTH - 1) / WIDTH, (double *)w->K, w->at, rhs);
         }
     }
@@ -349,49 +394,46 @@ int polarmpm_assemble(const Batch *b, const PointKernels *kernels, const Matrix 
     return failed;
 }
 
-/* scale B^T A B of points l .. end of these lanes, all of group g, with the moduli of `out` and shapes [lane]. */
-INLINE void add_box_moduli(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Matrix *M,
-                           const Work *w, const double *out, const vec *shapes, double scale, int k, double sign, int first, int64_t start,
-                           int64_t g, int l, int end)
+/* The tangent of the boxes of points l .. end of these lanes, all of group g, into the group's sums: what `find_whole` has
+ * found. */
+INLINE void add_whole(const int dim, const int rot, const int second, const Batch *b, const Matrix *M, const Work *w, int first, int64_t g,
+                      int l, int end)
 {
-    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot, second), sv = w->sv;
-    for (int q = l; q < end; ++q) {
-        const double on_side = second == AXIAL && sign != 0.0 ? SIDE_WEIGHT(&w->boxes, k, sign)[q] : 1.0;
-        const double weight = scale * on_side * b->volume[start + q] * kernels->box_share[start + q];
-        const double *upper = out + nz * LANES + q;
-        double *A = w->A + q * nz * nz;
-        for (int i = 0; i < nz; ++i)
-            for (int j = i; j < nz; ++j, upper += LANES) A[i * nz + j] = A[j * nz + i] = weight * *upper;
-    }
-    for (int P; l < end; l += P) {
+    const BoxWork *boxes = &w->boxes;
+    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, all = moduli_of(dim, rot, second), sv = w->sv;
+    for (int P; l < end; l += P, first = 0) {
         P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
-        add_tangents(dim, rot, second, nv, M->half, P, first && start + l == b->offsets[g], n, w->A + l * nz * nz,
-                     shapes + l * shapes_of(second) * sv, sv, w->K);
+        for (int i = 0; i < all; ++i)
+            for (int j = i; j < all; ++j)
+                for (int q = 0; q < P; ++q) {
+                    double *A = boxes->full + q * all * all;
+                    A[i * all + j] = A[j * all + i] = boxes->whole[i * all + j][l + q];
+                }
+        add_tangents(dim, rot, second, 1, nv, M->half, P, first, n, boxes->full, w->shapes + l * shapes_of(second) * sv,
+                     boxes->curved + l * PAIRS * sv, sv, w->K);
     }
 }
 
-/* The tangent of the boxes of points l .. end of these lanes into their group's sums; see polarmpm_assemble_boxes. */
-INLINE void add_boxes(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Matrix *M,
-                      int32_t whole, const Work *w, int64_t start, int64_t g, int l, int end)
+/* The same while the sides have the moduli of the points: sum_k B_k^T A B_k / 3. */
+INLINE void add_alike(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Matrix *M,
+                      const Work *w, int first, int64_t start, int64_t g, int l, int end)
 {
-    const BoxWork *boxes = &w->boxes;
-    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, sv = w->sv, nz = unknowns_of(dim, rot, second);
-    const int outputs = nz + nz * (nz + 1) / 2;
-    for (int q = l; q < end; ++q) side_shapes(dim, rot, second, nv, sv, w->shapes + (int64_t)q * shapes_of(second) * sv, q, boxes);
-    if (whole)
-        add_box_moduli(dim, rot, second, b, kernels, M, w, w->out, w->shapes, -dim / 3.0, 0, 0.0, 1, start, g, l, end);
-    for (int k = 0; k < dim; ++k) {
-        const vec *side = boxes->sides + (int64_t)k * LANES * shapes_of(second) * sv;
-        if (!whole) {
-            add_box_moduli(dim, rot, second, b, kernels, M, w, w->out, side, 1.0 / 3.0, 0, 0.0, k == 0, start, g, l, end);
-            continue;
-        }
-        for (int down = 0; down < 2; ++down) {
-            move_shapes(second, sv, w->shapes, side, down ? -1.0 : 1.0, l, end, boxes->moved);
-            add_box_moduli(dim, rot, second, b, kernels, M, w, boxes->moduli + (2 * k + down) * outputs * LANES, boxes->moved,
-                           1.0 / 6.0, k, down ? -1.0 : 1.0, 0, start, g, l, end);
-        }
+    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot, second), sv = w->sv;
+    const int64_t size = (int64_t)shapes_of(second) * sv;
+    for (int q = l; q < end; ++q) {
+        const double weight = b->volume[start + q] * kernels->box_share[start + q] / 3.0;
+        const double *upper = w->out + nz * LANES + q;
+        double *A = w->A + q * nz * nz;
+        side_shapes(dim, rot, second, nv, sv, w->shapes + q * size, q, &w->boxes);
+        for (int i = 0; i < nz; ++i)
+            for (int j = i; j < nz; ++j, upper += LANES) A[i * nz + j] = A[j * nz + i] = weight * *upper;
     }
+    for (int k = 0; k < dim; ++k)
+        for (int q = l, P; q < end; q += P, first = 0) {
+            P = end - q >= MANY ? MANY : end - q >= 2 ? 2 : 1;
+            add_tangents(dim, rot, second, 0, nv, M->half, P, first, n, w->A + q * nz * nz,
+                         w->boxes.sides + (k * LANES + q) * size, NULL, sv, w->K);
+        }
 }
 
 /* Whether a group has nodes that are still to be moved as prescribed. */
@@ -430,12 +472,17 @@ INLINE void assemble_boxes(const int dim, const int rot, const int second, const
         if (large) {
             evaluate_sides(dim, rot, second, b, kernels->kernel, w->in, &w->boxes);
             simplify_sides(dim, rot, second, simple, lanes, w->out, &w->boxes);
+            lanes_t weight = {0};
+            for (int l = 0; l < lanes; ++l) weight[l] = b->volume[start + l] * kernels->box_share[start + l] / 6.0;
+            find_whole(dim, rot, second, w->out, &weight, &w->boxes);
         }
         for (int l = 0, end; l < lanes; l = end) {
             const int64_t g = group_of[l];
             for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
             if (lift_only && !lifted[l]) continue;
-            add_boxes(dim, rot, second, b, kernels, M, large, w, start, g, l, end);
+            const int first = start + l == b->offsets[g];
+            if (large) add_whole(dim, rot, second, b, M, w, first, g, l, end);
+            else add_alike(dim, rot, second, b, kernels, M, w, first, start, g, l, end);
             if (start + end < b->offsets[g + 1]) continue;
             const int n = nodes_of(b, g);
             if (lift_only) add_lifted(b, M, g, dim + rot, n, (n + WIDTH - 1) / WIDTH, (double *)w->K, rhs);
@@ -457,6 +504,7 @@ int polarmpm_assemble_boxes(const Batch *b, const PointKernels *kernels, const M
     if (b->npoints == 0) return 0;
     Work w;
     const int failed = create_work(b, 1, 1, 1 + whole, &w);
+    w.shaped = 2;
     if (!failed) assemble_boxes_sized(b, kernels, M, whole, lift_only, x, rhs, &w);
     free_work(&w);
     return failed;

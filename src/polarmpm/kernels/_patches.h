@@ -34,7 +34,8 @@ INLINE void sum_patches(const int dim, const int rot, const int second, const Ba
                 memset(sums, 0, sizeof(vec) * kinds * P->modes * nb * sv);
             shape(dim, b, p, count, b->state + p * b->nstate, stride, (double *)w->shapes);
             if (sides) {
-                find_curved(dim, rot, b, kernels, p, count, n, sv, 0, &w->boxes);
+                find_axes(dim, kernels, p, 1, &w->boxes);
+                find_curved(dim, b, p, count, n, sv, 0, &w->boxes);
                 for (int k = 0; k < dim * dim; ++k) w->in[k * LANES] = b->state[p * b->nstate + k];
                 find_along(dim, w->in, &w->boxes);
                 side_shapes(dim, rot, second, nv, sv, w->shapes, 0, &w->boxes);

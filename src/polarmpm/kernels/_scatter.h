@@ -1,34 +1,43 @@
 /* Sums of points' blocks in a group's dense matrix, and from there into the sparse matrix; a part of _native.c. */
+#ifndef POLARMPM_SCATTER_H
+#define POLARMPM_SCATTER_H
+
 #include "_points.h"
+
+enum { MODULI_MAX = 57 };       /* length of z and of all components' second derivatives, in space with rotations */
 
 /* B^T A B of P points of a group, added to its dense matrix K[node][i][k][nv]; the first points of a group overwrite
  * what an earlier group has left. s holds their shapes, [P][shapes_of(second)][sv] vectors; A is [P][nz][nz].
  * With several points at once an entry of K is read and written once for all of them. Of a symmetric matrix blocks
- * right of the diagonal are summed, and where both nodes are of one vector only entries with i <= k (`mirror`). */
-INLINE void add_tangent(const int dim, const int rot, const int second, int nv, int symmetric, const int P, int first,
-                        int n, const double *A, const vec *s, int sv, vec *K)
+ * right of the diagonal are summed, and where both nodes are of one vector only entries with i <= k (`mirror`).
+ * `filled`: A and B have more rows, second derivatives of all components, behind z; `curved`, [P][PAIRS][sv], are those
+ * of the shapes. */
+INLINE void add_tangent(const int dim, const int rot, const int second, const int filled, int nv, int symmetric, const int P,
+                        int first, int n, const double *A, const vec *s, const vec *curved, int sv, vec *K)
 {
-    const int nb = dim + rot, nz = unknowns_of(dim, rot, second), shapes = shapes_of(second);
+    const int nb = dim + rot, z = unknowns_of(dim, rot, second), shapes = shapes_of(second), pairs = pairs_of(dim);
+    const int nz = filled ? z + nb * pairs : z;
     for (int k = 0; k < nb; ++k)
         for (int v = 0; v < nv; ++v) {
             const int left = v * WIDTH, right = n > left + WIDTH ? left + WIDTH : n;
-            const int rows = symmetric && !v && !second ? end_slot(dim, rot, k) : nz;
-            vec T[MANY][UNKNOWNS_MAX];  /* column k of A B for the nodes of vector v */
+            const int rows = symmetric && !v && !second && !filled ? end_slot(dim, rot, k) : nz;
+            vec T[MANY][MODULI_MAX];  /* column k of A B for the nodes of vector v */
             for (int q = 0; q < P; ++q) {
                 const vec *sq = s + q * shapes * sv + v;
                 const double *column = A + q * nz * nz + gradient_slot(dim, rot, k);
                 const double *value = A + q * nz * nz + value_slot(dim, rot, k);
-                const double *curved = A + q * nz * nz + second_slot(dim, rot, k);
+                const double *grown = A + q * nz * nz + second_slot(dim, rot, k), *bent = A + q * nz * nz + z + k * pairs;
                 for (int r = 0; r < rows; ++r) {
                     vec sum = column[r * nz] * sq[sv];
                     for (int j = 1; j < dim; ++j) sum += column[r * nz + j] * sq[(1 + j) * sv];
                     if (has_value(dim, second, k)) sum += value[r * nz] * sq[0];
-                    for (int j = 0; second == SECOND && j < pairs_of(dim); ++j) sum += curved[r * nz + j] * sq[(1 + dim + j) * sv];
+                    for (int j = 0; second == SECOND && j < pairs; ++j) sum += grown[r * nz + j] * sq[(1 + dim + j) * sv];
+                    for (int j = 0; filled && j < pairs; ++j) sum += bent[r * nz + j] * curved[(q * PAIRS + j) * sv + v];
                     T[q][r] = sum;
                 }
             }
             for (int i = 0; i < nb; ++i) {
-                const int row = gradient_slot(dim, rot, i), curved = second_slot(dim, rot, i);
+                const int row = gradient_slot(dim, rot, i), grown = second_slot(dim, rot, i), bent = z + i * pairs;
                 const int end = !symmetric ? n : i > k ? left : right;
                 for (int a = 0; a < end; ++a) {
                     vec *out = K + ((a * nb + i) * nb + k) * nv + v;
@@ -37,23 +46,32 @@ INLINE void add_tangent(const int dim, const int rot, const int second, int nv, 
                         const double *g = (const double *)(s + q * shapes * sv) + a;
                         for (int j = 0; j < dim; ++j) sum += g[(1 + j) * sv * WIDTH] * T[q][row + j];
                         if (has_value(dim, second, i)) sum += g[0] * T[q][value_slot(dim, rot, i)];
-                        for (int j = 0; second == SECOND && j < pairs_of(dim); ++j)
-                            sum += g[(1 + dim + j) * sv * WIDTH] * T[q][curved + j];
+                        for (int j = 0; second == SECOND && j < pairs; ++j)
+                            sum += g[(1 + dim + j) * sv * WIDTH] * T[q][grown + j];
                     }
                     *out = sum;
                 }
+                for (int from = 0; filled && from < pairs; from += 3)  /* as many rows of T as there are registers for */
+                    for (int a = 0; a < end; ++a) {
+                        vec *out = K + ((a * nb + i) * nb + k) * nv + v, sum = *out;
+                        for (int q = 0; q < P; ++q) {
+                            const double *h = (const double *)(curved + (q * PAIRS + from) * sv) + a;
+                            for (int j = 0; j < 3; ++j) sum += h[j * sv * WIDTH] * T[q][bent + from + j];
+                        }
+                        *out = sum;
+                    }
             }
         }
 }
 
 /* P is 1, 2 or MANY. */
-INLINE void add_tangents(const int dim, const int rot, const int second, int nv, int symmetric, int P, int first, int n,
-                         const double *A, const vec *s, int sv, vec *K)
+INLINE void add_tangents(const int dim, const int rot, const int second, const int filled, int nv, int symmetric, int P, int first,
+                         int n, const double *A, const vec *s, const vec *curved, int sv, vec *K)
 {
     switch (P) {
-    case 1: add_tangent(dim, rot, second, nv, symmetric, 1, first, n, A, s, sv, K); break;
-    case 2: add_tangent(dim, rot, second, nv, symmetric, 2, first, n, A, s, sv, K); break;
-    default: add_tangent(dim, rot, second, nv, symmetric, MANY, first, n, A, s, sv, K);
+    case 1: add_tangent(dim, rot, second, filled, nv, symmetric, 1, first, n, A, s, curved, sv, K); break;
+    case 2: add_tangent(dim, rot, second, filled, nv, symmetric, 2, first, n, A, s, curved, sv, K); break;
+    default: add_tangent(dim, rot, second, filled, nv, symmetric, MANY, first, n, A, s, curved, sv, K);
     }
 }
 
@@ -192,3 +210,5 @@ INLINE void add_lifted(const Batch *b, const Matrix *M, int64_t g, const int nb,
                 }
         }
 }
+
+#endif
