@@ -96,7 +96,7 @@ class Pattern:
 
     def put(self, matrix: PETSc.Mat) -> None:
         """Let the matrix that `petsc_matrix` has made have the entries as they are now. Collective."""
-        self._complete()
+        self.complete()
         if matrix.getType() == "mpiaij" and self._usual:
             # what setValuesCSR does, without a search for each entry
             arguments = map(ctypes.c_void_p, (matrix.handle, self.values.ctypes.data))
@@ -119,7 +119,7 @@ class Pattern:
         self._mirror(slice(0, None if whole else self.early))
         self._partial = not whole
 
-    def _complete(self) -> None:
+    def complete(self) -> None:
         """What `mirror` has left out, of rows that have been collected."""
         if self._partial:
             self._mirror(slice(self.early, None))
