@@ -53,8 +53,8 @@ def _statement(graph: Graph, i: int) -> str:
     return f"v t{i} = {scalar(args[0])} {op} {scalar(args[1])};"
 
 
-# Vectors are as wide as a register: wider ones take thrice the time to compile, and tangents of them a quarter
-# longer, as gcc keeps them in memory (docs/performance.md). What has half of the lanes is called twice.
+# Vectors are as wide as a register: wider ones take thrice the time to compile, and their tangents a
+# quarter longer, as gcc keeps them in memory (docs/performance.md). Half of the lanes at once: two calls.
 _PRELUDE = f"""#include <math.h>
 #ifdef __AVX512F__
 enum {{ WIDTH = {LANES}, PARTS = 1 }};
