@@ -104,6 +104,7 @@ def residual_at(system: PointSystem, x: np.ndarray) -> np.ndarray:
 def stored_matrix(system: PointSystem) -> np.ndarray:
     """The stored entries of all ranks, dense."""
     p, block = system.pattern, system.layout.block
+    p.complete()
     rows = np.repeat(np.arange(len(p.indptr) - 1), np.diff(p.indptr)) + system.nodes.start * block
     out = np.zeros((size_of(system),) * 2)
     for i, j, v in COMM.allgather((rows, p.indices, p.values[: p.owned_entries].copy())):

@@ -128,6 +128,19 @@ def test_iterations_are_few(options, most):
     assert iterations(block(solver="multigrid", **options)[0]) <= most * (1.0 if COMM.size == 1 else 1.5)
 
 
+def test_more_solutions_leave_the_solver_as_it_is():
+    """Which sensitivities ask for, after a step."""
+    system = tangent(block(4, solver="multigrid")[0])
+    x, right, solver = solved(system).ravel(), right_of(system), system.solver
+    count = solver.iterations
+    np.testing.assert_allclose(solver.solve_again(right), x, rtol=1e-5, atol=1e-6 * np.abs(x).max())
+    assert solver.iterations == count
+    assert left(system, solver.precondition(right), right) < 1.0
+    solver.destroy()
+    with pytest.raises(SingularTangent):
+        solver.precondition(right)
+
+
 # parts ------------------------------------------------------------------------------------------------
 @SERIAL
 def test_products_and_coarse_operators_are_those_of_the_tangent():

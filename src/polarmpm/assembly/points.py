@@ -146,7 +146,7 @@ class PointSystem(OnPattern, LoadedPoints):
         if len(self.terms):
             internal += self.term_forces()
         if tangent:
-            self.pattern.mirror()
+            self.pattern.mirror(whole=not self._in_place or self._folding is not None)
             self.terms.add_tangents(self.x, self.pattern.values)
         if lift is not None and lifted is not None:
             lifted += self.lifted_by_terms(lift)

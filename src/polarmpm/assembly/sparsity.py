@@ -45,9 +45,11 @@ class Pattern:
     ghost_order: np.ndarray | None = None  # entries of each ghost block in the buffer
     received_at: np.ndarray | None = None  # where entries of received blocks go; -1: nowhere
     halves: tuple[np.ndarray, ...] | None = None  # pairs of nodes, and their blocks in either's rows
+    early: int = 0  # of these, the first ones that are mirrored at once; the others when they are asked for
     crossing: np.ndarray | None = None  # pairs of local nodes of different bodies, (k, 2), ascending
     crossing_columns: np.ndarray | None = None  # their block columns (k,)
     reached: np.ndarray | None = None  # nodes (nodes,) that something of this rank reaches; None: all
+    _partial: bool = False
 
     def crossing_column(self, row: np.ndarray, col: np.ndarray) -> np.ndarray:
         """Block columns of pairs of local nodes of different bodies, in the rows of the first ones; -1 where
@@ -94,6 +96,7 @@ class Pattern:
 
     def put(self, matrix: PETSc.Mat) -> None:
         """Let the matrix that `petsc_matrix` has made have the entries as they are now. Collective."""
+        self.complete()
         if matrix.getType() == "mpiaij" and self._usual:
             # what setValuesCSR does, without a search for each entry
             arguments = map(ctypes.c_void_p, (matrix.handle, self.values.ctypes.data))
@@ -110,11 +113,22 @@ class Pattern:
         self.values, self.indices = np.zeros(0), np.zeros(0, dtype=np.int32)
         self.matrix.kept.clear()
 
-    def mirror(self) -> None:
-        """Complete whole rows by the half of the symmetric sums that hasn't been made."""
+    def mirror(self, whole: bool = True) -> None:
+        """Complete whole rows by the half of the symmetric sums that hasn't been made; unless `whole`, only
+        pairs with a ghost: blocks of owned pairs are the transposed ones of those behind the diagonal."""
+        self._mirror(slice(0, None if whole else self.early))
+        self._partial = not whole
+
+    def complete(self) -> None:
+        """What `mirror` has left out, of rows that have been collected."""
+        if self._partial:
+            self._mirror(slice(self.early, None))
+            self._partial = False
+
+    def _mirror(self, some: slice) -> None:
         if self.halves is not None:
-            pairs = len(self.halves[0])
-            native.library().polarmpm_mirror(ctypes.byref(self.matrix), self.block, pairs, *self.halves)
+            pairs = [a[some] for a in self.halves]
+            native.library().polarmpm_mirror(ctypes.byref(self.matrix), self.block, len(pairs[0]), *pairs)
 
     def collect(self) -> None:
         """Add the rows of ghost nodes to their owners' rows. Collective."""
@@ -199,7 +213,10 @@ def build(
     native.fill(pattern.matrix, half=int(half))
     pattern.reached = reached
     if half and whole:
-        later = code >= codes // 2  # in the order of a group's nodes, or the same node
+        later = np.flatnonzero(code >= codes // 2)  # in the order of a group's nodes, or the same node
+        inside = (row[later] < nodes.owned) & (col[later] < nodes.owned) & (row[later] != col[later])
+        later = np.concatenate([later[~inside], later[inside]])
+        pattern.early = len(later) - int(inside.sum())
         row, code, col = (a[later].astype(np.int32) for a in (row, code, col))
         place = pattern.matrix.kept["place"]
         pattern.halves = row, col, place[row, code], place[col, codes - 1 - code]

@@ -228,7 +228,7 @@ class NodalSystem(ABC):
 
     def near_null_space(self) -> NearNullSpace:
         """What the tangent hardly resists, of the body as it is now. Collective."""
-        from ..solvers.multigrid import rigid_motions  # lazy import: small problems need no multigrid
+        from ..solvers.rigidmotions import rigid_motions  # lazy import: small problems need no multigrid
 
         own, d = slice(0, self.nodes.owned), self.layout.dim
         motions = rigid_motions(self.positions()[own], self.x[own, d:], self.comm)

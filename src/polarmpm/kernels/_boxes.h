@@ -15,6 +15,9 @@
  * that d_k has along it. They are at other radii, and z_k isn't all of their change: the displacement itself and the
  * rotation are in z, of which the quadratic part, `arched`, is the same on both sides.
  */
+#ifndef POLARMPM_BOXES_H
+#define POLARMPM_BOXES_H
+
 #include "_lanes.h"
 #include "_scatter.h"
 
@@ -413,46 +416,4 @@ INLINE void find_whole(const int dim, const int rot, const int second, const dou
     }
 }
 
-/* What a kernel (z, state, param) -> outputs gives at the points, and what their boxes add: to it, weight (sum_k [R(z + z_k)
- * + R(z - z_k)] - 2 dim R(z)), and times the derivatives along the half axes, weight [R(z + z_k) - R(z - z_k)].
- * here, even [row][nout], odd [row][dim][nout] or NULL. Returns nonzero when memory ran out. */
-FAST int polarmpm_box_means(kernel_t kernel, int64_t rows, int32_t dim, int32_t nz, int32_t nstate, int32_t nparam,
-                            const double *z, const double *zk, const double *state, const double *param,
-                            const double *weight, int32_t nout, double *here, double *even, double *odd)
-{
-    double *in = vectors((size_t)(nz + nstate + nparam) * LANES), *out = vectors((size_t)nout * LANES);
-    double *up = vectors((size_t)nout * LANES), *down = vectors((size_t)nout * LANES), *sums = vectors((size_t)nout * LANES);
-    const int failed = !(in && out && up && down && sums);
-    for (int k = 0; k < nparam && !failed; ++k)
-        for (int l = 0; l < LANES; ++l) in[(nz + nstate + k) * LANES + l] = param[k];
-    for (int64_t start = 0; start < rows && !failed; start += LANES) {
-        const int lanes = (int)(rows - start < LANES ? rows - start : LANES);
-        int64_t of[LANES];
-        for (int l = 0; l < LANES; ++l) {
-            of[l] = start + (l < lanes ? l : lanes - 1);
-            for (int k = 0; k < nz; ++k) in[k * LANES + l] = z[of[l] * nz + k];
-            for (int k = 0; k < nstate; ++k) in[(nz + k) * LANES + l] = state[of[l] * nstate + k];
-        }
-        kernel(in, out);
-        for (int k = 0; k < nout * LANES; ++k) sums[k] = -2.0 * dim * out[k];
-        for (int s = 0; s < dim; ++s) {
-            for (int sign = 1; sign > -2; sign -= 2) {
-                for (int l = 0; l < LANES; ++l)
-                    for (int k = 0; k < nz; ++k)
-                        in[k * LANES + l] = z[of[l] * nz + k] + sign * zk[(of[l] * dim + s) * nz + k];
-                kernel(in, sign > 0 ? up : down);
-            }
-            for (int k = 0; k < nout * LANES; ++k) sums[k] += up[k] + down[k];
-            for (int l = 0; odd && l < lanes; ++l)
-                for (int k = 0; k < nout; ++k)
-                    odd[(of[l] * dim + s) * nout + k] = weight[of[l]] * (up[k * LANES + l] - down[k * LANES + l]);
-        }
-        for (int l = 0; l < lanes; ++l)
-            for (int k = 0; k < nout; ++k) {
-                here[of[l] * nout + k] = out[k * LANES + l];
-                even[of[l] * nout + k] = weight[of[l]] * sums[k * LANES + l];
-            }
-    }
-    free(in), free(out), free(up), free(down), free(sums);
-    return failed;
-}
+#endif

@@ -23,7 +23,7 @@ typedef struct {
     int32_t block;             /* unknowns of a node */
     int32_t half;              /* of a symmetric matrix: the diagonal block first, of which the upper triangle counts, then
                                 * later columns; else all columns, those of this rank ascending */
-    int32_t symmetric;         /* a block before the diagonal is the transposed of one behind it */
+    int32_t symmetric;         /* a block before the diagonal is the transposed of one behind it, and isn't read */
     int64_t nodes;             /* rows; columns beyond them are other ranks' */
     const int64_t *offsets;    /* [node + 1] first block of a row */
     const int32_t *cols;       /* [block] */
@@ -40,8 +40,8 @@ typedef struct {
     const int32_t *up_at, *low_at;  /* which block of the row it is */
     const int64_t *up_start, *low_start;  /* [node] address of the row's dense matrix */
     float *up_rows, *low_rows;
-    const int64_t *early;      /* [node + 1] of half rows: blocks before the diagonal, which stand in other rows; in those
-                                * rows only that `rest_of` is asked for */
+    const int64_t *early;      /* [node + 1] of symmetric rows: blocks before the diagonal, as they stand in other rows; in
+                                * those rows only that `rest_of` is asked for */
     const int32_t *early_cols, *early_at;  /* the other row, and which block of it */
     float *inverse;            /* [node][block][block] of the diagonal's block */
     float *given;              /* [node * block] of symmetric matrices: what the rows met so far have taken from a row */
@@ -325,13 +325,15 @@ INLINE void rest_of(const int nb, const BlockRows *A, const Relaxation *S, int64
             sum[i] = b[row * nb + i];
             for (int j = 0; j < nb; ++j) sum[i] -= D[i * nb + j] * x[row * nb + j];
         }
-        for (int64_t a = A->half ? S->early[row] : 0; A->half && a < S->early[row + 1]; ++a)
+        for (int64_t a = A->symmetric ? S->early[row] : 0; A->symmetric && a < S->early[row + 1]; ++a)
             for (int i = 0; i < nb; ++i)
                 for (int j = 0; j < nb; ++j)
                     sum[i] -= block_entry(A, nb, S->early_cols[a], S->early_at[a], j, i) * x[(int64_t)S->early_cols[a] * nb + j];
-        for (int64_t k = 0; k < n; ++k)
-            for (int i = 0; cols[k] != row && i < nb; ++i)
+        for (int64_t k = 0; k < n; ++k) {
+            if (cols[k] == row || (A->symmetric && cols[k] < row)) continue;
+            for (int i = 0; i < nb; ++i)
                 for (int j = 0; j < nb; ++j) sum[i] -= block_entry(A, nb, row, k, i, j) * x[(int64_t)cols[k] * nb + j];
+        }
         for (int i = 0; i < nb; ++i) r[row * nb + i] = sum[i];
     }
 }
@@ -448,21 +450,20 @@ void polarmpm_rest(const BlockRows *A, const Relaxation *S, int64_t count, const
 
 int polarmpm_coarsen(const BlockRows *A, const Transfer *P, const BlockRows *C) { return BLOCK_CALL(coarsen, A, P, C); }
 
-/* Marks which coarse nodes are coupled: mark[node][code of the other one], with half rows from the smaller number. */
+/* Marks which coarse nodes are coupled: mark[node][code of the other one], of symmetric rows from the smaller number. */
 void polarmpm_couple_parents(const BlockRows *A, const Transfer *P, uint8_t *mark)
 {
     for (int64_t row = 0; row < A->nodes; ++row)
-        for (int64_t b = A->offsets[row]; b < A->offsets[row + 1]; ++b)
-            for (int a = 0; a < PARENTS && P->parents[row * PARENTS + a] >= 0; ++a)
-                for (int c = 0; c < PARENTS && P->parents[(int64_t)A->cols[b] * PARENTS + c] >= 0; ++c) {
-                    int64_t p = P->parents[row * PARENTS + a], q = P->parents[(int64_t)A->cols[b] * PARENTS + c];
-                    if (A->half && q < p) {
-                        const int64_t kept = p;
-                        p = q;
-                        q = kept;
-                    }
+        for (int64_t b = A->offsets[row]; b < A->offsets[row + 1]; ++b) {
+            const int32_t *parents = P->parents + row * PARENTS, *others = P->parents + (int64_t)A->cols[b] * PARENTS;
+            if (A->symmetric && A->cols[b] < row) continue;  /* the same as from the other row */
+            for (int a = 0; a < PARENTS && parents[a] >= 0; ++a)
+                for (int c = 0; c < PARENTS && others[c] >= 0; ++c) {
+                    const int swapped = A->symmetric && others[c] < parents[a];
+                    const int64_t p = swapped ? others[c] : parents[a], q = swapped ? parents[a] : others[c];
                     mark[p * P->codes + P->lin[q] - P->lin[p] + P->centre] = 1;
                 }
+        }
 }
 
 /* coarse += P' fine */
@@ -505,7 +506,7 @@ void polarmpm_coupled(const BlockRows *A, uint8_t *coupled)
     const int nb = A->block;
     for (int64_t row = 0; row < A->nodes; ++row)
         for (int64_t b = A->offsets[row]; b < A->offsets[row + 1]; ++b)
-            for (int i = 0; i < nb; ++i)
+            for (int i = 0; !(A->symmetric && A->cols[b] < row) && i < nb; ++i)
                 for (int j = A->half && A->cols[b] == row ? i + 1 : 0; j < nb; ++j) {
                     if (A->cols[b] == row && i == j) continue;
                     if (coupled[row * nb + i] && coupled[(int64_t)A->cols[b] * nb + j]) continue;  /* stays unread */

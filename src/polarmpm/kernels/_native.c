@@ -68,32 +68,7 @@ void polarmpm_scalar_columns(int64_t nodes, const int64_t *offsets, const int64_
                     *out++ = (int32_t)(cols[k] * block + j);
 }
 
-#include "_scatter.h"
-#include "_boxes.h"
-
-typedef struct {
-    double *in, *out, *cin, *cout, *iin, *iout, *A;
-    vec *shapes, *x, *before, *f, *K;  /* shapes [lane][shapes_of(second)][sv], nodal values [component][sv] of a group */
-    vec *raw;                          /* what second_shape needs */
-    lanes_t *weights, *rows;           /* of LANES points: their weights; values and derivatives, see _lanes.h */
-    lanes_t *nodal, *nodal_before;     /* nodal values of the lanes' groups */
-    lanes_t *forces, *sums;            /* nodal forces of lanes, and of those of a group */
-    double *room;                      /* what pad_groups needs */
-    int shaped;                        /* evaluation forms shapes, too; 2: and second derivatives */
-    Place *at;
-    int sv;                            /* vectors of the nodes of the largest group */
-    int64_t gathered;                  /* the group (element) of which all nodal values are; -1: several, or none */
-    BoxWork boxes;                     /* without memory where no point has a box */
-} Work;
-
-INLINE void gather_group(const int nb, int n, int sv, const int32_t *nodes, const double *x, vec *out)
-{
-    double *to = (double *)out;
-    for (int i = 0; i < nb; ++i) {
-        for (int a = 0; a < n; ++a) to[i * sv * WIDTH + a] = x[(int64_t)nodes[a] * nb + i];
-        for (int a = n; a < sv * WIDTH; ++a) to[i * sv * WIDTH + a] = 0.0;
-    }
-}
+#include "_work.h"
 
 /* The initial stresses' part, of LANES points whose z and frames stand in w->in. */
 INLINE void evaluate_initial(const int dim, const int rot, const int second, const PointKernels *kernels, int64_t start,
@@ -106,11 +81,6 @@ INLINE void evaluate_initial(const int dim, const int rot, const int second, con
         for (int k = 0; k < n; ++k) w->iin[(known + k) * LANES + l] = stress[k];
     }
     kernels->initial(w->iin, w->iout);
-}
-
-INLINE int lanes_from(const Batch *b, int64_t start)
-{
-    return (int)(b->npoints - start < LANES ? b->npoints - start : LANES);
 }
 
 /* Shapes of LANES points, for sums of their tangents. */
@@ -170,6 +140,9 @@ INLINE void gather_lanes(const int dim, const int rot, const int second, const B
     }
 }
 
+SPECIALISED(gather_lanes, (const Batch *b, const PointKernels *kernels, const double *x, int64_t start, int64_t *group,
+            int64_t *group_of, Work *w), b, kernels, x, start, group, group_of, w)
+
 /* Evaluate LANES points from `start` on, and their boxes. */
 INLINE void evaluate(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
                      const double *x, int64_t start, int64_t *group, int64_t *group_of, Work *w, int *coupled)
@@ -178,7 +151,7 @@ INLINE void evaluate(const int dim, const int rot, const int second, const Batch
     const int lanes = lanes_from(b, start);
     int open = 0;
     *coupled = 0;
-    gather_lanes(dim, rot, second, b, kernels, x, start, group, group_of, w);
+    gather_lanes_sized(b, kernels, x, start, group, group_of, w);
     for (int l = 0; l < lanes; ++l) open |= !kernels->returned_of || kernels->returned_of[start + l] < 0;
     for (int l = 0; kernels->couple && l < LANES; ++l) {
         const int32_t row = kernels->couple_of[start + (l < lanes ? l : lanes - 1)];
@@ -219,80 +192,6 @@ INLINE void lane_residuals(const int dim, const int rot, const int second, const
     for (int l = 0; l < lanes; ++l) share[l] = kernels->box_share[start + l];
     share *= volume / 6.0;
     add_sides(dim, rot, second, &w->boxes, &share, r);
-}
-
-/* The moduli of a point, times its volume: A [nz][nz]. */
-INLINE void point_moduli(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Work *w,
-                         int64_t p, int l, int coupled, double *A)
-{
-    const int nz = unknowns_of(dim, rot, second), turn = value_slot(dim, rot, dim);
-    const int64_t row = kernels->returned_of ? kernels->returned_of[p] : -1;
-    const double *block = row < 0 ? NULL : kernels->returned + row * (nz + nz * nz), volume = b->volume[p];
-    const double *upper = w->out + nz * LANES + l;
-    if (block)
-        for (int k = 0; k < nz * nz; ++k) A[k] = volume * block[nz + k];
-    else
-        for (int i = 0; i < nz; ++i)
-            for (int j = i; j < nz; ++j, upper += LANES) A[i * nz + j] = A[j * nz + i] = volume * *upper;
-    const double *more = w->iout + nz * LANES + l;
-    for (int i = 0; kernels->initial && i < nz; ++i)
-        for (int j = i; j < nz; ++j, more += LANES) {
-            A[i * nz + j] += volume * *more;
-            if (j > i) A[j * nz + i] += volume * *more;
-        }
-    if (coupled)
-        for (int i = 0; i < SPIN; ++i)
-            for (int j = 0; j < SPIN; ++j)
-                A[(turn + i) * nz + turn + j] += w->cout[(SPIN * (1 + i) + j) * LANES + l];
-}
-
-/* The same of a point: r [nz] and, if wanted, A. */
-INLINE void point_terms(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
-                        const Work *w, int64_t p, int l, int coupled, double *r, double *A)
-{
-    const int nz = unknowns_of(dim, rot, second), turn = value_slot(dim, rot, dim);
-    const int64_t row = kernels->returned_of ? kernels->returned_of[p] : -1;
-    const double *block = row < 0 ? NULL : kernels->returned + row * (nz + (A ? nz * nz : 0)), volume = b->volume[p];
-    for (int k = 0; k < nz; ++k) r[k] = volume * (block ? block[k] : w->out[k * LANES + l]);
-    for (int k = 0; kernels->initial && k < nz; ++k) r[k] += volume * w->iout[k * LANES + l];
-    if (coupled)
-        for (int k = 0; k < SPIN; ++k) r[turn + k] += w->cout[k * LANES + l];
-    if (A) point_moduli(dim, rot, second, b, kernels, w, p, l, coupled, A);
-}
-
-/* Memory for the evaluation of points, with `scatter` for sums of a group, with `boxes` (2: for their whole tangent) for
- * the points' boxes. Returns nonzero without memory. */
-static int create_work(const Batch *b, int tangent, int scatter, int boxes, Work *w)
-{
-    const int nb = block_size(b), nz = unknowns_of(b->dim, b->rot, b->second), largest = largest_group(b);
-    const int most = scatter ? largest : 0, outputs = nz + (tangent ? nz * (nz + 1) / 2 : 0);
-    const size_t sv = (largest + WIDTH - 1) / WIDTH, stride = sv * WIDTH, inputs = 2 * nz + b->nstate + b->nparam;
-    const size_t padded = (size_t)nb * padded_nodes(b) * LANES;
-    *w = (Work){.in = vectors(inputs * LANES), .out = vectors((size_t)outputs * LANES),
-                .cin = vectors(2 * SPIN * LANES), .cout = vectors(SPIN * (1 + SPIN) * LANES),
-                .iin = vectors((nz + b->dim * b->dim + INITIAL_MAX) * LANES), .iout = vectors((size_t)outputs * LANES),
-                .A = vectors((size_t)LANES * nz * nz),
-                .shapes = vectors(LANES * shapes_of(b->second) * stride),
-                .raw = vectors(b->second == SECOND ? (3 + PAIRS) * stride : 1), .x = vectors(nb * stride), .before = vectors(nb * stride),
-                .f = vectors(nb * stride), .K = vectors(tangent && scatter ? most * nb * nb * stride : 1),
-                .at = malloc(sizeof(Place) * (most + 1)), .sv = (int)sv, .gathered = -1,
-                .weights = vectors((size_t)b->dim * b->orders * b->slots * LANES), .rows = vectors(nb * ROWS * LANES),
-                .nodal = vectors(padded), .nodal_before = vectors(padded), .forces = vectors(scatter ? padded : 1),
-                .sums = vectors(scatter ? padded : 1), .room = vectors(padded), .shaped = tangent && scatter};
-    if (!(w->in && w->out && w->cin && w->cout && w->iin && w->iout && w->A && w->shapes && w->raw && w->x && w->before && w->f && w->K && w->at && w->weights &&
-          w->rows && w->nodal && w->nodal_before && w->forces && w->sums && w->room))
-        return 1;
-    for (int k = 0; k < b->nparam; ++k)
-        for (int l = 0; l < LANES; ++l) w->in[(nz + b->nstate + k) * LANES + l] = b->param[k];
-    return boxes && create_boxes(b, w->sv, scatter, boxes > 1, &w->boxes);
-}
-
-static void free_work(Work *w)
-{
-    free(w->in), free(w->out), free(w->cin), free(w->cout), free(w->iin), free(w->iout), free(w->A);
-    free(w->shapes), free(w->raw), free(w->x), free(w->before), free(w->f), free(w->K), free(w->at);
-    free(w->weights), free(w->rows), free(w->nodal), free(w->nodal_before), free(w->forces), free(w->sums), free(w->room);
-    free_boxes(&w->boxes);
 }
 
 INLINE void gather(const int dim, const int rot, const int second, const Batch *b, const double *x, int32_t framed,
@@ -516,7 +415,7 @@ INLINE void gather_boxes(const int dim, const int rot, const int second, const B
     const int nz = unknowns_of(dim, rot, second);
     int64_t group = 0, group_of[LANES];
     for (int64_t start = 0; start < b->npoints; start += LANES) {
-        gather_lanes(dim, rot, second, b, kernels, x, start, &group, group_of, w);
+        gather_lanes_sized(b, kernels, x, start, &group, group_of, w);
         for (int l = 0; l < lanes_from(b, start); ++l) {
             const int64_t p = start + l;
             for (int i = 0; i < nz; ++i) z[p * nz + i] = w->in[i * LANES + l];
@@ -599,6 +498,50 @@ int polarmpm_box_work(const Batch *b, const PointKernels *kernels, const double 
     return failed;
 }
 
+/* What a kernel (z, state, param) -> outputs gives at the points, and what their boxes add: to it, weight (sum_k [R(z + z_k)
+ * + R(z - z_k)] - 2 dim R(z)), and times the derivatives along the half axes, weight [R(z + z_k) - R(z - z_k)].
+ * here, even [row][nout], odd [row][dim][nout] or NULL. Returns nonzero when memory ran out. */
+FAST int polarmpm_box_means(kernel_t kernel, int64_t rows, int32_t dim, int32_t nz, int32_t nstate, int32_t nparam,
+                            const double *z, const double *zk, const double *state, const double *param,
+                            const double *weight, int32_t nout, double *here, double *even, double *odd)
+{
+    double *in = vectors((size_t)(nz + nstate + nparam) * LANES), *out = vectors((size_t)nout * LANES);
+    double *up = vectors((size_t)nout * LANES), *down = vectors((size_t)nout * LANES), *sums = vectors((size_t)nout * LANES);
+    const int failed = !(in && out && up && down && sums);
+    for (int k = 0; k < nparam && !failed; ++k)
+        for (int l = 0; l < LANES; ++l) in[(nz + nstate + k) * LANES + l] = param[k];
+    for (int64_t start = 0; start < rows && !failed; start += LANES) {
+        const int lanes = (int)(rows - start < LANES ? rows - start : LANES);
+        int64_t of[LANES];
+        for (int l = 0; l < LANES; ++l) {
+            of[l] = start + (l < lanes ? l : lanes - 1);
+            for (int k = 0; k < nz; ++k) in[k * LANES + l] = z[of[l] * nz + k];
+            for (int k = 0; k < nstate; ++k) in[(nz + k) * LANES + l] = state[of[l] * nstate + k];
+        }
+        kernel(in, out);
+        for (int k = 0; k < nout * LANES; ++k) sums[k] = -2.0 * dim * out[k];
+        for (int s = 0; s < dim; ++s) {
+            for (int sign = 1; sign > -2; sign -= 2) {
+                for (int l = 0; l < LANES; ++l)
+                    for (int k = 0; k < nz; ++k)
+                        in[k * LANES + l] = z[of[l] * nz + k] + sign * zk[(of[l] * dim + s) * nz + k];
+                kernel(in, sign > 0 ? up : down);
+            }
+            for (int k = 0; k < nout * LANES; ++k) sums[k] += up[k] + down[k];
+            for (int l = 0; odd && l < lanes; ++l)
+                for (int k = 0; k < nout; ++k)
+                    odd[(of[l] * dim + s) * nout + k] = weight[of[l]] * (up[k * LANES + l] - down[k * LANES + l]);
+        }
+        for (int l = 0; l < lanes; ++l)
+            for (int k = 0; k < nout; ++k) {
+                here[of[l] * nout + k] = out[k * LANES + l];
+                even[of[l] * nout + k] = weight[of[l]] * sums[k * LANES + l];
+            }
+    }
+    free(in), free(out), free(up), free(down), free(sums);
+    return failed;
+}
+
 /* The other half of symmetric sums whose rows are whole. Pairs: local nodes, and block columns of (row, col) and of
  * (col, row) in their rows; each node with itself, too. */
 void polarmpm_mirror(const Matrix *M, int32_t nb, int64_t pairs, const int32_t *row, const int32_t *col,
@@ -612,13 +555,9 @@ void polarmpm_mirror(const Matrix *M, int32_t nb, int64_t pairs, const int32_t *
         }
 }
 
-#include "_elements.h"
-#include "_patches.h"
 #include "_moments.h"
 #include "_measures.h"
 
 SIZE_OF(Batch);
 SIZE_OF(Matrix);
 SIZE_OF(PointKernels);
-SIZE_OF(Elements);
-SIZE_OF(Patches);

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from .graph import Graph
 
-LANES = 8  # points in one kernel call; one AVX-512 register, two of AVX2
+LANES = 8  # points in one kernel call
 # statements from which a function is divided, and of each part: compilers take time with their squares, while
 # the code hardly gets slower (docs/performance.md)
 _LONG, _PART = 2000, 500
@@ -38,7 +38,7 @@ def _statement(graph: Graph, i: int) -> str:
 
     op, *args = graph.nodes[i]
     if op == "in":
-        return f"v t{i} = in[{args[0]}];"
+        return f"v t{i} = in[{args[0]} * PARTS];"
     if op == "neg":
         return f"v t{i} = -{scalar(args[0])};"
     if op == "select":
@@ -53,9 +53,16 @@ def _statement(graph: Graph, i: int) -> str:
     return f"v t{i} = {scalar(args[0])} {op} {scalar(args[1])};"
 
 
+# Vectors are as wide as a register: wider ones take thrice the time to compile, and their tangents a
+# quarter longer, as gcc keeps them in memory (docs/performance.md). Half of the lanes at once: two calls.
 _PRELUDE = f"""#include <math.h>
-typedef double v __attribute__((vector_size({8 * LANES})));
-typedef long long m __attribute__((vector_size({8 * LANES})));
+#ifdef __AVX512F__
+enum {{ WIDTH = {LANES}, PARTS = 1 }};
+#else
+enum {{ WIDTH = {LANES // 2}, PARTS = 2 }};
+#endif
+typedef double v __attribute__((vector_size(8 * WIDTH)));
+typedef long long m __attribute__((vector_size(8 * WIDTH)));
 static inline v splat(double a) {{ return (v){{}} + a; }}
 static inline v select(m c, v a, v b) {{ return (v)((c & (m)a) | (~c & (m)b)); }}
 """
@@ -67,7 +74,7 @@ def _helpers(functions: set[str]) -> str:
         args = ("v a, v b", "a[i], b[i]") if f in ("pow", "fmin", "fmax", "atan2") else ("v a", "a[i]")
         lines.append(
             f"static inline v v_{f}({args[0]})"
-            f" {{ v r; for (int i = 0; i < {LANES}; ++i) r[i] = {f}({args[1]}); return r; }}"
+            f" {{ v r; for (int i = 0; i < WIDTH; ++i) r[i] = {f}({args[1]}); return r; }}"
         )
     return "\n".join(lines)
 
@@ -91,18 +98,26 @@ def write_c(graph: Graph, functions: dict[str, Sequence[int]]) -> str:
             bodies.append(_in_parts(graph, name, steps, outputs))
             continue
         lines = [_statement(graph, i) for i in steps] + [_output(graph, k, i) for k, i in enumerate(outputs)]
-        bodies.append(_function(f"void {name}(const v *restrict in, v *restrict out)", lines))
+        bodies.append(_whole(name, lines))
     return _PRELUDE + _helpers(called) + "\n" + "\n".join(bodies)
 
 
 def _output(graph: Graph, k: int, i: int) -> str:
     value = graph.value(i)
-    return f"out[{k}] = " + (f"t{i};" if value is None else f"splat({value!r});")
+    return f"out[{k} * PARTS] = " + (f"t{i};" if value is None else f"splat({value!r});")
 
 
 def _function(head: str, lines: Sequence[str]) -> str:
     body = "\n  ".join(lines)
     return f"{head}\n{{\n  {body}\n}}\n"
+
+
+def _whole(name: str, lines: Sequence[str]) -> str:
+    """A function of some statements, called for each part of the lanes."""
+    arguments = "(const v *restrict in, v *restrict out)"
+    once = _function(f"static __attribute__((noinline)) void {name}_once{arguments}", lines)
+    each = [f"for (int i = 0; i < PARTS; ++i) {name}_once(in + i, out + i);"]
+    return once + _function(f"void {name}{arguments}", each)
 
 
 def _in_parts(graph: Graph, name: str, steps: Sequence[int], outputs: Sequence[int]) -> str:
@@ -140,8 +155,7 @@ def _in_parts(graph: Graph, name: str, steps: Sequence[int], outputs: Sequence[i
         pieces.append(_function(f"{head}(const v *restrict in, v *restrict out, v *restrict kept)", lines))
     constants = [_output(graph, k, i) for k, i in enumerate(outputs) if graph.value(i) is not None]
     calls = [f"v kept[{max(size, 1)}];", *(f"{name}_{p}(in, out, kept);" for p in range(len(parts)))]
-    whole = _function(f"void {name}(const v *restrict in, v *restrict out)", calls + constants)
-    return "\n".join([*pieces, whole])
+    return "\n".join([*pieces, _whole(name, calls + constants)])
 
 
 def _operands(graph: Graph, i: int) -> list[int]:

@@ -43,7 +43,7 @@ class Patches(Structure):
     """Patches of a batch's points."""
 
 
-@declared_in("_elements.h")
+@declared_in("_elements.c")
 class Elements(Structure):
     """Finite elements of one material, and where their nodes' blocks stand in the sparse matrix."""
 

@@ -13,7 +13,7 @@ from ..assembly.parts import Parts
 from ..assembly.system import NodalSystem
 from ..conditions.supports import component_names
 from ..errors import Finding
-from ..solvers.multigrid import rigid_motions
+from ..solvers.rigidmotions import rigid_motions
 from ..terms.base import Piece
 from ..terms.ghost import Ghost
 from ..terms.surfaces import Pressure, SurfaceSupport, Traction

@@ -51,9 +51,9 @@ def _multigrid(tangent: Tangent) -> LinearSolver:
 
 def algebraic(tangent: Tangent) -> LinearSolver:
     """Multigrid that needs no lattice. Collective."""
-    from .multigrid import MultigridSolver  # lazy import: small problems need no multigrid
+    from .algebraic import AlgebraicSolver  # lazy import: small problems need no multigrid
 
-    return MultigridSolver(
+    return AlgebraicSolver(
         tangent.matrix, tangent.symmetric, tangent.near_null_space, tangent.far_from_symmetric
     )
 

@@ -26,16 +26,17 @@ _ENCLOSED = 0.33  # share of the next nodes that are weak: a layer behind faces
 _SHIFT = 1e-11  # of the coarsest diagonal
 
 
-class Hierarchy:
-    """The levels of a tangent. Collective.
+class Lattices:
+    """A hierarchy of lattices; see `multigrid.Hierarchy`.
 
     Attributes:
         sweeps: of relaxation before and after coarser levels.
     """
 
-    def __init__(self, lattice: LatticeRows, comm: MPI.Comm, symmetric: bool):
+    def __init__(self, lattice: LatticeRows, symmetric: bool):
         self._symmetric, self.sweeps = symmetric, 1
-        self._comm = comm if comm.size > 1 else None
+        self._comm = lattice.comm if lattice.comm.size > 1 else None
+        self.weight = np.tile(lattice.as_force, len(lattice.nodes))
         self.halo: Halo | None = None
         offsets, cols = self._block_rows(lattice)
         owned, b = len(lattice.nodes), lattice.block
@@ -144,7 +145,7 @@ class Hierarchy:
         if self.halo is not None:
             self.halo.fill(marked)
 
-    def renew_weak(self) -> None:
+    def keep(self) -> None:
         """Take the weak nodes' part of the rows as it is.
 
         Raises:
@@ -180,7 +181,7 @@ class Hierarchy:
             SingularTangent: no hierarchy can be made of them; on every rank.
         """
         self._on_all_ranks(self._renew_finest)
-        self.renew_weak()
+        self.keep()
         comm = self._comm
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             fine.find_free(comm, self.halo if comm is not None else None)
@@ -220,6 +221,10 @@ class Hierarchy:
         if self._coarsest is None:
             self._coarsest = Part(level, np.arange(level.nodes), self._symmetric)
         self._coarsest.renew(_SHIFT)
+
+    def strengthen(self) -> None:
+        """Relax twice."""
+        self.sweeps = 2
 
     # cycle ------------------------------------------------------------------------------------------
     def _exchange(self, level: Level) -> None:

@@ -96,12 +96,13 @@ class Level:
         )
 
     def prepare_rest(self, wanted: np.ndarray) -> None:
-        """Find what `rest_of` needs of half rows, in those (nodes,) bool that it is asked for; whole rows
+        """Find what `rest_of` needs of symmetric rows, in those (nodes,) bool that it is asked for; others
         have all."""
-        if not self.rows.half:
+        if not self.rows.symmetric:
             return
         cols, (row, at) = self.rows.kept["cols"], self.pairs
-        early = np.flatnonzero((cols > row) & wanted[cols])
+        early = np.flatnonzero((cols > row) & (cols < self.nodes))
+        early = early[wanted[cols[early]]]
         early = early[np.argsort(cols[early], kind="stable")]
         counts = np.bincount(cols[early], minlength=self.nodes)
         native.fill(
@@ -129,7 +130,7 @@ class Level:
         native.library().polarmpm_relax(*self._both, how, b, self.x)
 
     def rest_of(self, rows: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
-        """b - A x in some rows, in double precision; of half rows in those of `prepare_rest`."""
+        """b - A x in some rows, in double precision; of symmetric ones in those of `prepare_rest`."""
         native.library().polarmpm_rest(*self._both, len(rows), rows, b, self.x, out)
 
     def product(self, x: np.ndarray, out: np.ndarray) -> None:
@@ -177,7 +178,7 @@ class Level:
         native.fill(
             rows,
             block=b,
-            half=int(self.rows.half),
+            half=int(self.rows.symmetric),
             symmetric=int(self.rows.symmetric),
             nodes=count,
             offsets=offsets,

@@ -1,9 +1,11 @@
-/* Sums over finite elements: residual and tangent of the points' kernels at quadrature points; a part of _native.c.
+/* Sums over finite elements: residual and tangent of the points' kernels at quadrature points.
  *
  * All elements of a mesh have the same functions of the reference cell, in one table. What tells their shapes apart is a
  * small matrix at each quadrature point, the derivatives of the reference coordinates by the place, turned into the frame
  * in which the point's kernel takes gradients: by it the table becomes the point's weighting functions, and from there on
  * an element is what a group of material points is. */
+
+#include "_work.h"
 
 typedef struct {
     int32_t dim, rot;          /* space dimension, rotation components of a node */
@@ -295,3 +297,5 @@ int polarmpm_couple_elements(int64_t nnodes, int32_t nodes, const int32_t *cells
     free(met_by), free(as);
     return most;
 }
+
+SIZE_OF(Elements);

@@ -1,9 +1,9 @@
 /* Sums over the points of patches: scalars of which few functions a patch stand for the points' own values
- * (assembly/patches.py); a part of _native.c.
+ * (assembly/patches.py).
  *
  * A patch has `modes` vectors of its nodes for each kind of derivative, [patch][mode][component][node]; a mode is one of
  * its functions times one of the points' scalars. */
-#include "_points.h"
+#include "_work.h"
 
 /* Adds the sums of points that share a group and a patch, [kind][mode][component][sv], to the patch's vectors. */
 INLINE void flush_modes(const int nb, const Patches *P, int32_t kinds, int64_t p, int n, int sv, const vec *sums, double *out)
@@ -156,3 +156,5 @@ FAST int polarmpm_add_patches(const Patches *P, int32_t dim, int32_t nb, const d
     free(K), free(at);
     return failed;
 }
+
+SIZE_OF(Patches);
