@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from .stiffscalars import Mean
 
 if TYPE_CHECKING:
     from ..forms.returnmapping import Yielding
+    from .ratemoduli import PointModuli
 
 
 @dataclass
@@ -30,6 +32,7 @@ class At:
         initial: packed initial stresses; None: there are none.
         couples: dead couples in space (n, 3); None: there are none.
         inverses: of the local equations' derivatives by their unknowns, by region.
+        make_moduli: makes `moduli`, those of the points, for products; None: kernels give products.
     """
 
     g: np.ndarray
@@ -47,6 +50,11 @@ class At:
     initial: np.ndarray | None = None
     couples: np.ndarray | None = None
     inverses: dict[int, np.ndarray] = field(default_factory=dict)
+    make_moduli: Callable[[], PointModuli] | None = None
+
+    @cached_property
+    def moduli(self) -> PointModuli | None:
+        return None if self.make_moduli is None else self.make_moduli()
 
 
 @dataclass
