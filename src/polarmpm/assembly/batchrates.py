@@ -10,7 +10,6 @@ kernels' frames (the first entries of the state) turn them, as these have change
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +23,7 @@ from ..kernels.kernel import Kernel
 from .interpolation import Interpolation
 from .patches import Patches
 from .pointfunctions import Functions, framed
-from .ratemoduli import PointModuli
+from .ratemoduli import PointModuli, inverse, regions
 from .ratestate import At, Change
 from .stiffscalars import Mean
 
@@ -409,24 +408,6 @@ class BatchRates:
             mean.at_points[at.yielding.rows] = self._returned(at)[:, self.layout.unknowns :]
         return mean.whole
 
-    def regions(self, at: At) -> Iterator[tuple[int, np.ndarray, list[np.ndarray], np.ndarray]]:
-        """Of the points that yield: regions, which of them are there, kernels' inputs, local unknowns."""
-        y, form, comm = at.yielding, self.form, self.along.comm
-        assert y is not None
-        for region in map(int, np.unique(y.region)):
-            which = np.flatnonzero(y.region == region)
-            size = form.return_kernels(form.regions[region], comm).size  # type: ignore[attr-defined]
-            yield region, which, self._inputs(at, y.rows[which]), np.ascontiguousarray(y.X[which, :size])
-
-    def inverse(self, at: At, region: int, inputs: list[np.ndarray], X: np.ndarray) -> np.ndarray:
-        """Of the scaled derivatives of a region's local equations by their unknowns, (k, nx, nx)."""
-        if region not in at.inverses:
-            form, nx = self.form, X.shape[1]
-            kernels = form.return_kernels(form.regions[region], self.along.comm)  # type: ignore[attr-defined]
-            matrix = kernels.local(np.hstack(inputs), X)[:, nx:].reshape(-1, nx, nx)
-            at.inverses[region] = np.linalg.inv(matrix * kernels.row_scale[:, None])
-        return at.inverses[region]
-
     def _local_change(
         self, at: At, dz: np.ndarray, dstate: np.ndarray, dnumbers: np.ndarray, change: Change | None
     ) -> list[tuple[np.ndarray, int, list[np.ndarray], np.ndarray, np.ndarray]]:
@@ -435,13 +416,13 @@ class BatchRates:
         y, form, comm = at.yielding, self.form, self.along.comm
         assert y is not None
         out, moved = [], np.zeros_like(y.X)
-        for region, which, here, X in self.regions(at):
+        for region, which, here, X in regions(self, at):
             rows, local = y.rows[which], self.along.returned(region)[0]
             there = [dz[rows], dstate[rows], np.tile(dnumbers, (len(rows), 1))]
             both = [a for pair in zip(here, there, strict=True) for a in pair]
             scale = form.return_kernels(form.regions[region], comm).row_scale[:, None]  # type: ignore[attr-defined]
             right = local(*both, X, np.zeros_like(X))[:, :, None] * scale
-            moved[which, : X.shape[1]] = dX = -(self.inverse(at, region, here, X) @ right)[:, :, 0]
+            moved[which, : X.shape[1]] = dX = -(inverse(self, at, region, here, X) @ right)[:, :, 0]
             out.append((which, region, both, X, dX))
         if change is not None:
             change.given["X"] = moved

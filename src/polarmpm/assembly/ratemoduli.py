@@ -7,16 +7,34 @@ with those of the boxes' sides and of the return mapping; then each product take
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
 from .ratestate import At
 
-if TYPE_CHECKING:
-    from .batchrates import BatchRates
-
 _MOST_UNKNOWNS, _MOST_BYTES = 32, 2**27  # of a point, beyond which kernels are faster; of a batch
+
+
+def regions(batch: Any, at: At) -> Iterator[tuple[int, np.ndarray, list[np.ndarray], np.ndarray]]:
+    """Of a batch's points that yield: regions, which of them are there, kernels' inputs, local unknowns."""
+    y, form, comm = at.yielding, batch.form, batch.along.comm
+    assert y is not None
+    for region in map(int, np.unique(y.region)):
+        which = np.flatnonzero(y.region == region)
+        size = form.return_kernels(form.regions[region], comm).size
+        yield region, which, batch._inputs(at, y.rows[which]), np.ascontiguousarray(y.X[which, :size])
+
+
+def inverse(batch: Any, at: At, region: int, inputs: list[np.ndarray], X: np.ndarray) -> np.ndarray:
+    """Of the scaled derivatives of a region's local equations by their unknowns, (k, nx, nx)."""
+    if region not in at.inverses:
+        form, nx = batch.form, X.shape[1]
+        kernels = form.return_kernels(form.regions[region], batch.along.comm)
+        matrix = kernels.local(np.hstack(inputs), X)[:, nx:].reshape(-1, nx, nx)
+        at.inverses[region] = np.linalg.inv(matrix * kernels.row_scale[:, None])
+    return at.inverses[region]
 
 
 class PointModuli:
@@ -24,10 +42,11 @@ class PointModuli:
     and the projected scalars t.
 
     Args:
+        batch: `BatchRates`.
         kernels: (residual, residual and tangent).
     """
 
-    def __init__(self, batch: BatchRates, at: At, kernels: Any):
+    def __init__(self, batch: Any, at: At, kernels: Any):
         self._nz, self._m = batch.layout.unknowns, batch.form.scalars
         self._boxes = 0 if at.zk is None else at.zk.shape[1]
         self._batch, self._at, self._kernels = batch, at, kernels
@@ -44,11 +63,11 @@ class PointModuli:
         return np.concatenate([np.arange(nz), np.arange(whole, whole + self._m)])
 
     @staticmethod
-    def worth(batch: BatchRates, at: At) -> bool:
+    def worth(batch: Any, at: At) -> bool:
         """Whether the moduli are few."""
         nz, m = batch.layout.unknowns, batch.form.scalars
         size = nz * (1 if at.zk is None else 1 + at.zk.shape[1]) + m
-        return size <= _MOST_UNKNOWNS and 8 * size**2 * len(at.z) <= _MOST_BYTES
+        return bool(size <= _MOST_UNKNOWNS and 8 * size**2 * len(at.z) <= _MOST_BYTES)
 
     def _inputs(self, z: np.ndarray, rows: Any = slice(None)) -> tuple[np.ndarray, ...]:
         z, state = z[rows], self._at.state[rows]
@@ -69,7 +88,7 @@ class PointModuli:
         if not m:
             return blocks
         out = np.empty((len(z), nz + m, nz + m))
-        of_t = self._batch.form.compile_scalars(self._batch.along.comm).conjugate(*inputs)  # type: ignore[attr-defined]
+        of_t = self._batch.form.compile_scalars(self._batch.along.comm).conjugate(*inputs)
         out[:, :nz, :nz] = blocks
         out[:, nz:, :nz] = of_t[:, m : m + m * nz].reshape(-1, m, nz)
         out[:, :nz, nz:] = np.swapaxes(out[:, nz:, :nz], 1, 2)
@@ -101,15 +120,15 @@ class PointModuli:
         y, batch, form, nz, n = self._at.yielding, self._batch, self._batch.form, self._nz, self._nz + self._m
         assert y is not None
         out = np.zeros((len(y.rows), n, n))
-        for region, which, inputs, X in batch.regions(self._at):
-            kernels = form.return_kernels(form.regions[region], batch.along.comm)  # type: ignore[attr-defined]
+        for region, which, inputs, X in regions(batch, self._at):
+            kernels = form.return_kernels(form.regions[region], batch.along.comm)
             nx, moduli = kernels.size, kernels.moduli(np.hstack(inputs), X)[:, n:]
             by_z, by_X, of_X = np.split(moduli, [n * n, n * n + n * nx], axis=1)
             of_X = of_X.reshape(-1, nx, n) * kernels.row_scale[:, None]
-            moved = batch.inverse(self._at, region, inputs, X) @ of_X
+            moved = inverse(batch, self._at, region, inputs, X) @ of_X
             out[which] = by_z.reshape(-1, n, n) - by_X.reshape(-1, n, nx) @ moved
         if self._m:
-            curvature = form.compile_scalars(batch.along.comm).curvature  # type: ignore[attr-defined]
+            curvature = form.compile_scalars(batch.along.comm).curvature
             out[:, :nz, :nz] += self._symmetric(curvature(*self._inputs(self._at.z, y.rows)))
         return out
 

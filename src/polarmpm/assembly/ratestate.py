@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -14,7 +14,16 @@ from .stiffscalars import Mean
 
 if TYPE_CHECKING:
     from ..forms.returnmapping import Yielding
-    from .ratemoduli import PointModuli
+
+
+class Moduli(Protocol):
+    """Derivatives of what does work on the points' unknowns by these, see `ratemoduli`."""
+
+    def scalars(self, dz: np.ndarray, dzk: np.ndarray | None) -> np.ndarray: ...
+
+    def times(
+        self, dz: np.ndarray, dzk: np.ndarray | None, dt: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]: ...
 
 
 @dataclass
@@ -50,10 +59,10 @@ class At:
     initial: np.ndarray | None = None
     couples: np.ndarray | None = None
     inverses: dict[int, np.ndarray] = field(default_factory=dict)
-    make_moduli: Callable[[], PointModuli] | None = None
+    make_moduli: Callable[[], Moduli] | None = None
 
     @cached_property
-    def moduli(self) -> PointModuli | None:
+    def moduli(self) -> Moduli | None:
         return None if self.make_moduli is None else self.make_moduli()
 
 
