@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import warnings
 
 from mpi4py import MPI
 
@@ -300,3 +301,17 @@ def test_unknowns_and_parameters_go_into_each_other(transform, start, m):
 def test_refused_bounds(lower, upper):
     with pytest.raises(pm.InputError, match=r"Bounds|lower"):
         pm.Bounds(lower, upper)
+
+
+def doubtful(p: dict[str, float], at: np.ndarray) -> dict[str, np.ndarray]:
+    warnings.warn(f"step 3: {p['a']:.6g} % is missed", pm.TrustWarning, stacklevel=2)
+    return line(p, at)
+
+
+def test_a_doubt_is_told_once():
+    at = np.arange(5.0)
+    test = pm.Experiment(doubtful, at=at, data={"y": (1.0 + 2.0 * at, 0.1)})
+    with pytest.warns(pm.TrustWarning, match="is missed") as caught:
+        fit = pm.identify(test, start={"a": 2.0, "b": 1.0}, free=["a", "b"])
+    assert fit.evaluations > 1
+    assert len(caught) == 1

@@ -14,6 +14,10 @@ from tests.conftest import COMM, assert_repeated, by_id
 from tests.helpers.bodies import box
 from tests.helpers.ground import COSSERAT, HENCKY, LAM, MU, SOIL, WEIGHT, largest, run
 
+CLAY = pm.CamClay(
+    pm.Houlsby(p_0=20e3, swelling=0.01, mu=3e6), M=1.0, compression=0.08, p_c=100e3, cohesion=8e3
+)
+
 
 def corner(x: np.ndarray) -> np.ndarray:
     return (x[:, 0] < 1.0) & (x[:, 1] > 1.5)
@@ -21,7 +25,12 @@ def corner(x: np.ndarray) -> np.ndarray:
 
 # a trench ---------------------------------------------------------------------------------------------
 def trench(
-    material: pm.Material, degree: int = 1, rest: bool = True, before: Any = None, **options: Any
+    material: pm.Material,
+    degree: int = 1,
+    rest: bool = True,
+    before: Any = None,
+    overconsolidation: float | None = None,
+    **options: Any,
 ) -> Any:
     """Ground at rest of 3 x 2 m; `before` is removed from it before it has any stress."""
     body = box("quadrilateral", (6, 4), size=(3.0, 2.0))
@@ -33,12 +42,12 @@ def trench(
     problem.fix(pm.plane(y=0.0), u=0.0)
     ground = pm.K0(weight=WEIGHT, K0=0.6, surface=2.0)
     if rest:
-        problem.initial_stress(ground, balanced=before is None)
+        problem.initial_stress(ground, overconsolidation=overconsolidation, balanced=before is None)
     problem.body_load(force=ground.force)
     return problem
 
 
-def by_points(material: pm.Material) -> Any:
+def by_points(material: pm.Material, overconsolidation: float | None = None) -> Any:
     grid = pm.Grid((0, 0), (0.5, 0.5), (6, 5), comm=COMM)
     points = pm.seed(grid, bounds=((0, 0), (3, 2)), material=material)
     problem = pm.QuasiStatic(grid, points, basis="mpm", reset=None)
@@ -46,7 +55,7 @@ def by_points(material: pm.Material) -> Any:
         problem.fix(pm.plane(x=x), ux=0.0)
     problem.fix(pm.plane(y=0.0), u=0.0)
     ground = pm.K0(weight=WEIGHT, K0=0.6, surface=2.0)
-    problem.initial_stress(ground)
+    problem.initial_stress(ground, overconsolidation=overconsolidation)
     problem.body_load(force=ground.force)
     return problem
 
@@ -81,6 +90,25 @@ def test_points_heave_as_elements_do(material: pm.Material) -> None:
         run(problem, 2, 1.0)
         near = problem.points.where(lambda x: (x[:, 0] < 0.9) & (np.abs(x[:, 1] - 1.25) < 0.26))
         heaves.append(problem.points.mean_displacement(near)[1])
+    assert heaves[0] > 5e-4
+    np.testing.assert_allclose(*heaves, rtol=0.02)
+
+
+def test_clay_heaves_alike_as_it_is_dug_out_in_stages() -> None:
+    heaves = []
+    for problem in (make(CLAY, overconsolidation=1.5) for make in (trench, by_points)):
+        points = problem.points
+        run(problem, 1, 1e-9)
+        assert largest(points.displacement) < 1e-10
+        for stage, depth in enumerate((1.5, 1.0), start=1):
+            dug = points.where(lambda x, depth=depth: (x[:, 0] < 1.0) & (x[:, 1] > depth))
+            problem.remove(dug, over=1.0)
+            run(problem, 2, float(stage))
+            below = problem.reaction(problem.supports[-1]).force[1]
+            np.testing.assert_allclose(below, WEIGHT * (6.0 - 0.5 * stage), rtol=1e-6)
+        near = points.where(lambda x: (x[:, 0] < 0.9) & (np.abs(x[:, 1] - 0.75) < 0.26))
+        heaves.append(points.mean_displacement(near)[1])
+        assert problem.energies()["dissipated"] > 0.0
     assert heaves[0] > 5e-4
     np.testing.assert_allclose(*heaves, rtol=0.02)
 

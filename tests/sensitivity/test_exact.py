@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -27,6 +28,25 @@ def agreement(build: Any, values: dict[str, float], names: list[str], march: Any
 
 def marches(steps: int) -> Any:
     return lambda run: run.march(steps=steps)
+
+
+@pytest.mark.parametrize(
+    ("build", "values"), [(scenes.column, SOIL), (scenes.elements, SOIL), (scenes.cantilever, BEAM)]
+)
+def test_moduli_multiply_as_kernels_do(build: Any, values: dict[str, float]) -> None:
+    rng = np.random.default_rng(COMM.rank)
+    with pm.Sensitivity(build, values, list(values)[:1], method="exact") as run:
+        list(run.march(steps=2))
+        assert run._linear is not None
+        batch, at = run._linear.batches[0], run._linear.at[0]
+        assert at.moduli is not None
+        dz = rng.standard_normal(at.z.shape)
+        dzk = None if at.zk is None else rng.standard_normal(at.zk.shape)
+        own = batch.respond(at, dz, dzk, None)
+        kernels = batch.respond(replace(at, make_moduli=None), dz, dzk, None)
+        for a, b in zip(own, kernels, strict=True):
+            if a is not None and b is not None:
+                np.testing.assert_allclose(a, b, rtol=0, atol=1e-12 * np.abs(b).max(initial=0.0))
 
 
 @pytest.mark.parametrize(

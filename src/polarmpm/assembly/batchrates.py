@@ -10,6 +10,7 @@ kernels' frames (the first entries of the state) turn them, as these have change
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from ..kernels.kernel import Kernel
 from .interpolation import Interpolation
 from .patches import Patches
 from .pointfunctions import Functions, framed
+from .ratemoduli import PointModuli, inverse, regions
 from .ratestate import At, Change
 from .stiffscalars import Mean
 
@@ -74,6 +76,9 @@ class BatchRates:
         assert self.share is not None
         (_, d, nz), outputs = zk.shape, kernel.outputs
         here, even, odd = np.empty((n, outputs)), np.empty((n, outputs)), np.empty((n, d, outputs))
+        if not np.any(zk):  # as at a reset: the sides are as the points
+            found = kernel(z, state, np.tile(numbers, (n, 1)))
+            return Mean(found, np.zeros_like(found), np.zeros((n, d, outputs)))
         arrays = [np.ascontiguousarray(a) for a in (z, zk, state, numbers, self.share)]
         sizes = (n, d, nz, state.shape[1], len(numbers))
         means = native.library().polarmpm_box_means
@@ -115,6 +120,8 @@ class BatchRates:
         if found.yielding is not None:
             mean.at_points[found.yielding.rows] = self._returned(found)[:, :nz]
         found.work, found.sides = mean.whole, mean.odd
+        if PointModuli.worth(self, found):
+            found.make_moduli = partial(PointModuli, self, found, kernels)
         return found
 
     def frames(self, state: np.ndarray) -> np.ndarray:
@@ -258,6 +265,8 @@ class BatchRates:
         self, at: At, dz: np.ndarray, dzk: np.ndarray | None, change: Change | None
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """Changes of what does work on z and zk, in the frames."""
+        if change is None and at.moduli is not None:
+            return self._respond_linearly(at, dz, dzk)
         nz, m = self.layout.unknowns, self.form.scalars
         dstate = np.zeros_like(at.state) if change is None else change.state.copy()
         dnumbers = np.zeros_like(self.numbers) if change is None else change.parameters
@@ -271,17 +280,45 @@ class BatchRates:
             mean.at_points[at.yielding.rows] = self._returned_change(at, dz, dstate, dnumbers, change)
         work, sides = mean.whole[:, :nz], None if mean.odd is None else mean.odd[:, :, :nz]
         if m:
-            dpi = self._conjugate_change(at, mean.whole[:, nz:], change)
-            assert at.measure is not None
-            n, of_e = len(z), at.measure.columns(m, m + m * nz)
-            work = work + np.einsum("nm,nmz->nz", dpi, of_e.whole.reshape(n, m, nz))
-            if sides is not None and of_e.odd is not None:
-                odd = of_e.odd.reshape(n, sides.shape[1], m, nz)
-                sides = sides + np.einsum("nm,ndmz->ndz", dpi, odd)
+            work, sides = self._with_conjugates(at, work, sides, mean.whole[:, nz:], change)
         if at.initial is not None or (change is not None and change.initial is not None):
             work = work + self._initial_change(at, dz, dstate, change)
         if at.couples is not None:
             work = work + self._couples_change(at, dz, change)
+        return work, sides
+
+    def _respond_linearly(
+        self, at: At, dz: np.ndarray, dzk: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """The same where nothing else changes, of the points' moduli."""
+        moduli, dt = at.moduli, None
+        assert moduli is not None
+        if self.form.scalars:
+            assert at.measure is not None
+            assert at.moments is not None
+            values = at.measure.whole[:, : self.form.scalars]
+            dt = self._averaged_change(values, moduli.scalars(dz, dzk), at.moments[0], None)
+        work, sides, by_t = moduli.times(dz, dzk, dt)
+        if self.form.scalars:
+            work, sides = self._with_conjugates(at, work, sides, by_t, None)
+        if at.initial is not None:
+            work = work + self._initial_change(at, dz, np.zeros_like(at.state), None)
+        if at.couples is not None:
+            work = work + self._couples_change(at, dz, None)
+        return work, sides
+
+    def _with_conjugates(
+        self, at: At, work: np.ndarray, sides: np.ndarray | None, by_t: np.ndarray, change: Change | None
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Changes of what does work on z and zk, with those of pi . e_z as L_t changes by `by_t` (n, m)."""
+        n, m, nz = len(work), self.form.scalars, self.layout.unknowns
+        dpi = self._conjugate_change(at, by_t, change)
+        assert at.measure is not None
+        of_e = at.measure.columns(m, m + m * nz)
+        work = work + np.einsum("nm,nmz->nz", dpi, of_e.whole.reshape(n, m, nz))
+        if sides is not None and of_e.odd is not None:
+            odd = of_e.odd.reshape(n, sides.shape[1], m, nz)
+            sides = sides + np.einsum("nm,ndmz->ndz", dpi, odd)
         return work, sides
 
     def settle(self, at: At, x: np.ndarray, dx: np.ndarray, change: Change) -> None:
@@ -379,21 +416,14 @@ class BatchRates:
         y, form, comm = at.yielding, self.form, self.along.comm
         assert y is not None
         out, moved = [], np.zeros_like(y.X)
-        for region in np.unique(y.region):
-            which = np.flatnonzero(y.region == region)
-            rows, kernels = y.rows[which], form.return_kernels(form.regions[region], comm)  # type: ignore[attr-defined]
-            local = self.along.returned(int(region))[0]
-            X, nx = np.ascontiguousarray(y.X[which, : kernels.size]), kernels.size
-            here = self._inputs(at, rows)
+        for region, which, here, X in regions(self, at):
+            rows, local = y.rows[which], self.along.returned(region)[0]
             there = [dz[rows], dstate[rows], np.tile(dnumbers, (len(rows), 1))]
             both = [a for pair in zip(here, there, strict=True) for a in pair]
-            scale = kernels.row_scale[:, None]
-            if region not in at.inverses:
-                matrix = kernels.local(np.hstack(here), X)[:, nx:].reshape(-1, nx, nx) * scale
-                at.inverses[region] = np.linalg.inv(matrix)
+            scale = form.return_kernels(form.regions[region], comm).row_scale[:, None]  # type: ignore[attr-defined]
             right = local(*both, X, np.zeros_like(X))[:, :, None] * scale
-            moved[which, :nx] = dX = -(at.inverses[region] @ right)[:, :, 0]
-            out.append((which, int(region), both, X, dX))
+            moved[which, : X.shape[1]] = dX = -(inverse(self, at, region, here, X) @ right)[:, :, 0]
+            out.append((which, region, both, X, dX))
         if change is not None:
             change.given["X"] = moved
         return out

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -13,6 +14,16 @@ from .stiffscalars import Mean
 
 if TYPE_CHECKING:
     from ..forms.returnmapping import Yielding
+
+
+class Moduli(Protocol):
+    """Derivatives of what does work on the points' unknowns by these, see `ratemoduli`."""
+
+    def scalars(self, dz: np.ndarray, dzk: np.ndarray | None) -> np.ndarray: ...
+
+    def times(
+        self, dz: np.ndarray, dzk: np.ndarray | None, dt: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]: ...
 
 
 @dataclass
@@ -30,6 +41,7 @@ class At:
         initial: packed initial stresses; None: there are none.
         couples: dead couples in space (n, 3); None: there are none.
         inverses: of the local equations' derivatives by their unknowns, by region.
+        make_moduli: makes `moduli`, those of the points, for products; None: kernels give products.
     """
 
     g: np.ndarray
@@ -47,6 +59,11 @@ class At:
     initial: np.ndarray | None = None
     couples: np.ndarray | None = None
     inverses: dict[int, np.ndarray] = field(default_factory=dict)
+    make_moduli: Callable[[], Moduli] | None = None
+
+    @cached_property
+    def moduli(self) -> Moduli | None:
+        return None if self.make_moduli is None else self.make_moduli()
 
 
 @dataclass

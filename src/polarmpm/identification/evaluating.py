@@ -22,6 +22,7 @@ from ..errors import ErrorOnAnotherRank, InputError, PolarMPMError, RanksApart
 from ..sensitivity.runs import Sensitivity
 from ..tools import checks
 from ..tools.parallel import errors_on_all_ranks
+from .doubts import Doubts, doubts_kept
 from .experiment import Experiment, Task
 
 # changes of an unknown for differences: closed forms are smooth, runs as smooth as tolerances and resets
@@ -37,11 +38,13 @@ class Evaluated:
         values: by observable, (n, ...) with a row for each state.
         rates: their derivatives by the unknowns, (n, ..., unknowns).
         failure: why there are none; empty if there are.
+        doubts: texts of `TrustWarning`s, which aren't shown yet.
     """
 
     values: dict[str, np.ndarray]
     rates: dict[str, np.ndarray]
     failure: str = ""
+    doubts: tuple[str, ...] = ()
 
 
 class _Named(dict[str, float]):
@@ -58,7 +61,7 @@ def probe(test: Experiment, p: Mapping[str, float], comm: MPI.Intracomm) -> Task
         InputError: it returns something else than it should; an observable is missing.
     """
     task = test.task()
-    with errors_on_all_ranks(comm):
+    with errors_on_all_ranks(comm), doubts_kept():  # the first evaluation has them, too
         returned = task.build(_Named(p), **_given(task))
     name = getattr(test.build, "__name__", "build")
     if isinstance(returned, Mapping):
@@ -103,8 +106,16 @@ def evaluate(
         first: the parameters are those of the start: what goes wrong is raised.
         comm: ranks that compute it together; None: this one alone.
     """
+    with doubts_kept() as doubts:
+        found = _evaluated(task, p, slopes, first, comm or MPI.COMM_SELF)
+    return replace(found, doubts=tuple(doubts))
+
+
+def _evaluated(
+    task: Task, p: Mapping[str, float], slopes: Mapping[str, float], first: bool, comm: MPI.Intracomm
+) -> Evaluated:
     try:
-        with errors_on_all_ranks(comm or MPI.COMM_SELF), np.errstate(over="ignore"):
+        with errors_on_all_ranks(comm), np.errstate(over="ignore"):
             if task.closed or task.method == "differences" or not slopes:
                 values, rates = _by_differences(task, p, slopes)
             else:
@@ -227,7 +238,7 @@ class Evaluator:
 
     def __init__(self, tasks: Sequence[Task], workers: int, comm: MPI.Intracomm):
         self.tasks, self.comm = list(tasks), comm
-        self.workers = workers
+        self.workers, self._doubts = workers, Doubts(comm)
         self._pool: ProcessPoolExecutor | None = None
         if workers > 1:
             for task in self.tasks:
@@ -237,11 +248,19 @@ class Evaluator:
 
     def __call__(self, p: Mapping[str, float], slopes: Mapping[str, float], first: bool = False) -> Answers:
         if self._pool is None:
-            return [evaluate(task, p, slopes, first, self.comm) for task in self.tasks]
+            found = [evaluate(task, p, slopes, first, self.comm) for task in self.tasks]
+        else:
+            found = self._in_pool(self._pool, p, slopes, first)
+        self._doubts.tell(text for one in found for text in one.doubts)
+        return found
+
+    def _in_pool(
+        self, pool: ProcessPoolExecutor, p: Mapping[str, float], slopes: Mapping[str, float], first: bool
+    ) -> Answers:
         # more processes than experiments share the parameters of each, whose run they all make
         shares = max(1, min(self.workers // len(self.tasks), len(slopes)))
         parts = [{name: slopes[name] for name in list(slopes)[k::shares]} for k in range(shares)]
-        waiting = [self._submit(task, dict(p), part, first) for task in self.tasks for part in parts]
+        waiting = [_submit(pool, task, dict(p), part, first) for task in self.tasks for part in parts]
         try:
             found = [one.result() for one in waiting]
             return [_joined(found[k : k + shares], parts, slopes) for k in range(0, len(found), shares)]
@@ -254,11 +273,6 @@ class Evaluator:
             for one in waiting:
                 one.cancel()
 
-    def _submit(self, *args: Any) -> Future[Evaluated]:
-        assert self._pool is not None
-        with _alone():
-            return self._pool.submit(evaluate, *args)
-
     def close(self) -> None:
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
@@ -270,17 +284,24 @@ class Evaluator:
         self.close()
 
 
+def _submit(pool: ProcessPoolExecutor, *args: Any) -> Future[Evaluated]:
+    with _alone():
+        return pool.submit(evaluate, *args)
+
+
 def _joined(
     found: Sequence[Evaluated], parts: Sequence[Mapping[str, float]], slopes: Mapping[str, float]
 ) -> Evaluated:
     """One experiment, of processes that have differentiated by a part of the parameters each."""
     failed = next((one for one in found if one.failure), None)
+    doubts = tuple(text for one in found for text in one.doubts)
     if failed is not None or len(found) == 1:
-        return failed or found[0]
+        return replace(failed or found[0], doubts=doubts)
     names = [name for part in parts for name in part]
     order = [names.index(name) for name in slopes]
     joined = {key: np.concatenate([one.rates[key] for one in found], axis=-1) for key in found[0].rates}
-    return Evaluated(found[0].values, {key: rates[..., order] for key, rates in joined.items()})
+    rates = {key: of[..., order] for key, of in joined.items()}
+    return Evaluated(found[0].values, rates, doubts=doubts)
 
 
 def _check_sendable(task: Task) -> None:
