@@ -616,9 +616,10 @@ def told(surface: pm.Surface) -> str:
     [
         (((0.0, 0.5), (0.0, 0.0)), 8, "^$"),  # the whole end
         (((0.0, 0.0), (4.0, 0.0)), 64, "^$"),
-        (((1.0, 0.0), (3.1, 0.0)), 32, "^$"),
+        (((0.5, 0.0), (3.55, 0.0)), 48, "^$"),
         (((0.0, 0.0), (0.25, 0.0)), 8, "support 1: it is 1 cells long, and the body goes on beside it"),
         (((1.0, 0.0), (2.0, 0.0)), 16, "support 1: it is 4 cells long, and the body goes on beside it"),
+        (((0.5, 0.0), (3.4, 0.0)), 48, "support 1: it is 12 cells long, and the body goes on beside it"),
         (
             ((0.0, 0.5), (0.0, 0.0)),
             2,

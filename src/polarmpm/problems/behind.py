@@ -26,7 +26,7 @@ from .state import Progress
 _CUT = {"nitsche": 1e3, "nitsche-unsymmetric": 60.0}
 _SPRINGS = 1e3  # default of springs alone: a layer of a thousandth of a cell, of the body's stiffness
 _APART = 0.7  # cells between points, from which supports give way between them by more than 3 %
-_SHORT = 4.0  # cells: length of a surface up to which its edges count by a tenth
+_SHORT = 12.0  # cells: length of a surface up to which its edges may count by a tenth (docs/accuracy.md)
 _FEW = 0.05  # share of a surface: corners, where sides can't be told
 _THIN = 0.02  # of the points' size: how far the nearest one is inside
 _COERCIVE = 20.0  # the same beside the material's own tractions: enough for both methods (docs/theory.md)
@@ -137,7 +137,8 @@ def warn_of_resolution(problem: Body, name: str, surface: Surface) -> None:
     elif length < _SHORT * (1.0 + 1e-6):
         text = (
             f"it is {length:.2g} cells long, and the body goes on beside it: the grid holds half a cell "
-            "around it, too, and the body may be far too stiff; take smaller cells"
+            "around it, too, and the body may be too stiff, by up to a tenth with 12 cells and a quarter "
+            "with 4; take smaller cells"
         )
     else:
         return
