@@ -615,6 +615,8 @@ def told(surface: pm.Surface) -> str:
     ("ends", "number", "message"),
     [
         (((0.0, 0.5), (0.0, 0.0)), 8, "^$"),  # the whole end
+        (((0.02, 0.5), (0.02, 0.0)), 8, "^$"),
+        (((-0.05, 0.5), (-0.05, 0.0)), 8, "support 1: it lies 0.2 cells outside of the body"),
         (((0.0, 0.0), (4.0, 0.0)), 64, "^$"),
         (((0.5, 0.0), (3.55, 0.0)), 48, "^$"),
         (((0.0, 0.0), (0.25, 0.0)), 8, "support 1: it is 1 cells long, and the body goes on beside it"),
