@@ -634,6 +634,27 @@ def test_surfaces_that_the_grid_does_not_resolve(ends, number, message):
     assert re.search(message, told(pm.Surface.line(tuple(a), tuple(b), number)))
 
 
+@pytest.mark.parametrize(("end", "message"), [(np.pi, "^$"), (0.5 * np.pi, "it is 5.. cells long")])
+def test_whether_a_body_goes_on_beside_a_curved_support(end: float, message: str) -> None:
+    """A half ring held on its whole inner arc ends where that ends, and goes on beside one half of it."""
+    centre, angle = np.array((0.06, 0.11)), (np.arange(40) + 0.5) / 40 * end
+    normal = -np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+    arc = pm.Surface(centre - normal, np.full(40, end / 40), normal)
+    grid = pm.Grid.box((-3.0, -3.0), (3.0, 3.0), 0.25, COMM)
+
+    def half_ring(x: np.ndarray) -> np.ndarray:
+        radius = np.linalg.norm(x - centre, axis=1)
+        inside: np.ndarray = (radius >= 1.0) & (radius <= 1.8) & (x[:, 0] >= centre[0])
+        return inside
+
+    points = pm.seed(grid, half_ring, material=SOLID)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        pm.QuasiStatic(grid, points).fix(arc, u=0)
+    found = COMM.bcast("".join(str(w.message) for w in caught if w.category is pm.TrustWarning))
+    assert re.search(message, found)
+
+
 def inverted(surface: pm.Surface) -> pm.Surface:
     return pm.Surface(surface.x, surface.area, -surface.normal)
 
