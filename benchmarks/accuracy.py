@@ -88,7 +88,7 @@ def arches(results):
                 if r["scene"].startswith(f"{cell} m, {number} points, position")
             ]
             name = "2 (default)" if number == "default" else number
-            line = [f"{cell} m", name, len(pairs), *(span([p[k] for p in pairs]) for k in (0, 1))]
+            line = [f"{cell} m", name, len(pairs), *(span([p[k] for p in pairs if p[k]]) for k in (0, 1))]
             lines.append([*line, seconds(pairs, 0), seconds(pairs, 1)])
     head = ["cells", "points a direction", "positions", "distance before (m)", "now (m)"]
     records.table([*head, "CPU before (s)", "now (s)"], lines)
@@ -109,7 +109,7 @@ def arches(results):
 
 def seconds(pairs, k):
     """Mean of the CPU time of the runs that have an answer."""
-    some = [p[k]["cpu_s"] for p in pairs if not p[k]["failure"]]
+    some = [p[k]["cpu_s"] for p in pairs if p[k] and not p[k]["failure"]]
     return f"{np.mean(some):.1f}" if some else ""
 
 

@@ -29,9 +29,11 @@ def volume(body):
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("cell", list(DIMENSION))
 def test_measures_of_a_body(cell, degree):
-    """Volume, area, number of points and mean values are those of the box."""
+    """Volume, area, number of points and mean values are those of the box, whose cells grow along x."""
     dim = DIMENSION[cell]
-    body = pm.Elements(box(cell, (3, 2, 1)[:dim], (3.0, 2.0, 5.0)[:dim]), material=NEO_HOOKEAN, degree=degree)
+    mesh = box(cell, (3, 2, 1)[:dim], (3.0, 2.0, 5.0)[:dim])
+    mesh.geometry.x[:, 0] *= mesh.geometry.x[:, 0] / 3.0
+    body = pm.Elements(mesh, material=NEO_HOOKEAN, degree=degree)
     assert volume(body) == pytest.approx((6.0, 30.0)[dim - 2], rel=1e-12)
     assert body.facets(everywhere).area == pytest.approx((10.0, 62.0)[dim - 2], rel=1e-12)
     side = body.facets(pm.plane(x=3.0))
@@ -39,8 +41,15 @@ def test_measures_of_a_body(cell, degree):
     assert body.farthest((1, 0, 0)[:dim]).area == pytest.approx(side.area, rel=1e-12)
     np.testing.assert_array_equal(side.nodes, np.abs(body.nodes.position[:, 0] - 3.0) < 1e-9)
     np.testing.assert_allclose(body.mean(body.nodes.position, side), (3.0, 1.0, 2.5)[:dim], rtol=1e-12)
+    np.testing.assert_allclose(body.mean(body.nodes.position), (1.5, 1.0, 2.5)[:dim], rtol=1e-12)
     ids = np.sort(np.concatenate(COMM.allgather(body.points.id)))
     np.testing.assert_array_equal(ids, np.arange(body.points.total))
+
+
+def test_mean_over_a_body_of_revolution():
+    """A whole turn weighs more at the rim: of a cylinder, the mean radius is two thirds of it."""
+    body = pm.Elements(box("quadrilateral", (3, 2), (3.0, 2.0)), material=NEO_HOOKEAN, axisymmetric=True)
+    np.testing.assert_allclose(body.mean(body.nodes.position), (2.0, 1.0), rtol=1e-12)
 
 
 def test_points_are_numbered_along_the_cells_of_the_input():

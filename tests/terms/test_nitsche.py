@@ -615,10 +615,13 @@ def told(surface: pm.Surface) -> str:
     ("ends", "number", "message"),
     [
         (((0.0, 0.5), (0.0, 0.0)), 8, "^$"),  # the whole end
+        (((0.02, 0.5), (0.02, 0.0)), 8, "^$"),
+        (((-0.05, 0.5), (-0.05, 0.0)), 8, "support 1: it lies 0.2 cells outside of the body"),
         (((0.0, 0.0), (4.0, 0.0)), 64, "^$"),
-        (((1.0, 0.0), (3.1, 0.0)), 32, "^$"),
+        (((0.5, 0.0), (3.55, 0.0)), 48, "^$"),
         (((0.0, 0.0), (0.25, 0.0)), 8, "support 1: it is 1 cells long, and the body goes on beside it"),
         (((1.0, 0.0), (2.0, 0.0)), 16, "support 1: it is 4 cells long, and the body goes on beside it"),
+        (((0.5, 0.0), (3.4, 0.0)), 48, "support 1: it is 12 cells long, and the body goes on beside it"),
         (
             ((0.0, 0.5), (0.0, 0.0)),
             2,
@@ -629,6 +632,27 @@ def told(surface: pm.Surface) -> str:
 def test_surfaces_that_the_grid_does_not_resolve(ends, number, message):
     a, b = np.add(ends, (0.137, 0.061))
     assert re.search(message, told(pm.Surface.line(tuple(a), tuple(b), number)))
+
+
+@pytest.mark.parametrize(("end", "message"), [(np.pi, "^$"), (0.5 * np.pi, "it is 5.. cells long")])
+def test_whether_a_body_goes_on_beside_a_curved_support(end: float, message: str) -> None:
+    """A half ring held on its whole inner arc ends where that ends, and goes on beside one half of it."""
+    centre, angle = np.array((0.06, 0.11)), (np.arange(40) + 0.5) / 40 * end
+    normal = -np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+    arc = pm.Surface(centre - normal, np.full(40, end / 40), normal)
+    grid = pm.Grid.box((-3.0, -3.0), (3.0, 3.0), 0.25, COMM)
+
+    def half_ring(x: np.ndarray) -> np.ndarray:
+        radius = np.linalg.norm(x - centre, axis=1)
+        inside: np.ndarray = (radius >= 1.0) & (radius <= 1.8) & (x[:, 0] >= centre[0])
+        return inside
+
+    points = pm.seed(grid, half_ring, material=SOLID)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        pm.QuasiStatic(grid, points).fix(arc, u=0)
+    found = COMM.bcast("".join(str(w.message) for w in caught if w.category is pm.TrustWarning))
+    assert re.search(message, found)
 
 
 def inverted(surface: pm.Surface) -> pm.Surface:

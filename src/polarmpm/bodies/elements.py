@@ -263,6 +263,15 @@ class Elements(StagedMesh):
         sums = np.bincount(nodes.ravel(), share, minlength=len(self.nodes))
         return sums.astype(float)  # without any elements they are integers
 
+    def _volumes(self) -> np.ndarray:
+        """Integrals of the shape functions over the body (nodes,); ghosts' part is with their owners."""
+        nodes, shape = self.live_nodes, compat.tabulate(self.body.cell, self.degree, self.reference_points)[0]
+        of_cells = self.points.volume0.reshape(len(nodes), -1) @ shape
+        weights = np.zeros((len(self.nodes), self.layout.block))
+        weights[:, 0] = np.bincount(nodes.ravel(), of_cells.ravel(), minlength=len(self.nodes))
+        self.nodes.add_to_owners(weights)
+        return weights[:, 0]
+
     # results --------------------------------------------------------------------------------------
     @property
     def rotation_vector(self) -> np.ndarray:
@@ -271,14 +280,18 @@ class Elements(StagedMesh):
 
     @collective("mean")
     def mean(self, values: np.ndarray, facets: Facets | None = None) -> np.ndarray:
-        """Mean of nodal values (n, ...) over facets, weighted by their area; without facets the plain mean
-        over the nodes. Collective."""
+        """Mean of nodal values (n, ...) over facets, weighted by their area; without facets over the body,
+        weighted by its volume. Collective.
+
+        Raises:
+            InputError: values without a row for each node.
+        """
         own, values = self.nodes.owned, numeric("values", values)
         error = None
         if values.ndim == 0 or len(values) != len(self.nodes):
             error = refuse("values", values, f"one row for each of the {len(self.nodes)} nodes is needed")
         raise_on_all_ranks(self.comm, error)
-        weights = np.ones(len(self.nodes)) if facets is None else self.facets(facets).weights
+        weights = self._volumes() if facets is None else self.facets(facets).weights
         total = self.comm.allreduce(weights[:own].sum())
         return np.asarray(self.comm.allreduce(np.tensordot(weights[:own], values[:own], 1)) / total)
 
@@ -305,7 +318,7 @@ class Elements(StagedMesh):
 
     @collective("mean_displacement")
     def mean_displacement(self, facets: Facets | None = None) -> np.ndarray:
-        """Mean displacement (m) over facets, shape (d,). Collective."""
+        """Mean displacement (m) over facets, without them over the body, shape (d,). Collective."""
         return self.mean(self.displacement, facets)
 
 

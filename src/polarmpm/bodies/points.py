@@ -23,6 +23,7 @@ from ..materials.base import Material, check_material
 from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import Route, communicator_named, errors_on_all_ranks, name_of
+from .misfit import warn_of_misfit
 from .overlap import warn_of_overlap
 from .pointfields import (
     BODY_FIELDS,
@@ -395,7 +396,9 @@ class Points(Several):
     @collective("assign", compare=True)
     def assign(self, selection: Selection, material: Material) -> None:
         """Give points another material, such as a weaker one to a row. Before a problem is made of them;
-        collective.
+        collective. Boxes aren't cut: where parts of a body have to be met better than to a box, seed each
+        with its material and `join` them. There is a `TrustWarning` where the limit of the selection's
+        predicate makes the volume a twentieth larger or smaller.
 
         Raises:
             InputError: no material, one with another number of unknowns, or an empty selection.
@@ -408,6 +411,7 @@ class Points(Several):
             check_axisymmetric(self.X, material)
         if material.micropolar != self.materials[0].micropolar:
             raise InputError("material: micropolar and classical materials can't be mixed in one body")
+        warn_of_misfit(self, selection)
         if material not in self.materials:
             self.materials = (*self.materials, material)
         self.add_state()

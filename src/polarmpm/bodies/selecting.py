@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import chain
 from typing import Any
 
@@ -21,7 +21,7 @@ from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from .lineage import Lineage
 from .regions import Regions
-from .selection import Selection, check_selection
+from .selection import Predicate, Selection, check_selection
 
 
 class Selecting(ABC):
@@ -64,14 +64,14 @@ class Selecting(ABC):
         """Ids of a selection's points, or of their parts."""
         return selection.ids if self.lineage is None else self.lineage.descendants(selection.ids)[0]
 
-    def _select(self, mask: np.ndarray) -> Selection:
+    def _select(self, mask: np.ndarray, predicate: Predicate | None = None) -> Selection:
         ids = np.concatenate(self.comm.allgather(self.id[mask]))
-        return Selection(np.sort(ids), self.fingerprints()[0])
+        return Selection(np.sort(ids), self.fingerprints()[0], predicate=predicate)
 
     @collective("where")
-    def where(self, predicate: Callable[[np.ndarray], np.ndarray]) -> Selection:
+    def where(self, predicate: Predicate) -> Selection:
         """Points whose current position fulfils a predicate of x (n, d) -> (n,) bool; there may be none, on
-        which nothing can act. Collective.
+        which nothing can act. Positions are those of the centres of the points' boxes. Collective.
 
         Raises:
             InputError: not a predicate, or it returns something else. What it raises itself is raised on its
@@ -80,7 +80,7 @@ class Selecting(ABC):
         with errors_on_all_ranks(self.comm):
             checks.function("predicate", predicate, "a predicate of positions is", takes=("x",))
             mask = checks.mask("predicate", predicate(self.x.copy()), len(self))  # it may change what it gets
-        return self._select(mask)
+        return self._select(mask, predicate)
 
     def region(self, name: str | int) -> Selection:
         """Points seeded in a region of a mesh, a physical group of its cells, by its name or tag, wherever

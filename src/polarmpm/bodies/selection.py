@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from mpi4py import MPI
@@ -12,6 +13,8 @@ import numpy as np
 from ..errors import InputError
 from ..tools import checks
 
+Predicate = Callable[[np.ndarray], np.ndarray]
+
 
 @dataclass(frozen=True, eq=False)
 class Selection:
@@ -20,6 +23,7 @@ class Selection:
     Attributes:
         ids: whole numbers, ascending, each once.
         body: fingerprint of the body from whose points it was made; None: ids given by hand.
+        predicate: of positions, by which it was made; None: otherwise. Copies and pickles do without.
 
     Raises:
         InputError: ids that aren't so.
@@ -27,6 +31,7 @@ class Selection:
 
     ids: np.ndarray
     body: int | None = None
+    predicate: Predicate | None = field(default=None, repr=False, kw_only=True)
     alike: ClassVar = ("ids", "body")  # on all ranks
 
     def __post_init__(self) -> None:
@@ -49,6 +54,9 @@ class Selection:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "predicate": None}
 
     def __repr__(self) -> str:
         ids = ", ".join(map(str, self.ids[:4])) + (", ..." if len(self) > 4 else "")

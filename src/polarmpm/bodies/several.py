@@ -6,6 +6,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..tools.meetings import collective
+from .misfit import warn_of_misfit
 from .selecting import Selecting
 from .selection import Selection
 
@@ -46,6 +47,7 @@ class Several(Selecting):
         if not 0 < len(selection) < self.total:
             whole = "all points" if len(selection) else "no point"
             raise InputError(f"selection: contains {whole}; some, but not all, can be a body of their own")
+        warn_of_misfit(self, selection, "seed the bodies apart and join them: points.join(other, apart=True)")
         if self.bodies == 1:
             self.body = np.zeros(len(self), dtype=np.int32)
         self.body = self.body.copy()

@@ -26,7 +26,8 @@ from .state import Progress
 _CUT = {"nitsche": 1e3, "nitsche-unsymmetric": 60.0}
 _SPRINGS = 1e3  # default of springs alone: a layer of a thousandth of a cell, of the body's stiffness
 _APART = 0.7  # cells between points, from which supports give way between them by more than 3 %
-_SHORT = 4.0  # cells: length of a surface up to which its edges count by a tenth
+_SHORT = 12.0  # cells: length of a surface up to which its edges may count by a tenth (docs/accuracy.md)
+_OUTSIDE = 0.1  # cells beyond the body, over which a support gives way by a tenth and more
 _FEW = 0.05  # share of a surface: corners, where sides can't be told
 _THIN = 0.02  # of the points' size: how far the nearest one is inside
 _COERCIVE = 20.0  # the same beside the material's own tractions: enough for both methods (docs/theory.md)
@@ -123,10 +124,11 @@ def check_outward(problem: Body, name: str, surface: Surface) -> None:
 
 
 def warn_of_resolution(problem: Body, name: str, surface: Surface) -> None:
-    """Warn where a surface that is given as it is now holds the body by too few points, or on a few cells
-    of the grid beside which the body goes on. Collective."""
+    """Warn where a surface that is given as it is now lies outside of the body that it holds, holds it by too
+    few points, or on a few cells of the grid beside which the body goes on. Collective."""
     if isinstance(surface, FacetSurface):
         return
+    outside = _outside(problem, surface)
     spacing = surface.area ** (1.0 / (surface.dim - 1)) / _cells(problem, surface.x)
     length = _shortest(problem, surface) / problem.cell_size
     if (apart := float(np.median(spacing))) > _APART:
@@ -134,14 +136,34 @@ def warn_of_resolution(problem: Body, name: str, surface: Surface) -> None:
             f"its points are {apart:.2g} cells apart: the body may be far too soft there; give two points a "
             "cell, or more"
         )
+    elif outside > _OUTSIDE:
+        text = (
+            f"it lies {outside:.2g} cells outside of the body, which is held by what is between and may be "
+            "far too soft there; give the body's own boundary"
+        )
     elif length < _SHORT * (1.0 + 1e-6):
         text = (
             f"it is {length:.2g} cells long, and the body goes on beside it: the grid holds half a cell "
-            "around it, too, and the body may be far too stiff; take smaller cells"
+            "around it, too, and the body may be too stiff, by up to a tenth with 12 cells and a quarter "
+            "with 4; take smaller cells"
         )
     else:
         return
     warn_on_one_rank(problem.comm, f"{name}: {text} (docs/accuracy.md)", TrustWarning)
+
+
+def _outside(problem: Body, surface: Surface) -> float:
+    """How far (cells) a surface lies outside of the nearest points' boxes, half of it farther. Collective."""
+    points, d = problem.points, surface.dim
+    place, _ = _places(problem)
+    axes = points.half_axes0
+    if problem.progress.step > 0 and not problem.knows_undeformed:
+        axes = points.F[:, :d, :d] @ axes
+    values = np.column_stack([place, axes.reshape(-1, d * d)])
+    _, found = of_nearest(problem.comm, place, values, surface.x)
+    away = np.abs(np.sum((surface.x - found[:, :d]) * surface.normal, axis=1))
+    reach = np.abs(np.einsum("ni,nij->nj", surface.normal, found[:, d:].reshape(-1, d, d))).sum(axis=1)
+    return float(np.median((away - reach) / _cells(problem, surface.x)))
 
 
 def _cells(problem: Body, x: np.ndarray) -> np.ndarray:
@@ -161,12 +183,31 @@ def _shortest(problem: Body, surface: Surface) -> float:
     _, found = of_nearest(problem.comm, place, size[:, None], surface.x)
     step = float(np.median(found))
     for t in np.linalg.svd(x - np.outer(x @ n, n), full_matrices=False)[2][: d - 1]:
-        along = x @ t
-        reach = 0.5 * spacing + step
-        beside = np.outer((along.min() - reach, along.max() + reach), t) - 0.5 * step * n
-        if np.any(of_nearest(problem.comm, place, place, middle + beside)[0] < 0.75 * step):
-            shortest = min(shortest, float(np.ptp(along)) + spacing)
+        beside = _beyond_ends(surface, x, t, spacing, step)
+        if len(beside) and np.any(of_nearest(problem.comm, place, place, beside)[0] < 0.75 * step):
+            shortest = min(shortest, float(np.ptp(x @ t)) + spacing)
     return shortest
+
+
+def _beyond_ends(surface: Surface, x: np.ndarray, t: np.ndarray, spacing: float, step: float) -> np.ndarray:
+    """Places (k, d) beside the ends of a surface in a direction t (d,), in the body if that goes on there.
+
+    Args:
+        x: the surface's points (n, d) from its middle, `spacing` (m) apart.
+        step: distance (m) of the body's points.
+    """
+    places = []
+    across = np.linalg.norm(x - np.outer(x @ t, t), axis=1)
+    for way in (-t, t):
+        along = x @ way
+        edge = np.flatnonzero(along > along.max() - 0.5 * spacing)
+        end = edge[np.argmin(across[edge])]
+        normal = surface.normal[end]
+        onwards = way - (way @ normal) * normal
+        if (size := float(np.linalg.norm(onwards))) > 0.5:  # else it bends back, as a whole circle does
+            beyond = (0.5 * spacing + step) / size * onwards
+            places.append(surface.x[end] + beyond - 0.5 * step * normal)
+    return np.array(places).reshape(-1, surface.dim)
 
 
 def _places(problem: Body) -> tuple[np.ndarray, np.ndarray]:

@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ..bodies.misfit import warn_of_misfit
 from ..bodies.points import Points
 from ..bodies.selection import Selection
 from ..conditions.amplitudes import Amplitude, check_counts
@@ -390,6 +391,8 @@ class Conditions(Keeping, Whole, Turns):
         check_counts(name, counts)
         if selection is not None:
             self.points.check(selection)
+            if density:
+                warn_of_misfit(self.points, selection)
         parts = make_loads(name, selection, *values, self.layout, density, share)
         applied = Applied(name, tuple(parts))
         self._take(applied, [load.amplitude for load in parts], counts)

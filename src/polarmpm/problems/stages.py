@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..bodies.misfit import warn_of_misfit
 from ..bodies.points import Points
 from ..bodies.reference import Reference
 from ..bodies.seeding import check_inside
@@ -89,6 +90,7 @@ class Staged(OnGrid):
             raise InputError("remove: the selection contains no point")
         if self.comm.allreduce(len(self.points.rows(selection))) == self.points.total:
             raise InputError("remove: these are all points; nothing would be left of the body")
+        warn_of_misfit(self.points, selection)
         name = f"removal {self.given.next('removal')}"
         stage = Stage(name, selection)
 
