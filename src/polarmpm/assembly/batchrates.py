@@ -74,10 +74,11 @@ class BatchRates:
         assert self.share is not None
         (_, d, nz), outputs = zk.shape, kernel.outputs
         here, even, odd = np.empty((n, outputs)), np.empty((n, outputs)), np.empty((n, d, outputs))
-        arrays = [np.ascontiguousarray(a) for a in (z, zk, state, numbers, self.share)]
+        arrays = [np.ascontiguousarray(a) for a in (z, zk, state)]
+        rest = [np.ascontiguousarray(a) for a in (numbers, self.share)]
         sizes = (n, d, nz, state.shape[1], len(numbers))
         means = native.library().polarmpm_box_means
-        if means(kernel.address, *sizes, *arrays, outputs, here, even, odd):
+        if means(kernel.address, *sizes, *arrays, None, *rest, outputs, here, even, odd):
             raise MemoryError("no memory for the points' boxes")
         return Mean(here, even, odd)
 

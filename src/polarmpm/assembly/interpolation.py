@@ -85,6 +85,7 @@ class Interpolation:
         terms: contributions to the nodal system besides the points' stresses.
         boxes: the points integrate over their own boxes.
         most_growth: by what domains may have grown; points that fly apart don't spread without end.
+        carries: resets carry along how the deformation varies within the boxes.
 
     Attributes:
         pieces: what the terms have made of this reset.
@@ -102,10 +103,11 @@ class Interpolation:
         terms: Sequence[Term] = (),
         boxes: bool = False,
         most_growth: float = np.inf,
+        carries: bool = False,
     ):
         self.grid, self.points, self.basis, self.forms = grid, points, basis, forms
         self.layout: Layout = forms[0].layout.with_second(False)
-        self.reference = r = reference or Reference.of(points, self.layout.block)
+        self.reference = r = reference or Reference.of(points, self.layout.block, sides=carries)
         half = basis.domains(r.F, points.half_length0) if basis.uses_domains else None
         half = half if half is None else np.minimum(half, most_growth * points.half_length0)
         second = any(form.layout.second for form in forms)
@@ -138,6 +140,9 @@ class Interpolation:
         self.boxes: list[PointBoxes] | None = None
         if filled:
             self.boxes = [PointBoxes(b.batch, b.form.layout, points, b.rows, r) for b in self.batches]
+        # of rings, and of points whose stiff scalars are projected, they forget it
+        lasting = [b.form for b in self.batches if not b.form.scalars and not b.form.layout.axial]
+        self.carries = carries and filled and bool(lasting)
         self.pack()
 
     def _batch(
@@ -223,6 +228,14 @@ class Interpolation:
                 native.fill(b.batch, state=state)
         for boxes in self.boxes or ():
             boxes.pack_shares()
+
+    def put_sides(self, x: np.ndarray) -> None:
+        """Put into the points how their deformation varies within their boxes, at nodal increments x (nodes,
+        block); of those without boxes, or that have flowed, it begins anew. Local."""
+        self.points.begin_sides()
+        for boxes, batch in zip(self.boxes or (), self.batches, strict=False):
+            if not batch.form.scalars:
+                boxes.put_sides(self.reference, x)
 
     def rebase_rotations(self, x: np.ndarray) -> None:
         """Count rotation increments from the points' current rotations on, at nodal increments x (nodes,

@@ -31,6 +31,7 @@ from .pointfields import (
     MOTION_FIELDS,
     PLASTIC_FIELDS,
     SECOND_FIELDS,
+    SIDE_FIELDS,
 )
 from .regions import Regions
 from .revolution import check_axisymmetric
@@ -66,6 +67,10 @@ class Points(Several):
             following two only in bodies with plastic materials.
         grad_F: second gradient of the motion H_iJK = d^2 x_i / dX_J dX_K (1/m), (np, 3, 3, 3), symmetric in
             J and K; only in bodies with second-gradient materials, and zero at points of others.
+        side_F: derivatives of F along the half axes of the points' boxes, (np, d, d, d); like the following
+            two only of bodies in motion between a step and the reset of the grid that it asks for.
+        side_wryness: wryness from which on rotations vary within the boxes, tensor.
+        side_gradients: derivatives of the wryness since then along the half axes, times Q, (np, d, 3, d).
         counted_from: positions (m) from which displacements count, vector; only after
             `problem.zero_displacements()`, else these are X.
         hardening: accumulated plastic strain chi, scalar.
@@ -100,6 +105,9 @@ class Points(Several):
     unresolved: np.ndarray
     counted_from: np.ndarray
     grad_F: np.ndarray
+    side_F: np.ndarray
+    side_wryness: np.ndarray
+    side_gradients: np.ndarray
     plastic_F: np.ndarray
     plastic_wryness: np.ndarray
     hardening: np.ndarray
@@ -271,6 +279,22 @@ class Points(Several):
         """Whether a dynamic problem has been made of them, so that they have velocities."""
         return "velocity" in vars(self)
 
+    @property
+    def has_sides(self) -> bool:
+        """Whether it is known how the deformation varies within the points' boxes."""
+        return "side_F" in vars(self)
+
+    def begin_sides(self) -> None:
+        """Begin arrays of that, without any variation."""
+        n, d = len(self), self.dim
+        self.side_F, self.side_gradients = np.zeros((n, d, d, d)), np.zeros((n, d, 3, d))
+        self.side_wryness = self.wryness.copy()
+
+    def forget_sides(self) -> None:
+        """It isn't known any more."""
+        for name in SIDE_FIELDS:
+            vars(self).pop(name, None)
+
     def set_moving(self) -> None:
         """Give them velocities and accelerations, zero, if they have none."""
         if not self.moving:
@@ -285,6 +309,7 @@ class Points(Several):
         found = {**found, **SECOND_FIELDS} if self.second_gradient else found
         found = {**found, **MOTION_FIELDS} if self.moving else found
         found = {**found, **BODY_FIELDS} if self.bodies > 1 else found
+        found = {**found, **SIDE_FIELDS} if self.has_sides else found
         return {**found, **COUNTED_FIELDS} if "counted_from" in vars(self) else found
 
     def plastic_state(self, rows: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -316,7 +341,7 @@ class Points(Several):
         """Put in a whole state (restart, migration): every one of `fields`, one row a point. `same`: they
         are the points of before, so that selections of them stay valid; collective."""
         known = self.fingerprints() if same else ()
-        for name in COUNTED_FIELDS:  # whether it is there is part of the state
+        for name in (*COUNTED_FIELDS, *SIDE_FIELDS):  # whether it is there is part of the state
             vars(self).pop(name, None)
             if name in arrays:
                 setattr(self, name, arrays[name])
@@ -374,6 +399,8 @@ class Points(Several):
         for one, two in ((self, other), (other, self)):
             if "counted_from" in vars(one) and "counted_from" not in vars(two):
                 two.counted_from = two.X.copy()
+            if one.has_sides and not two.has_sides:
+                two.begin_sides()
         self.add_state()
         other.add_state()
         theirs = dict(other.arrays())

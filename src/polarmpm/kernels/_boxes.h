@@ -8,7 +8,8 @@
  *
  * All z_k of a point follow from the second derivatives of its functions, h, and for rotations from their gradients:
  * d(du_i/dx_c) = sum_h along[k][c][h] h_i, d(w_i) = sum_c lean[k][c] dw_i/dx_c. So nodes are read, and forces go back to
- * them, once for all sides. With second gradients z_k has the derivatives of the gradients alone: third ones of the
+ * them, once for all sides. Where the frame of the state varies in a box, from what it has seen before the reset, each side
+ * has its own, T + dT, and z_k the gradients along it: z T^-1 dT, too. With second gradients z_k has the derivatives of the gradients alone: third ones of the
  * functions are left out.
  *
  * A body of revolution has more volume outside: its sides count (1 + c) and (1 - c) times, with the share c of the radius
@@ -31,6 +32,8 @@ typedef struct {
     lanes_t *axes;             /* [side][dim] half axes */
     lanes_t *along;            /* [side][dim][pair] see above */
     lanes_t *lean;             /* [side][dim] half axes in the frame, where there are rotations */
+    lanes_t *frames, *tilt;    /* [side][dim][dim]: `box_frame` and `box_tilt` */
+    lanes_t *turns;            /* [side][rot (1 + dim)]: `box_turns` */
     lanes_t *h, *h_before;     /* [component][pair] second derivatives of the nodal values, of those before the last correction */
     double *zk, *before;       /* [side][nz][LANES]; of the nodal values before the last correction */
     double *sums;              /* [1 + side][nz][LANES]: sum_k [R(z + z_k) + R(z - z_k) - 2 R(z)], R(z + z_k) - R(z - z_k) */
@@ -51,19 +54,20 @@ static int create_boxes(const Batch *b, int sv, int shapes, int whole, BoxWork *
     const size_t bent = (size_t)block_size(b) * PAIRS * LANES;
     *w = (BoxWork){.curved = vectors(LANES * PAIRS * stride), .sides = vectors(shapes ? SIDES * rows * stride : 1),
                    .axes = vectors(SIDES * 3 * LANES), .along = vectors(SIDES * 3 * PAIRS * LANES), .lean = vectors(SIDES * 3 * LANES), .h = vectors(bent),
+                   .frames = vectors(SIDES * 9 * LANES), .tilt = vectors(SIDES * 9 * LANES), .turns = vectors(SIDES * 12 * LANES),
                    .h_before = vectors(bent), .zk = vectors(SIDES * nz * LANES), .before = vectors(SIDES * nz * LANES),
                    .sums = vectors((1 + SIDES) * nz * LANES), .bent = vectors(bent), .z = vectors(inputs * LANES),
                    .up = vectors(nz * LANES), .down = vectors(nz * LANES),
                    .moduli = vectors(whole ? (size_t)2 * SIDES * outputs * LANES : 1), .moved = vectors(shapes ? rows * stride : 1),
                    .hoop = vectors(SIDES * LANES), .arched = vectors(SIDES * BENT * LANES),
                    .arched_before = vectors(SIDES * BENT * LANES), .both = vectors(SIDES * BENT * LANES)};
-    return !(w->curved && w->sides && w->axes && w->along && w->lean && w->h && w->h_before && w->zk && w->before && w->sums && w->bent &&
+    return !(w->curved && w->sides && w->axes && w->along && w->lean && w->frames && w->tilt && w->turns && w->h && w->h_before && w->zk && w->before && w->sums && w->bent &&
              w->z && w->up && w->down && w->moduli && w->moved && w->hoop && w->arched && w->arched_before && w->both);
 }
 
 static void free_boxes(BoxWork *w)
 {
-    free(w->curved), free(w->sides), free(w->axes), free(w->along), free(w->lean), free(w->h), free(w->h_before), free(w->zk), free(w->before);
+    free(w->curved), free(w->sides), free(w->axes), free(w->along), free(w->lean), free(w->frames), free(w->tilt), free(w->turns), free(w->h), free(w->h_before), free(w->zk), free(w->before);
     free(w->sums), free(w->bent), free(w->z), free(w->up), free(w->down), free(w->moduli), free(w->moved);
     free(w->hoop), free(w->arched), free(w->arched_before), free(w->both);
 }
@@ -82,6 +86,12 @@ INLINE void find_curved(const int dim, const int rot, const Batch *b, const Poin
         w->axes[k][l] = kernels->box_axes[p * dim * dim + k];
         if (kernels->box_lean) w->lean[k][l] = kernels->box_lean[p * dim * dim + k];
     }
+    for (int k = 0; kernels->box_frame && k < dim * dim * dim; ++k) {
+        w->frames[k][l] = kernels->box_frame[p * dim * dim * dim + k];
+        w->tilt[k][l] = kernels->box_tilt[p * dim * dim * dim + k];
+    }
+    const int turning = dim * rot * (1 + dim);
+    for (int k = 0; kernels->box_turns && k < turning; ++k) w->turns[k][l] = kernels->box_turns[p * turning + k];
     for (int k = 0; kernels->box_hoop && k < dim; ++k) w->hoop[k][l] = kernels->box_hoop[p * dim + k];
 }
 
@@ -136,11 +146,48 @@ INLINE void find_arched(const int dim, const int rot, const int second, const la
         }
 }
 
-/* All z_k of LANES points from `start` on, the last of them that of the last lane, from z and the second derivatives. */
-INLINE void find_zk(const int dim, const int rot, const int second, const PointKernels *kernels, int64_t start, int count,
-                    const double *z, const lanes_t *h, const BoxWork *w, double *zk)
+/* The next two of three axes. */
+INLINE int after(int i) { return i == 2 ? 0 : i + 1; }
+
+/* What z_k begins with: rotations, then their gradients. Rotations about several axes don't add up: that of the side is
+ * exp(w) exp(delta) and not exp(w + delta), and likewise with their gradients, here to first order in w. */
+INLINE void add_turns(const int dim, const int rot, const int one_after_the_other, const lanes_t *at, const lanes_t *turns, lanes_t *zk)
 {
-    const int nz = unknowns_of(dim, rot, second), pairs = pairs_of(dim), turning = rot * (1 + dim);
+    for (int i = 0; i < rot * (1 + dim); ++i) zk[value_slot(dim, rot, dim) + i] += turns[i];
+    for (int i = 0; rot == 3 && one_after_the_other && i < 3; ++i) {
+        const int j = after(i), m = after(j), wi = value_slot(dim, rot, dim + i);
+        const int wj = value_slot(dim, rot, dim + j), wm = value_slot(dim, rot, dim + m);
+        zk[wi] += 0.5 * (at[wj] * turns[m] - at[wm] * turns[j]);
+        for (int c = 0; c < dim; ++c) {
+            const lanes_t *grown = turns + rot + c;
+            const int gj = gradient_slot(dim, rot, dim + j) + c, gm = gradient_slot(dim, rot, dim + m) + c;
+            zk[gradient_slot(dim, rot, dim + i) + c] +=
+                0.5 * (at[wj] * grown[m * dim] - at[wm] * grown[j * dim] - turns[j] * at[gm] + turns[m] * at[gj]);
+        }
+    }
+}
+
+/* What these do work on, into what rotations and their gradients do. */
+INLINE void collect_turns(const int dim, const int rot, const lanes_t *turns, const lanes_t *side, lanes_t *sums)
+{
+    for (int i = 0; rot == 3 && i < 3; ++i) {
+        const int j = after(i), m = after(j), wi = value_slot(dim, rot, dim + i);
+        const int wj = value_slot(dim, rot, dim + j), wm = value_slot(dim, rot, dim + m);
+        sums[wi] += 0.5 * (turns[j] * side[wm] - turns[m] * side[wj]);
+        for (int c = 0; c < dim; ++c) {
+            const lanes_t *grown = turns + rot + c;
+            const int gj = gradient_slot(dim, rot, dim + j) + c, gm = gradient_slot(dim, rot, dim + m) + c;
+            sums[wi] += 0.5 * (grown[j * dim] * side[gm] - grown[m * dim] * side[gj]);
+            sums[gradient_slot(dim, rot, dim + i) + c] += 0.5 * (turns[j] * side[gm] - turns[m] * side[gj]);
+        }
+    }
+}
+
+/* All z_k of LANES points, from z and the second derivatives. */
+INLINE void find_zk(const int dim, const int rot, const int second, const PointKernels *kernels, const double *z, const lanes_t *h,
+                    const BoxWork *w, double *zk)
+{
+    const int nz = unknowns_of(dim, rot, second), pairs = pairs_of(dim);
     const lanes_t *at = (const lanes_t *)z;
     for (int k = 0; k < dim; ++k) {
         lanes_t *own = (lanes_t *)zk + k * nz;
@@ -150,6 +197,8 @@ INLINE void find_zk(const int dim, const int rot, const int second, const PointK
                 const lanes_t *along = w->along + (k * dim + c) * pairs;
                 lanes_t sum = along[0] * h[i * pairs];
                 for (int j = 1; j < pairs; ++j) sum += along[j] * h[i * pairs + j];
+                for (int m = 0; kernels->box_frame && m < dim; ++m)
+                    sum += w->tilt[(k * dim + m) * dim + c] * at[gradient_slot(dim, rot, i) + m];
                 own[gradient_slot(dim, rot, i) + c] = sum;
             }
         for (int i = 0; i < dim + rot; ++i) {
@@ -158,32 +207,33 @@ INLINE void find_zk(const int dim, const int rot, const int second, const PointK
             for (int c = 1; c < dim; ++c) sum += w->lean[k * dim + c] * at[gradient_slot(dim, rot, i) + c];
             own[value_slot(dim, rot, i)] = sum;
         }
-        for (int l = 0; rot && kernels->box_turns && l < LANES; ++l) {  /* rotations, then their gradients */
-            const double *turns = kernels->box_turns + ((start + (l < count ? l : count - 1)) * dim + k) * turning;
-            for (int i = 0; i < turning; ++i) own[value_slot(dim, rot, dim) + i][l] += turns[i];
-        }
+        if (rot && kernels->box_turns) add_turns(dim, rot, kernels->box_frame != NULL, at, w->turns + k * rot * (1 + dim), own);
     }
 }
 
 /* In a body of revolution, how much the side `sign` of half axis k counts. */
 #define SIDE_WEIGHT(w, k, sign) (1.0 + (sign) * (w)->hoop[k])
 
-/* In a body of revolution: the radius that a point's state has over, and the quadratic part of the values, on the side
- * `sign` of half axis k. */
-INLINE void put_side(const int dim, const int rot, const int second, const double *in, double sign, int k, BoxWork *w)
+/* What a point's state is on the side `sign` of half axis k, where that is another: the frame; in a body of revolution the
+ * radius, and the quadratic part of the values in z. */
+INLINE void put_side(const int dim, const int rot, const int second, const PointKernels *kernels, const double *in, double sign, int k,
+                     BoxWork *w)
 {
-    if (second != AXIAL) return;
     lanes_t *z = (lanes_t *)w->z;
-    const int first = unknowns_of(dim, rot, second) + dim * dim + AT_HOOP;
+    const int at_frame = unknowns_of(dim, rot, second), first = at_frame + dim * dim + AT_HOOP;
+    for (int i = 0; kernels->box_frame && i < dim * dim; ++i)
+        z[at_frame + i] = ((const lanes_t *)in)[at_frame + i] + sign * w->frames[k * dim * dim + i];
+    if (second != AXIAL) return;
     for (int v = 0; v < values_of(rot, second); ++v) z[bent_slot(dim, rot, v)] += w->arched[k * BENT + v];
     for (int i = first; i < first + 1 + rot; ++i) z[i] = ((const lanes_t *)in)[i] / SIDE_WEIGHT(w, k, sign);
 }
 
 /* What the boxes' virtual work multiplies, from the kernel's inputs and its residual at z. */
-INLINE void evaluate_boxes(const int dim, const int rot, const int second, const Batch *b, kernel_t kernel, const double *in,
+INLINE void evaluate_boxes(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const double *in,
                            const double *residual, BoxWork *w)
 {
     const int nz = unknowns_of(dim, rot, second), block = nz * LANES;
+    const kernel_t kernel = kernels->box_kernel;
     const lanes_t *at = (const lanes_t *)in, *r = (const lanes_t *)residual;
     lanes_t *up = (lanes_t *)w->up, *down = (lanes_t *)w->down;
     lanes_t *z = (lanes_t *)w->z, *sums = (lanes_t *)w->sums;
@@ -192,10 +242,10 @@ INLINE void evaluate_boxes(const int dim, const int rot, const int second, const
     for (int k = 0; k < dim; ++k) {
         const lanes_t *zk = (const lanes_t *)w->zk + k * nz;
         for (int i = 0; i < nz; ++i) z[i] = at[i] + zk[i];
-        put_side(dim, rot, second, in, 1.0, k, w);
+        put_side(dim, rot, second, kernels, in, 1.0, k, w);
         kernel(w->z, w->up);
         for (int i = 0; i < nz; ++i) z[i] = at[i] - zk[i];
-        put_side(dim, rot, second, in, -1.0, k, w);
+        put_side(dim, rot, second, kernels, in, -1.0, k, w);
         kernel(w->z, w->down);
         for (int i = 0; second == AXIAL && i < nz; ++i) {
             up[i] *= SIDE_WEIGHT(w, k, 1.0);
@@ -235,7 +285,7 @@ INLINE void store_boxes(const int dim, const int rot, const int second, const do
 }
 
 /* What virtual values and derivatives multiply in place of virtual z and z_k: the first `sums`, and `bent`. */
-INLINE void collect_sides(const int dim, const int rot, const int second, const BoxWork *w)
+INLINE void collect_sides(const int dim, const int rot, const int second, const PointKernels *kernels, const BoxWork *w)
 {
     const int nz = unknowns_of(dim, rot, second), pairs = pairs_of(dim);
     lanes_t *sums = (lanes_t *)w->sums;
@@ -247,10 +297,16 @@ INLINE void collect_sides(const int dim, const int rot, const int second, const 
                 for (int c = 0; c < dim; ++c) sum += w->along[(k * dim + c) * pairs + j] * sums[(1 + k) * nz + gradient + c];
             w->bent[i * pairs + j] = sum;
         }
+        for (int k = 0; kernels->box_frame && k < dim; ++k)
+            for (int m = 0; m < dim; ++m)
+                for (int c = 0; c < dim; ++c)
+                    sums[gradient + m] += w->tilt[(k * dim + m) * dim + c] * sums[(1 + k) * nz + gradient + c];
         for (int k = 0; has_value(dim, second, i) && k < dim; ++k)
             for (int c = 0; c < dim; ++c)
                 sums[gradient + c] += w->lean[k * dim + c] * sums[(1 + k) * nz + value_slot(dim, rot, i)];
     }
+    for (int k = 0; rot == 3 && kernels->box_frame && kernels->box_turns && k < dim; ++k)
+        collect_turns(dim, rot, w->turns + k * rot * (1 + dim), sums + (1 + k) * nz, sums);
     for (int v = 0; v < values_of(rot, second); ++v)
         for (int k = 0; k < dim; ++k)
             for (int i = 0; i < dim; ++i)
@@ -288,7 +344,8 @@ INLINE void add_arched(const int dim, const int rot, const int second, int nv, i
 
 /* Shapes s of lane l, differentiated along its half axes; in a body of revolution, behind them, half the functions' second
  * derivatives along these. */
-INLINE void side_shapes(const int dim, const int rot, const int second, int nv, int sv, const vec *s, int l, const BoxWork *w)
+INLINE void side_shapes(const int dim, const int rot, const int second, const PointKernels *kernels, int nv, int sv, const vec *s, int l,
+                        const BoxWork *w)
 {
     const vec *curved = w->curved + (int64_t)l * PAIRS * sv;
     for (int k = 0; k < dim; ++k) {
@@ -299,6 +356,7 @@ INLINE void side_shapes(const int dim, const int rot, const int second, int nv, 
             for (int v = 0; v < nv; ++v) {
                 vec sum = along[0][l] * curved[v];
                 for (int j = 1; j < pairs_of(dim); ++j) sum += along[j][l] * curved[j * sv + v];
+                for (int m = 0; kernels->box_frame && m < dim; ++m) sum += w->tilt[(k * dim + m) * dim + c][l] * s[(1 + m) * sv + v];
                 out[(1 + c) * sv + v] = sum;
                 if (rot || second == AXIAL) out[v] = (c ? out[v] : (vec){0}) + lean * s[(1 + c) * sv + v];
             }
@@ -314,8 +372,10 @@ INLINE void side_shapes(const int dim, const int rot, const int second, int nv, 
 }
 
 /* Residuals and moduli at z + z_k and z - z_k, for all sides. */
-INLINE void evaluate_sides(const int dim, const int rot, const int second, const Batch *b, kernel_t kernel, const double *in, BoxWork *w)
+INLINE void evaluate_sides(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const double *in,
+                           BoxWork *w)
 {
+    const kernel_t kernel = kernels->kernel;
     const int nz = unknowns_of(dim, rot, second), block = nz * LANES, outputs = nz + nz * (nz + 1) / 2;
     const int known = (b->nstate + b->nparam) * LANES;
     memcpy(w->z, in, sizeof(double) * (2 * block + known));
@@ -328,7 +388,7 @@ INLINE void evaluate_sides(const int dim, const int rot, const int second, const
             }
             lanes_t *values_before = (lanes_t *)(w->z + block + known);
             for (int v = 0; v < values_of(rot, second); ++v) values_before[bent_slot(dim, rot, v)] += w->arched_before[k * BENT + v];
-            put_side(dim, rot, second, in, sign, k, w);
+            put_side(dim, rot, second, kernels, in, sign, k, w);
             kernel(w->z, w->moduli + (2 * k + down) * outputs * LANES);
         }
 }
@@ -360,9 +420,10 @@ INLINE void move_shapes(const int second, int sv, const vec *shapes, const vec *
 
 /* What a kernel (z, state, param) -> outputs gives at the points, and what their boxes add: to it, weight (sum_k [R(z + z_k)
  * + R(z - z_k)] - 2 dim R(z)), and times the derivatives along the half axes, weight [R(z + z_k) - R(z - z_k)].
+ * frames [row][dim][dim][dim]: what the first entries of the state change by along the half axes, or NULL.
  * here, even [row][nout], odd [row][dim][nout] or NULL. Returns nonzero when memory ran out. */
 FAST int polarmpm_box_means(kernel_t kernel, int64_t rows, int32_t dim, int32_t nz, int32_t nstate, int32_t nparam,
-                            const double *z, const double *zk, const double *state, const double *param,
+                            const double *z, const double *zk, const double *state, const double *frames, const double *param,
                             const double *weight, int32_t nout, double *here, double *even, double *odd)
 {
     double *in = vectors((size_t)(nz + nstate + nparam) * LANES), *out = vectors((size_t)nout * LANES);
@@ -385,8 +446,13 @@ FAST int polarmpm_box_means(kernel_t kernel, int64_t rows, int32_t dim, int32_t 
                 for (int l = 0; l < LANES; ++l)
                     for (int k = 0; k < nz; ++k)
                         in[k * LANES + l] = z[of[l] * nz + k] + sign * zk[(of[l] * dim + s) * nz + k];
+                for (int l = 0; frames && l < LANES; ++l)
+                    for (int k = 0; k < dim * dim; ++k)
+                        in[(nz + k) * LANES + l] = state[of[l] * nstate + k] + sign * frames[(of[l] * dim + s) * dim * dim + k];
                 kernel(in, sign > 0 ? up : down);
             }
+            for (int l = 0; frames && l < LANES; ++l)
+                for (int k = 0; k < dim * dim; ++k) in[(nz + k) * LANES + l] = state[of[l] * nstate + k];
             for (int k = 0; k < nout * LANES; ++k) sums[k] += up[k] + down[k];
             for (int l = 0; odd && l < lanes; ++l)
                 for (int k = 0; k < nout; ++k)

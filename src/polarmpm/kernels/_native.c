@@ -155,10 +155,10 @@ INLINE void gather_lanes(const int dim, const int rot, const int second, const B
         for (int k = 0; k < dim; ++k) boxes->hoop[k][l] = boxes->hoop[k][lanes - 1];
     if (kernels->box_axes) {
         find_along(dim, w->in + nz * LANES, boxes);
-        find_zk(dim, rot, second, kernels, start, lanes, w->in, boxes->h, boxes, boxes->zk);
+        find_zk(dim, rot, second, kernels, w->in, boxes->h, boxes, boxes->zk);
         find_arched(dim, rot, second, boxes->h, boxes, boxes->arched);
         const double *before = w->in + (nz + ns + np) * LANES;
-        if (kernels->before) find_zk(dim, rot, second, kernels, start, lanes, before, boxes->h_before, boxes, boxes->before);
+        if (kernels->before) find_zk(dim, rot, second, kernels, before, boxes->h_before, boxes, boxes->before);
         if (kernels->before) find_arched(dim, rot, second, boxes->h_before, boxes, boxes->arched_before);
     }
 }
@@ -183,7 +183,7 @@ INLINE void evaluate(const int dim, const int rot, const int second, const Batch
     }
     if (open || (kernels->box_axes && !kernels->box_kernel)) kernels->kernel(w->in, w->out);
     else if (kernels->box_kernel) kernels->box_kernel(w->in, w->out);  /* points that yield: the boxes' residual alone */
-    if (kernels->box_kernel) evaluate_boxes(dim, rot, second, b, kernels->box_kernel, w->in, w->out, &w->boxes);
+    if (kernels->box_kernel) evaluate_boxes(dim, rot, second, b, kernels, w->in, w->out, &w->boxes);
     if (kernels->box_store)
         store_boxes(dim, rot, second, w->in, w->out, &w->boxes, kernels->box_store + start / LANES * stored_of(dim, rot, second));
     if (*coupled) kernels->couple(w->cin, w->cout);
@@ -315,7 +315,7 @@ INLINE void assemble(const int dim, const int rot, const int second, const Batch
         int coupled;
         const int lanes = lanes_from(b, start);
         evaluate_sized(b, kernels, x, start, &group, group_of, w, &coupled);
-        if (kernels->box_kernel) collect_sides(dim, rot, second, &w->boxes);
+        if (kernels->box_kernel) collect_sides(dim, rot, second, kernels, &w->boxes);
         for (int l = 0, end; l < lanes; l = end) {
             const int64_t g = group_of[l];
             for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
@@ -377,7 +377,7 @@ INLINE void add_boxes(const int dim, const int rot, const int second, const Batc
     const BoxWork *boxes = &w->boxes;
     const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, sv = w->sv, nz = unknowns_of(dim, rot, second);
     const int outputs = nz + nz * (nz + 1) / 2;
-    for (int q = l; q < end; ++q) side_shapes(dim, rot, second, nv, sv, w->shapes + (int64_t)q * shapes_of(second) * sv, q, boxes);
+    for (int q = l; q < end; ++q) side_shapes(dim, rot, second, kernels, nv, sv, w->shapes + (int64_t)q * shapes_of(second) * sv, q, boxes);
     if (whole)
         add_box_moduli(dim, rot, second, b, kernels, M, w, w->out, w->shapes, -dim / 3.0, 0, 0.0, 1, start, g, l, end);
     for (int k = 0; k < dim; ++k) {
@@ -428,7 +428,7 @@ INLINE void assemble_boxes(const int dim, const int rot, const int second, const
         for (int l = 0; whole && l < lanes; ++l)
             large |= !(simple[l] = is_simple(second, kernels, start + l));
         if (large) {
-            evaluate_sides(dim, rot, second, b, kernels->kernel, w->in, &w->boxes);
+            evaluate_sides(dim, rot, second, b, kernels, w->in, &w->boxes);
             simplify_sides(dim, rot, second, simple, lanes, w->out, &w->boxes);
         }
         for (int l = 0, end; l < lanes; l = end) {

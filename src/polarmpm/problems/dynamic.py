@@ -65,6 +65,7 @@ class Dynamic(Moving, QuasiStatic):
     """
 
     _most_growth = 1.5  # of the domains of points that fly apart
+    _carries_sides = True
     _ghost_beyond = True  # nodes beyond the walls that domains hardly reach hold nothing else
     _pieces: np.ndarray | None = None  # of the body at the beginning, by number, of each local point
     _several = False  # there are several of them in one body
@@ -183,10 +184,10 @@ class Dynamic(Moving, QuasiStatic):
         return system
 
     def _reset(self) -> LoadedPoints:
-        """As of `QuasiStatic`; what varies within the points' boxes is let go."""
+        """As of `QuasiStatic`; the energy within the points' boxes that isn't carried along is let go."""
         p, stored = self.progress, self.box_record.energy(self._system)
         system = super()._reset()
-        p.reset_work += stored
+        p.reset_work += stored - self.box_record.energy(system)
         self.box_record.note_let_go(p.reset_work, max(abs(p.external_work), self._kinetic()))
         return system
 
