@@ -37,6 +37,7 @@ from .bodyweights import patches_of_bodies, weights_of_bodies
 from .nodesets import Groups, group_points, node_sets_of, ownership_priorities, reached_cells
 from .patches import Patches
 from .pointboxes import PointBoxes, has_boxes
+from .smoothing import means
 
 if TYPE_CHECKING:
     from ..forms.plastic import PlasticForm
@@ -229,13 +230,30 @@ class Interpolation:
         for boxes in self.boxes or ():
             boxes.pack_shares()
 
-    def put_sides(self, x: np.ndarray) -> None:
+    def put_sides(self, x: np.ndarray, keep: float = 1.0) -> None:
         """Put into the points how their deformation varies within their boxes, at nodal increments x (nodes,
-        block); of those without boxes, or that have flowed, it begins anew. Local."""
+        block); of those without boxes, or that have flowed, it begins anew. Collective.
+
+        Args:
+            keep: share that is kept of what differs from its means at the nodes.
+        """
         self.points.begin_sides()
+        there = np.zeros(len(self.points), dtype=bool)
         for boxes, batch in zip(self.boxes or (), self.batches, strict=False):
             if not batch.form.scalars:
-                boxes.put_sides(self.reference, x)
+                there[boxes.put_sides(self.reference, x)] = True
+        for name in ("side_F", "side_gradients") if keep < 1.0 else ():
+            setattr(self.points, name, self._smoothed(getattr(self.points, name), there, keep))
+
+    def _smoothed(self, sides: np.ndarray, there: np.ndarray, keep: float) -> np.ndarray:
+        """Derivatives along half axes (np, d, ...), of the points that are `there`, with a share of what
+        differs from the means at the nodes."""
+        axes, volume = self.points.half_axes0, np.where(there, self.points.volume0, 0.0)
+        rows = np.linalg.pinv(axes) @ sides.reshape(*axes.shape[:2], -1)
+        mean = means(self, volume, rows.reshape(len(rows), -1)).reshape(rows.shape)
+        kept = np.where(there[:, None, None], axes @ (mean + keep * (rows - mean)), 0.0)
+        found: np.ndarray = kept.reshape(sides.shape)
+        return found
 
     def rebase_rotations(self, x: np.ndarray) -> None:
         """Count rotation increments from the points' current rotations on, at nodal increments x (nodes,

@@ -177,23 +177,24 @@ class PointBoxes:
             out[:, k] = (turn @ odd)[:, 3 - r :]
         return out
 
-    def put_sides(self, reference: Reference, x: np.ndarray) -> None:
+    def put_sides(self, reference: Reference, x: np.ndarray) -> np.ndarray:
         """Put into the points how their deformation varies within their boxes at nodal increments x (nodes,
-        block); points that have flowed begin anew."""
+        block), and return their rows; those that have flowed, and rings, begin anew."""
         p, d, r = self.points, self.layout.dim, self.layout.rotations
         lasts = self.share > FLOWED
-        if self.layout.axial or not np.any(lasts):
-            return
+        rows = self.rows[lasts]
+        if self.layout.axial or not len(rows):
+            return rows[:0]
         z, zk, both = self.gather(x)
         grown: np.ndarray = zk[:, :, : d * d].reshape(-1, d, d, d)
         if self._frames is not None:
             grown = grown + self._frames
         grown = grown @ np.linalg.inv(self._to_frame(reference))[:, None]
-        rows = self.rows[lasts]
         p.side_F[rows], p.side_wryness[rows] = grown[lasts], reference.side_wryness[rows]
         if r:
             odd = self._side_gradients(reference, z, zk, both)
             p.side_gradients[rows, :, 3 - r :] = odd[lasts]
+        return rows
 
     def put(self, kernels: native.PointKernels, kernel: Kernel | None) -> None:
         """Put the boxes into the kernels of the batch; without a kernel of the elastic residual there are z_k

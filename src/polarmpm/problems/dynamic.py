@@ -30,6 +30,9 @@ from .motion import Moving
 from .points import QuasiStatic
 
 _IN_MOTION = InMotion()
+_DAMPED = (
+    0.9  # by which what nodes can't balance has to fade, by a step or at resets: bodies that spin blow up
+)
 
 
 class Dynamic(Moving, QuasiStatic):
@@ -190,6 +193,10 @@ class Dynamic(Moving, QuasiStatic):
         p.reset_work += stored - self.box_record.energy(system)
         self.box_record.note_let_go(p.reset_work, max(abs(p.external_work), self._kinetic()))
         return system
+
+    @property
+    def _kept_variation(self) -> float:
+        return min(1.0, _DAMPED / self.rho_inf) if self.rho_inf else 1.0
 
     def _filter(self, system: LoadedPoints) -> None:
         """Project velocities and accelerations. Collective."""

@@ -214,10 +214,15 @@ class OnGrid(Problem):
         system.destroy()
         return made
 
+    @property
+    def _kept_variation(self) -> float:
+        """Share that resets keep of what varies within boxes unlike its means at the nodes."""
+        return 1.0
+
     def _put_sides(self) -> None:
-        """Let the points know how their deformation varies within their boxes, for the next grid."""
+        """Let the points know how their deformation varies within their boxes, for the next grid. Collective."""
         if self._system is not None and self._system.interpolation.carries:
-            self._system.interpolation.put_sides(self._system.x)
+            self._system.interpolation.put_sides(self._system.x, self._kept_variation)
 
     def _has_left(self) -> bool:
         """Whether points have left the grid that a reset would make. Collective."""
