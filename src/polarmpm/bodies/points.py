@@ -37,6 +37,7 @@ from .regions import Regions
 from .revolution import check_axisymmetric
 from .selection import Selection, fingerprint
 from .several import Several
+from .sides import WithSides
 
 _PRIVATE = (
     "_has_plastic_state",
@@ -45,7 +46,7 @@ _PRIVATE = (
 )  # what copies take along besides public attributes
 
 
-class Points(Several):
+class Points(Several, WithSides):
     """Material points of one body.
 
     Attributes:
@@ -67,10 +68,7 @@ class Points(Several):
             following two only in bodies with plastic materials.
         grad_F: second gradient of the motion H_iJK = d^2 x_i / dX_J dX_K (1/m), (np, 3, 3, 3), symmetric in
             J and K; only in bodies with second-gradient materials, and zero at points of others.
-        side_F: derivatives of F along the half axes of the points' boxes, (np, d, d, d); like the following
-            two only of bodies in motion between a step and the reset of the grid that it asks for.
-        side_wryness: wryness from which on rotations vary within the boxes, tensor.
-        side_gradients: derivatives of the wryness since then along the half axes, times Q, (np, d, 3, d).
+        side_F, side_wryness, side_gradients: how they vary within the points' boxes, see `WithSides`.
         counted_from: positions (m) from which displacements count, vector; only after
             `problem.zero_displacements()`, else these are X.
         hardening: accumulated plastic strain chi, scalar.
@@ -105,9 +103,6 @@ class Points(Several):
     unresolved: np.ndarray
     counted_from: np.ndarray
     grad_F: np.ndarray
-    side_F: np.ndarray
-    side_wryness: np.ndarray
-    side_gradients: np.ndarray
     plastic_F: np.ndarray
     plastic_wryness: np.ndarray
     hardening: np.ndarray
@@ -278,22 +273,6 @@ class Points(Several):
     def moving(self) -> bool:
         """Whether a dynamic problem has been made of them, so that they have velocities."""
         return "velocity" in vars(self)
-
-    @property
-    def has_sides(self) -> bool:
-        """Whether it is known how the deformation varies within the points' boxes."""
-        return "side_F" in vars(self)
-
-    def begin_sides(self) -> None:
-        """Begin arrays of that, without any variation."""
-        n, d = len(self), self.dim
-        self.side_F, self.side_gradients = np.zeros((n, d, d, d)), np.zeros((n, d, 3, d))
-        self.side_wryness = self.wryness.copy()
-
-    def forget_sides(self) -> None:
-        """It isn't known any more."""
-        for name in SIDE_FIELDS:
-            vars(self).pop(name, None)
 
     def set_moving(self) -> None:
         """Give them velocities and accelerations, zero, if they have none."""

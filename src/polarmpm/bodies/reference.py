@@ -50,15 +50,16 @@ class Reference:
             sides: go on with how the deformation varies within the points' boxes, where that is known.
         """
         n, d = len(points), points.dim
-        of_sides = np.zeros((n, 0, d, d)), points.wryness.copy(), np.zeros((n, d, block - d, d))
+        wryness, side_F = points.wryness, np.zeros((n, 0, d, d))
+        turning: np.ndarray = np.zeros((n, d, block - d, d))
         if sides and points.has_sides:
+            side_F, wryness = points.side_F.copy(), points.side_wryness
             turning = points.side_gradients[:, :, 3 - (block - d) :].copy()
-            of_sides = points.side_F.copy(), points.side_wryness.copy(), turning
         columns = d + points.second_gradient * d * (d + 1) // 2
         stress = np.zeros((n, block, columns))
         second = points.grad_F.copy() if points.second_gradient else np.zeros((n, 0))
         state = points.x.copy(), points.F.copy(), points.q.copy(), points.wryness.copy()
-        return cls(*state, *of_sides, stress, second, np.zeros((n, 4)))
+        return cls(*state, side_F, wryness.copy(), turning, stress, second, np.zeros((n, 4)))
 
     def rebase_rotations(self, points: Points) -> None:
         """Count rotations from the points' current ones on; an initial stress turns with its base."""

@@ -30,9 +30,9 @@ from .motion import Moving
 from .points import QuasiStatic
 
 _IN_MOTION = InMotion()
-_DAMPED = (
-    0.9  # by which what nodes can't balance has to fade, by a step or at resets: bodies that spin blow up
-)
+# at most, a step's factor times that of resets, of what varies from point to point: without any damping
+# bodies that spin blow up
+_DAMPED = 0.9
 
 
 class Dynamic(Moving, QuasiStatic):

@@ -220,7 +220,8 @@ class OnGrid(Problem):
         return 1.0
 
     def _put_sides(self) -> None:
-        """Let the points know how their deformation varies within their boxes, for the next grid. Collective."""
+        """Let the points know how their deformation varies within their boxes, for the next grid.
+        Collective."""
         if self._system is not None and self._system.interpolation.carries:
             self._system.interpolation.put_sides(self._system.x, self._kept_variation)
 
