@@ -141,9 +141,10 @@ class Interpolation:
         self.boxes: list[PointBoxes] | None = None
         if filled:
             self.boxes = [PointBoxes(b.batch, b.form.layout, points, b.rows, r) for b in self.batches]
-        # of rings, and of points whose stiff scalars are projected, they forget it
-        lasting = [b.form for b in self.batches if not b.form.scalars and not b.form.layout.axial]
-        self.carries = carries and filled and bool(lasting)
+        # forgotten: of rings, of points whose stiff scalars are projected, and where turns about several axes
+        # vary, as increments from a base that varies don't add up
+        single = not self.layout.axial and self.layout.rotations < 3
+        self.carries = carries and filled and single and not all(form.scalars for form in forms)
         self.pack()
 
     def _batch(

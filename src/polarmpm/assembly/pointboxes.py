@@ -179,12 +179,12 @@ class PointBoxes:
 
     def put_sides(self, reference: Reference, x: np.ndarray) -> np.ndarray:
         """Put into the points how their deformation varies within their boxes at nodal increments x (nodes,
-        block), and return their rows; those that have flowed, and rings, begin anew."""
+        block), and return their rows; those that have flowed begin anew."""
         p, d, r = self.points, self.layout.dim, self.layout.rotations
         lasts = self.share > FLOWED
         rows = self.rows[lasts]
-        if self.layout.axial or not len(rows):
-            return rows[:0]
+        if not len(rows):
+            return rows
         z, zk, both = self.gather(x)
         grown: np.ndarray = zk[:, :, : d * d].reshape(-1, d, d, d)
         if self._frames is not None:

@@ -33,7 +33,6 @@ typedef struct {
     lanes_t *along;            /* [side][dim][pair] see above */
     lanes_t *lean;             /* [side][dim] half axes in the frame, where there are rotations */
     lanes_t *frames, *tilt;    /* [side][dim][dim]: `box_frame` and `box_tilt` */
-    lanes_t *turns;            /* [side][rot (1 + dim)]: `box_turns` */
     lanes_t *h, *h_before;     /* [component][pair] second derivatives of the nodal values, of those before the last correction */
     double *zk, *before;       /* [side][nz][LANES]; of the nodal values before the last correction */
     double *sums;              /* [1 + side][nz][LANES]: sum_k [R(z + z_k) + R(z - z_k) - 2 R(z)], R(z + z_k) - R(z - z_k) */
@@ -54,20 +53,20 @@ static int create_boxes(const Batch *b, int sv, int shapes, int whole, BoxWork *
     const size_t bent = (size_t)block_size(b) * PAIRS * LANES;
     *w = (BoxWork){.curved = vectors(LANES * PAIRS * stride), .sides = vectors(shapes ? SIDES * rows * stride : 1),
                    .axes = vectors(SIDES * 3 * LANES), .along = vectors(SIDES * 3 * PAIRS * LANES), .lean = vectors(SIDES * 3 * LANES), .h = vectors(bent),
-                   .frames = vectors(SIDES * 9 * LANES), .tilt = vectors(SIDES * 9 * LANES), .turns = vectors(SIDES * 12 * LANES),
+                   .frames = vectors(SIDES * 9 * LANES), .tilt = vectors(SIDES * 9 * LANES),
                    .h_before = vectors(bent), .zk = vectors(SIDES * nz * LANES), .before = vectors(SIDES * nz * LANES),
                    .sums = vectors((1 + SIDES) * nz * LANES), .bent = vectors(bent), .z = vectors(inputs * LANES),
                    .up = vectors(nz * LANES), .down = vectors(nz * LANES),
                    .moduli = vectors(whole ? (size_t)2 * SIDES * outputs * LANES : 1), .moved = vectors(shapes ? rows * stride : 1),
                    .hoop = vectors(SIDES * LANES), .arched = vectors(SIDES * BENT * LANES),
                    .arched_before = vectors(SIDES * BENT * LANES), .both = vectors(SIDES * BENT * LANES)};
-    return !(w->curved && w->sides && w->axes && w->along && w->lean && w->frames && w->tilt && w->turns && w->h && w->h_before && w->zk && w->before && w->sums && w->bent &&
+    return !(w->curved && w->sides && w->axes && w->along && w->lean && w->frames && w->tilt && w->h && w->h_before && w->zk && w->before && w->sums && w->bent &&
              w->z && w->up && w->down && w->moduli && w->moved && w->hoop && w->arched && w->arched_before && w->both);
 }
 
 static void free_boxes(BoxWork *w)
 {
-    free(w->curved), free(w->sides), free(w->axes), free(w->along), free(w->lean), free(w->frames), free(w->tilt), free(w->turns), free(w->h), free(w->h_before), free(w->zk), free(w->before);
+    free(w->curved), free(w->sides), free(w->axes), free(w->along), free(w->lean), free(w->frames), free(w->tilt), free(w->h), free(w->h_before), free(w->zk), free(w->before);
     free(w->sums), free(w->bent), free(w->z), free(w->up), free(w->down), free(w->moduli), free(w->moved);
     free(w->hoop), free(w->arched), free(w->arched_before), free(w->both);
 }
@@ -90,8 +89,6 @@ INLINE void find_curved(const int dim, const int rot, const Batch *b, const Poin
         w->frames[k][l] = kernels->box_frame[p * dim * dim * dim + k];
         w->tilt[k][l] = kernels->box_tilt[p * dim * dim * dim + k];
     }
-    const int turning = dim * rot * (1 + dim);
-    for (int k = 0; kernels->box_turns && k < turning; ++k) w->turns[k][l] = kernels->box_turns[p * turning + k];
     for (int k = 0; kernels->box_hoop && k < dim; ++k) w->hoop[k][l] = kernels->box_hoop[p * dim + k];
 }
 
@@ -146,48 +143,11 @@ INLINE void find_arched(const int dim, const int rot, const int second, const la
         }
 }
 
-/* The next two of three axes. */
-INLINE int after(int i) { return i == 2 ? 0 : i + 1; }
-
-/* What z_k begins with: rotations, then their gradients. Rotations about several axes don't add up: that of the side is
- * exp(w) exp(delta) and not exp(w + delta), and likewise with their gradients, here to first order in w. */
-INLINE void add_turns(const int dim, const int rot, const int one_after_the_other, const lanes_t *at, const lanes_t *turns, lanes_t *zk)
+/* All z_k of LANES points from `start` on, the last of them that of the last lane, from z and the second derivatives. */
+INLINE void find_zk(const int dim, const int rot, const int second, const PointKernels *kernels, int64_t start, int count,
+                    const double *z, const lanes_t *h, const BoxWork *w, double *zk)
 {
-    for (int i = 0; i < rot * (1 + dim); ++i) zk[value_slot(dim, rot, dim) + i] += turns[i];
-    for (int i = 0; rot == 3 && one_after_the_other && i < 3; ++i) {
-        const int j = after(i), m = after(j), wi = value_slot(dim, rot, dim + i);
-        const int wj = value_slot(dim, rot, dim + j), wm = value_slot(dim, rot, dim + m);
-        zk[wi] += 0.5 * (at[wj] * turns[m] - at[wm] * turns[j]);
-        for (int c = 0; c < dim; ++c) {
-            const lanes_t *grown = turns + rot + c;
-            const int gj = gradient_slot(dim, rot, dim + j) + c, gm = gradient_slot(dim, rot, dim + m) + c;
-            zk[gradient_slot(dim, rot, dim + i) + c] +=
-                0.5 * (at[wj] * grown[m * dim] - at[wm] * grown[j * dim] - turns[j] * at[gm] + turns[m] * at[gj]);
-        }
-    }
-}
-
-/* What these do work on, into what rotations and their gradients do. */
-INLINE void collect_turns(const int dim, const int rot, const lanes_t *turns, const lanes_t *side, lanes_t *sums)
-{
-    for (int i = 0; rot == 3 && i < 3; ++i) {
-        const int j = after(i), m = after(j), wi = value_slot(dim, rot, dim + i);
-        const int wj = value_slot(dim, rot, dim + j), wm = value_slot(dim, rot, dim + m);
-        sums[wi] += 0.5 * (turns[j] * side[wm] - turns[m] * side[wj]);
-        for (int c = 0; c < dim; ++c) {
-            const lanes_t *grown = turns + rot + c;
-            const int gj = gradient_slot(dim, rot, dim + j) + c, gm = gradient_slot(dim, rot, dim + m) + c;
-            sums[wi] += 0.5 * (grown[j * dim] * side[gm] - grown[m * dim] * side[gj]);
-            sums[gradient_slot(dim, rot, dim + i) + c] += 0.5 * (turns[j] * side[gm] - turns[m] * side[gj]);
-        }
-    }
-}
-
-/* All z_k of LANES points, from z and the second derivatives. */
-INLINE void find_zk(const int dim, const int rot, const int second, const PointKernels *kernels, const double *z, const lanes_t *h,
-                    const BoxWork *w, double *zk)
-{
-    const int nz = unknowns_of(dim, rot, second), pairs = pairs_of(dim);
+    const int nz = unknowns_of(dim, rot, second), pairs = pairs_of(dim), turning = rot * (1 + dim);
     const lanes_t *at = (const lanes_t *)z;
     for (int k = 0; k < dim; ++k) {
         lanes_t *own = (lanes_t *)zk + k * nz;
@@ -207,7 +167,10 @@ INLINE void find_zk(const int dim, const int rot, const int second, const PointK
             for (int c = 1; c < dim; ++c) sum += w->lean[k * dim + c] * at[gradient_slot(dim, rot, i) + c];
             own[value_slot(dim, rot, i)] = sum;
         }
-        if (rot && kernels->box_turns) add_turns(dim, rot, kernels->box_frame != NULL, at, w->turns + k * rot * (1 + dim), own);
+        for (int l = 0; rot && kernels->box_turns && l < LANES; ++l) {  /* rotations, then their gradients */
+            const double *turns = kernels->box_turns + ((start + (l < count ? l : count - 1)) * dim + k) * turning;
+            for (int i = 0; i < turning; ++i) own[value_slot(dim, rot, dim) + i][l] += turns[i];
+        }
     }
 }
 
@@ -305,8 +268,6 @@ INLINE void collect_sides(const int dim, const int rot, const int second, const 
             for (int c = 0; c < dim; ++c)
                 sums[gradient + c] += w->lean[k * dim + c] * sums[(1 + k) * nz + value_slot(dim, rot, i)];
     }
-    for (int k = 0; rot == 3 && kernels->box_frame && kernels->box_turns && k < dim; ++k)
-        collect_turns(dim, rot, w->turns + k * rot * (1 + dim), sums + (1 + k) * nz, sums);
     for (int v = 0; v < values_of(rot, second); ++v)
         for (int k = 0; k < dim; ++k)
             for (int i = 0; i < dim; ++i)

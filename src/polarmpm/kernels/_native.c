@@ -155,10 +155,10 @@ INLINE void gather_lanes(const int dim, const int rot, const int second, const B
         for (int k = 0; k < dim; ++k) boxes->hoop[k][l] = boxes->hoop[k][lanes - 1];
     if (kernels->box_axes) {
         find_along(dim, w->in + nz * LANES, boxes);
-        find_zk(dim, rot, second, kernels, w->in, boxes->h, boxes, boxes->zk);
+        find_zk(dim, rot, second, kernels, start, lanes, w->in, boxes->h, boxes, boxes->zk);
         find_arched(dim, rot, second, boxes->h, boxes, boxes->arched);
         const double *before = w->in + (nz + ns + np) * LANES;
-        if (kernels->before) find_zk(dim, rot, second, kernels, before, boxes->h_before, boxes, boxes->before);
+        if (kernels->before) find_zk(dim, rot, second, kernels, start, lanes, before, boxes->h_before, boxes, boxes->before);
         if (kernels->before) find_arched(dim, rot, second, boxes->h_before, boxes, boxes->arched_before);
     }
 }
