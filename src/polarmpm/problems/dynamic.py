@@ -48,7 +48,8 @@ class Dynamic(Moving, QuasiStatic):
             it is needed. In space also tensors J / rho (3, 3) of the undeformed body, which turn with the
             microrotation: one; one a material; or a function that gives (n, 3, 3).
         rho_inf: by what a step multiplies motions whose period is much shorter than it: 1 keeps them (the
-            implicit midpoint rule), 0 ends them at once.
+            implicit midpoint rule), 0 ends them at once. Above 0.9 resets of the grid damp, too, what varies
+            within the points' boxes unlike around them.
         drag: of all velocities and spins relative to their inertia (1/s), the part of Rayleigh damping that
             is proportional to the mass.
         viscosity: stress of a strain rate, over that of the same strain (s): the part that is proportional to
