@@ -70,7 +70,7 @@ def make_system(
     """The system of points on a grid of unit cells; `full` asks for an unsymmetric tangent."""
     grid = pm.Grid.box((-2,) * points.dim, (4,) * points.dim, 1.0)
     forms = [PointForm(m, points.dim) for m in points.materials]
-    interpolation = Interpolation(grid, points, basis_of(basis), forms, boxes=boxes)
+    interpolation = Interpolation(grid, points, basis_of(basis), forms, boxes=boxes, carries=boxes)
     layout = forms[0].layout
     made = [
         make_support(where, "nodes", components, layout, k) for k, (where, components) in enumerate(supports)

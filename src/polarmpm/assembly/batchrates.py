@@ -79,10 +79,11 @@ class BatchRates:
         if not np.any(zk):  # as at a reset: the sides are as the points
             found = kernel(z, state, np.tile(numbers, (n, 1)))
             return Mean(found, np.zeros_like(found), np.zeros((n, d, outputs)))
-        arrays = [np.ascontiguousarray(a) for a in (z, zk, state, numbers, self.share)]
+        arrays = [np.ascontiguousarray(a) for a in (z, zk, state)]
+        rest = [np.ascontiguousarray(a) for a in (numbers, self.share)]
         sizes = (n, d, nz, state.shape[1], len(numbers))
         means = native.library().polarmpm_box_means
-        if means(kernel.address, *sizes, *arrays, outputs, here, even, odd):
+        if means(kernel.address, *sizes, *arrays, None, *rest, outputs, here, even, odd):
             raise MemoryError("no memory for the points' boxes")
         return Mean(here, even, odd)
 

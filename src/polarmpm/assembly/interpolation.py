@@ -37,6 +37,7 @@ from .bodyweights import patches_of_bodies, weights_of_bodies
 from .nodesets import Groups, group_points, node_sets_of, ownership_priorities, reached_cells
 from .patches import Patches
 from .pointboxes import PointBoxes, has_boxes
+from .smoothing import means
 
 if TYPE_CHECKING:
     from ..forms.plastic import PlasticForm
@@ -85,6 +86,7 @@ class Interpolation:
         terms: contributions to the nodal system besides the points' stresses.
         boxes: the points integrate over their own boxes.
         most_growth: by what domains may have grown; points that fly apart don't spread without end.
+        carries: resets carry along how the deformation varies within the boxes.
 
     Attributes:
         pieces: what the terms have made of this reset.
@@ -102,10 +104,11 @@ class Interpolation:
         terms: Sequence[Term] = (),
         boxes: bool = False,
         most_growth: float = np.inf,
+        carries: bool = False,
     ):
         self.grid, self.points, self.basis, self.forms = grid, points, basis, forms
         self.layout: Layout = forms[0].layout.with_second(False)
-        self.reference = r = reference or Reference.of(points, self.layout.block)
+        self.reference = r = reference or Reference.of(points, self.layout.block, sides=carries)
         half = basis.domains(r.F, points.half_length0) if basis.uses_domains else None
         half = half if half is None else np.minimum(half, most_growth * points.half_length0)
         second = any(form.layout.second for form in forms)
@@ -138,6 +141,10 @@ class Interpolation:
         self.boxes: list[PointBoxes] | None = None
         if filled:
             self.boxes = [PointBoxes(b.batch, b.form.layout, points, b.rows, r) for b in self.batches]
+        # forgotten: of rings, of points whose stiff scalars are projected, and where turns about several axes
+        # vary, as increments from a base that varies don't add up
+        single = not self.layout.axial and self.layout.rotations < 3
+        self.carries = carries and filled and single and not all(form.scalars for form in forms)
         self.pack()
 
     def _batch(
@@ -223,6 +230,31 @@ class Interpolation:
                 native.fill(b.batch, state=state)
         for boxes in self.boxes or ():
             boxes.pack_shares()
+
+    def put_sides(self, x: np.ndarray, keep: float = 1.0) -> None:
+        """Put into the points how their deformation varies within their boxes, at nodal increments x (nodes,
+        block); of those without boxes, or that have flowed, it begins anew. Collective.
+
+        Args:
+            keep: share that is kept of what differs from its means at the nodes.
+        """
+        self.points.begin_sides()
+        there = np.zeros(len(self.points), dtype=bool)
+        for boxes, batch in zip(self.boxes or (), self.batches, strict=False):
+            if not batch.form.scalars:
+                there[boxes.put_sides(self.reference, x)] = True
+        for name in ("side_F", "side_gradients") if keep < 1.0 else ():
+            setattr(self.points, name, self._smoothed(getattr(self.points, name), there, keep))
+
+    def _smoothed(self, sides: np.ndarray, there: np.ndarray, keep: float) -> np.ndarray:
+        """Derivatives along half axes (np, d, ...), of the points that are `there`, with a share of what
+        differs from the means at the nodes."""
+        axes, volume = self.points.half_axes0, np.where(there, self.points.volume0, 0.0)
+        rows = np.linalg.pinv(axes) @ sides.reshape(*axes.shape[:2], -1)
+        mean = means(self, volume, rows.reshape(len(rows), -1)).reshape(rows.shape)
+        kept = np.where(there[:, None, None], axes @ (mean + keep * (rows - mean)), 0.0)
+        found: np.ndarray = kept.reshape(sides.shape)
+        return found
 
     def rebase_rotations(self, x: np.ndarray) -> None:
         """Count rotation increments from the points' current rotations on, at nodal increments x (nodes,

@@ -79,6 +79,7 @@ class PointBoxes:
         self._arrays: dict[str, np.ndarray | None] = {"box_axes": self._axes, "box_hoop": hoop}
         self._stored: dict[bool, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._stored_size: int | None = None
+        self._frames: np.ndarray | None = None  # how those of the state vary along the half axes
 
     @property
     def share(self) -> np.ndarray:
@@ -116,7 +117,7 @@ class PointBoxes:
             lean = np.ascontiguousarray(np.swapaxes(lean, 1, 2))
         if r:
             turns = np.zeros((len(rows), d, r * (1 + d)))
-            grown = (reference.wryness - reference.reset_wryness)[rows]
+            grown = (reference.wryness - reference.side_wryness)[rows]
             along = np.einsum("pij,pkj->pki", grown[:, :, :d], self._half_axes0)
             turns[:, :, :r] = (along @ np.swapaxes(rotations.to_tensor(reference.q[rows]), 1, 2))[
                 :, :, 3 - r :
@@ -125,7 +126,12 @@ class PointBoxes:
             turns[:, :, r:] = framed.reshape(len(rows), d, r * d)
             if not turns.any():
                 turns = None
-        self._arrays |= {"box_turns": turns, "box_lean": lean}
+        frames, tilt = None, None
+        if np.any(reference.side_F[rows]):
+            frames = np.ascontiguousarray(reference.side_F[rows] @ self._to_frame(reference)[:, None])
+            tilt = np.ascontiguousarray(np.linalg.inv(self.batch.frames)[:, None] @ frames)
+        self._frames = frames
+        self._arrays |= {"box_turns": turns, "box_lean": lean, "box_frame": frames, "box_tilt": tilt}
         self.pack_shares()
 
     def pack_shares(self) -> None:
@@ -144,8 +150,14 @@ class PointBoxes:
     def rebase_rotations(self, reference: Reference, x: np.ndarray) -> None:
         """Put into the reference state how the wryness at the sides has come to differ from that at the
         points; before the rotations get a new base, at nodal increments x (nodes, block)."""
+        reference.side_gradients[self.rows] = self._side_gradients(reference, *self.gather(x))
+
+    def _side_gradients(
+        self, reference: Reference, z: np.ndarray, zk: np.ndarray, both: np.ndarray | None
+    ) -> np.ndarray:
+        """The odd part (n, d, r, d) of the wryness at the sides, times the points' present rotation; z, zk,
+        both: from `gather`."""
         layout, d, r, n = self.layout, self.layout.dim, self.layout.rotations, len(self.rows)
-        z, zk, both = self.gather(x)
         back = np.linalg.inv(self._to_frame(reference))
         turn_back = np.swapaxes(rotations.to_tensor(reference.q[self.rows]), 1, 2)
         turn = rotations.to_tensor(self.points.q[self.rows])
@@ -158,10 +170,31 @@ class PointBoxes:
             added: np.ndarray = turn_back @ rotations.right_tangent(w) @ gradient
             return added
 
+        out = np.empty((n, d, r, d))
         for k in range(d):
             up, down = (self.side(k, sign, z, zk, both)[0] for sign in (1.0, -1.0))
             odd = 0.5 * (wryness(up) - wryness(down))
-            reference.side_gradients[self.rows, k] = (turn @ odd)[:, 3 - r :]
+            out[:, k] = (turn @ odd)[:, 3 - r :]
+        return out
+
+    def put_sides(self, reference: Reference, x: np.ndarray) -> np.ndarray:
+        """Put into the points how their deformation varies within their boxes at nodal increments x (nodes,
+        block), and return their rows; those that have flowed begin anew."""
+        p, d, r = self.points, self.layout.dim, self.layout.rotations
+        lasts = self.share > FLOWED
+        rows = self.rows[lasts]
+        if not len(rows):
+            return rows
+        z, zk, both = self.gather(x)
+        grown: np.ndarray = zk[:, :, : d * d].reshape(-1, d, d, d)
+        if self._frames is not None:
+            grown = grown + self._frames
+        grown = grown @ np.linalg.inv(self._to_frame(reference))[:, None]
+        p.side_F[rows], p.side_wryness[rows] = grown[lasts], reference.side_wryness[rows]
+        if r:
+            odd = self._side_gradients(reference, z, zk, both)
+            p.side_gradients[rows, :, 3 - r :] = odd[lasts]
+        return rows
 
     def put(self, kernels: native.PointKernels, kernel: Kernel | None) -> None:
         """Put the boxes into the kernels of the batch; without a kernel of the elastic residual there are z_k
@@ -187,8 +220,9 @@ class PointBoxes:
             lifted: takes what prescribed increments add through the tangent.
             lift_only: the matrix has it already: only what prescribed increments add is meant.
         """
-        # right after a reset the sides have the moduli of the points, but of rings at other radii
-        whole = bool(np.any(x)) or self.layout.axial
+        # right after a reset the sides have the moduli of the points, but of rings at other radii, and where
+        # they have brought along strains of their own
+        whole = bool(np.any(x)) or self.layout.axial or self._frames is not None
         kernels = native.PointKernels()
         native.fill(kernels, kernel=kernel.address, before=before)
         self.put(kernels, None)
@@ -226,6 +260,9 @@ class PointBoxes:
         """z and states (n, ...) on a side of half axis k, of what `gather` gives; what the side counts."""
         state: np.ndarray = self.batch.kept["state"]
         there: np.ndarray = z + sign * zk[:, k]
+        if self._frames is not None:
+            state, at = state.copy(), slice(0, self.layout.dim**2)
+            state[:, at] += sign * self._frames[:, k].reshape(len(state), -1)
         if both is None or self._hoop is None:
             return there, state, 1.0
         state, first = state.copy(), self.layout.state(rotated=False).at_hoop.start + 1
@@ -275,7 +312,7 @@ class PointBoxes:
             )
         here, even = np.empty((n, kernel.outputs)), np.empty((n, kernel.outputs))
         odd = np.empty((n, d, kernel.outputs)) if with_odd else None
-        sizes, given = (n, d, nz, state.shape[1], len(param)), (z, zk, state, param)
+        sizes, given = (n, d, nz, state.shape[1], len(param)), (z, zk, state, self._frames, param)
         if native.library().polarmpm_box_means(
             kernel.address, *sizes, *given, weight, kernel.outputs, here, even, odd
         ):

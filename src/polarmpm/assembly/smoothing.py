@@ -1,4 +1,4 @@
-"""Least-squares projection of what points have to what the nodes' functions can give them."""
+"""What points have, as the nodes' functions can give it to them: its least-squares projection, and means."""
 
 from __future__ import annotations
 
@@ -47,4 +47,20 @@ def projected(system: Any, weights: np.ndarray, values: np.ndarray) -> np.ndarra
         direction, size = scale * residual + now / size * direction, float(now)
     system.nodes.update_ghosts(x)
     out: np.ndarray = system.at_points(x)
+    return out
+
+
+def means(interpolation: Any, volume: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values (np, c) of points with volumes (np,) as means at the nodes, and these at the points.
+    Collective."""
+    i, block = interpolation, interpolation.layout.block
+    whole = i.spread(np.ascontiguousarray(volume[:, None]))
+    nodal = i.spread(volume[:, None] * values) / np.where(whole > 0.0, whole, np.inf)
+    i.nodes.update_ghosts(nodal)
+    out = np.empty_like(values)
+    for first in range(0, values.shape[1], block):
+        part = nodal[:, first : first + block]
+        x = np.zeros((len(nodal), block))
+        x[:, : part.shape[1]] = part
+        out[:, first : first + block] = i.gather(x).value[:, : part.shape[1]]
     return out

@@ -38,6 +38,13 @@ MOTION_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
     "spin_rate": ((3,), float),
 }
 
+# what bodies in motion have whose points integrate over their boxes, while the grid is to be reset
+SIDE_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {
+    "side_F": (("d", "d", "d"), float),
+    "side_wryness": ((3, 3), float),
+    "side_gradients": (("d", 3, "d"), float),
+}
+
 # what bodies have whose displacements don't count from their initial positions
 COUNTED_FIELDS: dict[str, tuple[tuple[int | str, ...], type]] = {"counted_from": (("d",), float)}
 

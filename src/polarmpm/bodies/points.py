@@ -32,11 +32,13 @@ from .pointfields import (
     MOTION_FIELDS,
     PLASTIC_FIELDS,
     SECOND_FIELDS,
+    SIDE_FIELDS,
 )
 from .regions import Regions
 from .revolution import check_axisymmetric
 from .selection import Selection, fingerprint
 from .several import Several
+from .sides import WithSides
 
 _PRIVATE = (
     "_has_plastic_state",
@@ -45,7 +47,7 @@ _PRIVATE = (
 )  # what copies take along besides public attributes
 
 
-class Points(Several):
+class Points(Several, WithSides):
     """Material points of one body.
 
     Attributes:
@@ -67,6 +69,7 @@ class Points(Several):
             following two only in bodies with plastic materials.
         grad_F: second gradient of the motion H_iJK = d^2 x_i / dX_J dX_K (1/m), (np, 3, 3, 3), symmetric in
             J and K; only in bodies with second-gradient materials, and zero at points of others.
+        side_F, side_wryness, side_gradients: how they vary within the points' boxes, see `WithSides`.
         counted_from: positions (m) from which displacements count, vector; only after
             `problem.zero_displacements()`, else these are X.
         hardening: accumulated plastic strain chi, scalar.
@@ -286,6 +289,7 @@ class Points(Several):
         found = {**found, **SECOND_FIELDS} if self.second_gradient else found
         found = {**found, **MOTION_FIELDS} if self.moving else found
         found = {**found, **BODY_FIELDS} if self.bodies > 1 else found
+        found = {**found, **SIDE_FIELDS} if self.has_sides else found
         return {**found, **COUNTED_FIELDS} if "counted_from" in vars(self) else found
 
     def plastic_state(self, rows: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -317,7 +321,7 @@ class Points(Several):
         """Put in a whole state (restart, migration): every one of `fields`, one row a point. `same`: they
         are the points of before, so that selections of them stay valid; collective."""
         known = self.fingerprints() if same else ()
-        for name in COUNTED_FIELDS:  # whether it is there is part of the state
+        for name in (*COUNTED_FIELDS, *SIDE_FIELDS):  # whether it is there is part of the state
             vars(self).pop(name, None)
             if name in arrays:
                 setattr(self, name, arrays[name])
@@ -375,6 +379,8 @@ class Points(Several):
         for one, two in ((self, other), (other, self)):
             if "counted_from" in vars(one) and "counted_from" not in vars(two):
                 two.counted_from = two.X.copy()
+            if one.has_sides and not two.has_sides:
+                two.begin_sides()
         self.add_state()
         other.add_state()
         theirs = dict(other.arrays())

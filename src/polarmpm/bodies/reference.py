@@ -17,9 +17,11 @@ class Reference:
 
     Attributes:
         x, F, q, wryness: as of `Points`.
-        reset_wryness: wryness at the last reset.
+        side_F: how F varies along the points' half axes at the last reset, (np, d, d, d); (np, 0, d, d): that
+            isn't known.
+        side_wryness: wryness from which on rotations vary within the points' boxes.
         side_gradients: derivatives along the points' half axes of the gradients of the rotations before their
-            base, (np, d, r, d): dw/dx~ F~ of what has turned since the reset.
+            base, (np, d, r, d): dw/dx~ F~ of what has turned since then.
         initial_stress: what a balanced reset has added to the stresses, per reference volume, (np, b, d) for
             b unknowns of a node: S0 of a classical material; B0 (Pa) and below it M0 (N/m) of a micropolar
             one (docs/theory.md). In a body with second gradients (np, d, d + m): beside S0 the work T0
@@ -32,23 +34,32 @@ class Reference:
     F: np.ndarray
     q: np.ndarray
     wryness: np.ndarray
-    reset_wryness: np.ndarray
+    side_F: np.ndarray
+    side_wryness: np.ndarray
     side_gradients: np.ndarray
     initial_stress: np.ndarray
     grad_F: np.ndarray
     stiff_scalars: np.ndarray
 
     @classmethod
-    def of(cls, points: Points, block: int) -> Reference:
-        """The points' current state, without an initial stress; `block`: unknowns of a node."""
-        x, w, n, d = points.x, points.wryness, len(points), points.dim
-        sides, columns = np.zeros((n, d, block - d, d)), d + points.second_gradient * d * (d + 1) // 2
+    def of(cls, points: Points, block: int, *, sides: bool = False) -> Reference:
+        """The points' current state, without an initial stress.
+
+        Args:
+            block: unknowns of a node.
+            sides: go on with how the deformation varies within the points' boxes, where that is known.
+        """
+        n, d = len(points), points.dim
+        wryness, side_F = points.wryness, np.zeros((n, 0, d, d))
+        turning: np.ndarray = np.zeros((n, d, block - d, d))
+        if sides and points.has_sides:
+            side_F, wryness = points.side_F.copy(), points.side_wryness
+            turning = points.side_gradients[:, :, 3 - (block - d) :].copy()
+        columns = d + points.second_gradient * d * (d + 1) // 2
         stress = np.zeros((n, block, columns))
         second = points.grad_F.copy() if points.second_gradient else np.zeros((n, 0))
-        scalars = np.zeros((n, 4))
-        return cls(
-            x.copy(), points.F.copy(), points.q.copy(), w.copy(), w.copy(), sides, stress, second, scalars
-        )
+        state = points.x.copy(), points.F.copy(), points.q.copy(), points.wryness.copy()
+        return cls(*state, side_F, wryness.copy(), turning, stress, second, np.zeros((n, 4)))
 
     def rebase_rotations(self, points: Points) -> None:
         """Count rotations from the points' current ones on; an initial stress turns with its base."""

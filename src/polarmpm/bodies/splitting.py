@@ -141,6 +141,8 @@ def split(points: Points, parts: np.ndarray, grid: Grid) -> Split:
     axes = arrays["half_axes0"] / parts[made.rows][:, :, None]
     arrays["half_length0"] = arrays["half_length0"] * _shorter(arrays["half_axes0"], axes)
     arrays["half_axes0"] = axes
+    for name in {"side_F", "side_gradients"} & arrays.keys():
+        arrays[name] = arrays[name] / parts[made.rows][:, :, None, None]
     arrays["id"] = _ids(points.id, made, every, lineage.first[len(lineage.first) - len(every) :])
     known = points.fingerprints()
     points.replace(arrays)

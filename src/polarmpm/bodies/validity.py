@@ -10,6 +10,7 @@ from ..errors import InputError
 from ..kinematics import rotations
 from ..tools.parallel import errors_on_all_ranks
 from ..tools.rows import flat
+from .pointfields import SIDE_FIELDS
 from .points import Points
 
 _SEALED = ("x", "F", "q", "wryness", "grad_F")  # what a step puts in, from the state at the last reset
@@ -32,7 +33,7 @@ def check_state(points: Points, *, everything: bool = True) -> None:
                     f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
                 )
                 raise InputError(f"points.{name}: {found}; {np.dtype(kind)} {full} is needed")
-        changing = ("F", "q", "wryness", "grad_F", "plastic_F", "plastic_wryness", "hardening")
+        changing = ("F", "q", "wryness", "grad_F", "plastic_F", "plastic_wryness", "hardening", *SIDE_FIELDS)
         names = [n for n, (_, kind) in points.fields.items() if kind is float and n != "x"]
         for name in names if everything else [n for n in names if n in changing]:
             array = getattr(points, name)

@@ -39,7 +39,7 @@ from .files import reason
 from .identity import Facts, check_allowed, check_points, differences, made_of, refuse_differences
 from .probes import restore_probes
 
-_FORMAT = 12
+_FORMAT = 13
 _KIND = f"format {_FORMAT}"
 _WHOLE = ("terms", "steps", "lineage")  # groups of arrays that every rank has whole
 _FINITE = ("points", "reference", "nodes", "cells", "equilibrium")  # that have nothing of a script's
@@ -102,8 +102,8 @@ def _body(problem: Problem) -> str:
 
 def _arrays(problem: Any) -> dict[str, np.ndarray]:
     """This rank's rows of a problem of material points."""
+    between = problem.increments()  # the points may have to know more
     arrays = {f"points/{name}": a for name, a in problem.points.arrays().items()}
-    between = problem.increments()
     if between is not None:
         reference, lattice, values = between
         arrays |= {f"reference/{f.name}": getattr(reference, f.name) for f in fields(reference)}

@@ -35,6 +35,7 @@ typedef struct {
     lanes_t *axes;             /* [side][dim] half axes */
     lanes_t *along;            /* [side][dim][pair] see above */
     lanes_t *lean;             /* [side][dim] half axes in the frame, where there are rotations */
+    lanes_t *frames, *tilt;    /* [side][dim][dim] `box_frame`, `box_tilt` */
     lanes_t *h, *h_before;     /* [component][pair] second derivatives of the nodal values, of those before the last correction */
     double *zk, *before;       /* [side][nz][LANES]; of the nodal values before the last correction */
     double *sums;              /* [1 + side][nz][LANES]: sum_k [R(z + z_k) + R(z - z_k) - 2 R(z)], R(z + z_k) - R(z - z_k) */
@@ -61,6 +62,7 @@ static int create_boxes(const Batch *b, int sv, int shapes, int whole, BoxWork *
     const size_t bent = (size_t)block_size(b) * PAIRS * LANES, all = whole ? moduli_of(b->dim, b->rot, b->second) : 0;
     *w = (BoxWork){.curved = vectors(LANES * PAIRS * stride), .sides = vectors(shapes ? SIDES * rows * stride : 1),
                    .axes = vectors(SIDES * 3 * LANES), .along = vectors(SIDES * 3 * PAIRS * LANES), .lean = vectors(SIDES * 3 * LANES), .h = vectors(bent),
+                   .frames = vectors(SIDES * 9 * LANES), .tilt = vectors(SIDES * 9 * LANES),
                    .h_before = vectors(bent), .zk = vectors(SIDES * nz * LANES), .before = vectors(SIDES * nz * LANES),
                    .sums = vectors((1 + SIDES) * nz * LANES), .bent = vectors(bent), .z = vectors(inputs * LANES),
                    .up = vectors(nz * LANES), .down = vectors(nz * LANES),
@@ -70,13 +72,13 @@ static int create_boxes(const Batch *b, int sv, int shapes, int whole, BoxWork *
                    .full = vectors(all * all * MANY),
                    .hoop = vectors(SIDES * LANES), .arched = vectors(SIDES * BENT * LANES),
                    .arched_before = vectors(SIDES * BENT * LANES), .both = vectors(SIDES * BENT * LANES)};
-    return !(w->curved && w->sides && w->axes && w->along && w->lean && w->h && w->h_before && w->zk && w->before && w->sums && w->bent &&
+    return !(w->curved && w->sides && w->axes && w->along && w->lean && w->frames && w->tilt && w->h && w->h_before && w->zk && w->before && w->sums && w->bent &&
              w->z && w->up && w->down && w->moduli && w->even && w->odd && w->common && w->apart && w->whole && w->full && w->hoop && w->arched && w->arched_before && w->both);
 }
 
 static void free_boxes(BoxWork *w)
 {
-    free(w->curved), free(w->sides), free(w->axes), free(w->along), free(w->lean), free(w->h), free(w->h_before), free(w->zk), free(w->before);
+    free(w->curved), free(w->sides), free(w->axes), free(w->along), free(w->lean), free(w->frames), free(w->tilt), free(w->h), free(w->h_before), free(w->zk), free(w->before);
     free(w->sums), free(w->bent), free(w->z), free(w->up), free(w->down), free(w->moduli);
     free(w->even), free(w->odd), free(w->common), free(w->apart), free(w->whole), free(w->full);
     free(w->hoop), free(w->arched), free(w->arched_before), free(w->both);
@@ -92,6 +94,8 @@ INLINE void find_axes(const int dim, const PointKernels *kernels, int64_t start,
 {
     rows_to_lanes(kernels->box_axes, start, count, dim * dim, w->axes);
     if (kernels->box_lean) rows_to_lanes(kernels->box_lean, start, count, dim * dim, w->lean);
+    if (kernels->box_frame) rows_to_lanes(kernels->box_frame, start, count, dim * dim * dim, w->frames);
+    if (kernels->box_frame) rows_to_lanes(kernels->box_tilt, start, count, dim * dim * dim, w->tilt);
     if (kernels->box_hoop) rows_to_lanes(kernels->box_hoop, start, count, dim, w->hoop);
 }
 
@@ -149,6 +153,8 @@ INLINE void find_zk(const int dim, const int rot, const int second, const PointK
                 const lanes_t *along = w->along + (k * dim + c) * pairs;
                 lanes_t sum = along[0] * h[i * pairs];
                 for (int j = 1; j < pairs; ++j) sum += along[j] * h[i * pairs + j];
+                for (int m = 0; kernels->box_frame && m < dim; ++m)
+                    sum += w->tilt[(k * dim + m) * dim + c] * at[gradient_slot(dim, rot, i) + m];
                 own[gradient_slot(dim, rot, i) + c] = sum;
             }
         for (int i = 0; i < dim + rot; ++i) {
@@ -167,22 +173,26 @@ INLINE void find_zk(const int dim, const int rot, const int second, const PointK
 /* In a body of revolution, how much the side `sign` of half axis k counts. */
 #define SIDE_WEIGHT(w, k, sign) (1.0 + (sign) * (w)->hoop[k])
 
-/* In a body of revolution: the radius that a point's state has over, and the quadratic part of the values, on the side
- * `sign` of half axis k. */
-INLINE void put_side(const int dim, const int rot, const int second, const double *in, double sign, int k, BoxWork *w)
+/* What a point's state is on the side `sign` of half axis k, where that is another: the frame; in a body of revolution the
+ * radius, and the quadratic part of the values in z. */
+INLINE void put_side(const int dim, const int rot, const int second, const PointKernels *kernels, const double *in, double sign, int k,
+                     BoxWork *w)
 {
-    if (second != AXIAL) return;
     lanes_t *z = (lanes_t *)w->z;
-    const int first = unknowns_of(dim, rot, second) + dim * dim + AT_HOOP;
+    const int at_frame = unknowns_of(dim, rot, second), first = at_frame + dim * dim + AT_HOOP;
+    for (int i = 0; kernels->box_frame && i < dim * dim; ++i)
+        z[at_frame + i] = ((const lanes_t *)in)[at_frame + i] + sign * w->frames[k * dim * dim + i];
+    if (second != AXIAL) return;
     for (int v = 0; v < values_of(rot, second); ++v) z[bent_slot(dim, rot, v)] += w->arched[k * BENT + v];
     for (int i = first; i < first + 1 + rot; ++i) z[i] = ((const lanes_t *)in)[i] / SIDE_WEIGHT(w, k, sign);
 }
 
 /* What the boxes' virtual work multiplies, from the kernel's inputs and its residual at z. */
-INLINE void evaluate_boxes(const int dim, const int rot, const int second, const Batch *b, kernel_t kernel, const double *in,
+INLINE void evaluate_boxes(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const double *in,
                            const double *residual, BoxWork *w)
 {
     const int nz = unknowns_of(dim, rot, second), block = nz * LANES;
+    const kernel_t kernel = kernels->box_kernel;
     const lanes_t *at = (const lanes_t *)in, *r = (const lanes_t *)residual;
     lanes_t *up = (lanes_t *)w->up, *down = (lanes_t *)w->down;
     lanes_t *z = (lanes_t *)w->z, *sums = (lanes_t *)w->sums;
@@ -191,10 +201,10 @@ INLINE void evaluate_boxes(const int dim, const int rot, const int second, const
     for (int k = 0; k < dim; ++k) {
         const lanes_t *zk = (const lanes_t *)w->zk + k * nz;
         for (int i = 0; i < nz; ++i) z[i] = at[i] + zk[i];
-        put_side(dim, rot, second, in, 1.0, k, w);
+        put_side(dim, rot, second, kernels, in, 1.0, k, w);
         kernel(w->z, w->up);
         for (int i = 0; i < nz; ++i) z[i] = at[i] - zk[i];
-        put_side(dim, rot, second, in, -1.0, k, w);
+        put_side(dim, rot, second, kernels, in, -1.0, k, w);
         kernel(w->z, w->down);
         for (int i = 0; second == AXIAL && i < nz; ++i) {
             up[i] *= SIDE_WEIGHT(w, k, 1.0);
@@ -234,7 +244,7 @@ INLINE void store_boxes(const int dim, const int rot, const int second, const do
 }
 
 /* What virtual values and derivatives multiply in place of virtual z and z_k: the first `sums`, and `bent`. */
-INLINE void collect_sides(const int dim, const int rot, const int second, const BoxWork *w)
+INLINE void collect_sides(const int dim, const int rot, const int second, const PointKernels *kernels, const BoxWork *w)
 {
     const int nz = unknowns_of(dim, rot, second), pairs = pairs_of(dim);
     lanes_t *sums = (lanes_t *)w->sums;
@@ -246,6 +256,10 @@ INLINE void collect_sides(const int dim, const int rot, const int second, const 
                 for (int c = 0; c < dim; ++c) sum += w->along[(k * dim + c) * pairs + j] * sums[(1 + k) * nz + gradient + c];
             w->bent[i * pairs + j] = sum;
         }
+        for (int k = 0; kernels->box_frame && k < dim; ++k)
+            for (int m = 0; m < dim; ++m)
+                for (int c = 0; c < dim; ++c)
+                    sums[gradient + m] += w->tilt[(k * dim + m) * dim + c] * sums[(1 + k) * nz + gradient + c];
         for (int k = 0; has_value(dim, second, i) && k < dim; ++k)
             for (int c = 0; c < dim; ++c)
                 sums[gradient + c] += w->lean[k * dim + c] * sums[(1 + k) * nz + value_slot(dim, rot, i)];
@@ -276,7 +290,8 @@ INLINE void add_arched(const int dim, const int rot, const int second, int nv, i
 
 /* Shapes s of lane l, differentiated along its half axes; in a body of revolution, behind them, half the functions' second
  * derivatives along these. */
-INLINE void side_shapes(const int dim, const int rot, const int second, int nv, int sv, const vec *s, int l, const BoxWork *w)
+INLINE void side_shapes(const int dim, const int rot, const int second, const PointKernels *kernels, int nv, int sv, const vec *s, int l,
+                        const BoxWork *w)
 {
     const vec *curved = w->curved + (int64_t)l * PAIRS * sv;
     for (int k = 0; k < dim; ++k) {
@@ -287,6 +302,7 @@ INLINE void side_shapes(const int dim, const int rot, const int second, int nv, 
             for (int v = 0; v < nv; ++v) {
                 vec sum = along[0][l] * curved[v];
                 for (int j = 1; j < pairs_of(dim); ++j) sum += along[j][l] * curved[j * sv + v];
+                for (int m = 0; kernels->box_frame && m < dim; ++m) sum += w->tilt[(k * dim + m) * dim + c][l] * s[(1 + m) * sv + v];
                 out[(1 + c) * sv + v] = sum;
                 if (rot || second == AXIAL) out[v] = (c ? out[v] : (vec){0}) + lean * s[(1 + c) * sv + v];
             }
@@ -302,8 +318,10 @@ INLINE void side_shapes(const int dim, const int rot, const int second, int nv, 
 }
 
 /* Residuals and moduli at z + z_k and z - z_k, for all sides. */
-INLINE void evaluate_sides(const int dim, const int rot, const int second, const Batch *b, kernel_t kernel, const double *in, BoxWork *w)
+INLINE void evaluate_sides(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const double *in,
+                           BoxWork *w)
 {
+    const kernel_t kernel = kernels->kernel;
     const int nz = unknowns_of(dim, rot, second), block = nz * LANES, outputs = nz + nz * (nz + 1) / 2;
     const int known = (b->nstate + b->nparam) * LANES;
     memcpy(w->z, in, sizeof(double) * (2 * block + known));
@@ -316,7 +334,7 @@ INLINE void evaluate_sides(const int dim, const int rot, const int second, const
             }
             lanes_t *values_before = (lanes_t *)(w->z + block + known);
             for (int v = 0; v < values_of(rot, second); ++v) values_before[bent_slot(dim, rot, v)] += w->arched_before[k * BENT + v];
-            put_side(dim, rot, second, in, sign, k, w);
+            put_side(dim, rot, second, kernels, in, sign, k, w);
             kernel(w->z, w->moduli + (2 * k + down) * outputs * LANES);
         }
 }
@@ -338,7 +356,8 @@ INLINE void simplify_sides(const int dim, const int rot, const int second, const
 
 /* y^T U + t^T V, where z + U x +- V x are the unknowns at the sides of half axis k, x those at the point and second
  * derivatives: V of z_k, U of what is common to both sides, z and, in a body of revolution, its values' quadratic parts. */
-INLINE void side_row(const int dim, const int rot, const int second, int k, const lanes_t *y, const lanes_t *t, const BoxWork *w, lanes_t *out)
+INLINE void side_row(const int dim, const int rot, const int second, const PointKernels *kernels, int k, const lanes_t *y, const lanes_t *t,
+                     const BoxWork *w, lanes_t *out)
 {
     const int nz = unknowns_of(dim, rot, second), pairs = pairs_of(dim);
     for (int i = 0; i < nz; ++i) out[i] = y[i];
@@ -349,6 +368,8 @@ INLINE void side_row(const int dim, const int rot, const int second, int k, cons
             for (int c = 1; c < dim; ++c) sum += t[gradient + c] * w->along[(k * dim + c) * pairs + j];
             out[nz + i * pairs + j] = sum;
         }
+        for (int m = 0; kernels->box_frame && m < dim; ++m)
+            for (int c = 0; c < dim; ++c) out[gradient + m] += t[gradient + c] * w->tilt[(k * dim + m) * dim + c];
         for (int c = 0; has_value(dim, second, i) && c < dim; ++c) out[gradient + c] += t[value_slot(dim, rot, i)] * w->lean[k * dim + c];
     }
     for (int v = 0; v < values_of(rot, second); ++v)
@@ -359,7 +380,8 @@ INLINE void side_row(const int dim, const int rot, const int second, int k, cons
 }
 
 /* Transposed, of rows F [z][all] for what is common to both sides, and G for the rest: added to the upper triangle of M. */
-INLINE void add_rows(const int dim, const int rot, const int second, int k, const lanes_t *F, const lanes_t *G, const BoxWork *w, lanes_t *M)
+INLINE void add_rows(const int dim, const int rot, const int second, const PointKernels *kernels, int k, const lanes_t *F, const lanes_t *G,
+                     const BoxWork *w, lanes_t *M)
 {
     const int nz = unknowns_of(dim, rot, second), all = moduli_of(dim, rot, second), pairs = pairs_of(dim);
     for (int r = 0; r < nz; ++r)
@@ -370,6 +392,10 @@ INLINE void add_rows(const int dim, const int rot, const int second, int k, cons
             for (int q = bent + j; q < all; ++q)
                 for (int c = 0; c < dim; ++c)
                     M[(bent + j) * all + q] += w->along[(k * dim + c) * pairs + j] * G[(gradient + c) * all + q];
+        for (int m = 0; kernels->box_frame && m < dim; ++m)
+            for (int q = gradient + m; q < all; ++q)
+                for (int c = 0; c < dim; ++c)
+                    M[(gradient + m) * all + q] += w->tilt[(k * dim + m) * dim + c] * G[(gradient + c) * all + q];
         for (int c = 0; has_value(dim, second, i) && c < dim; ++c)
             for (int q = gradient + c; q < all; ++q) M[(gradient + c) * all + q] += w->lean[k * dim + c] * G[value * all + q];
     }
@@ -399,7 +425,8 @@ INLINE void pair_moduli(const int dim, const int rot, const int second, int k, c
 
 /* The whole tangent of LANES boxes in terms of z and of second derivatives, `weight` the sixth of what they count: with
  * z + U x +- V x at the sides it is sum_k [(U +- V)^T A (U +- V)] - 2 dim A. The upper triangle of w->whole [all][all]. */
-INLINE void find_whole(const int dim, const int rot, const int second, const double *out, const lanes_t *weight, const BoxWork *w)
+INLINE void find_whole(const int dim, const int rot, const int second, const PointKernels *kernels, const double *out, const lanes_t *weight,
+                       const BoxWork *w)
 {
     const int nz = unknowns_of(dim, rot, second), all = moduli_of(dim, rot, second);
     const lanes_t *upper = (const lanes_t *)out + nz;
@@ -409,10 +436,10 @@ INLINE void find_whole(const int dim, const int rot, const int second, const dou
     for (int k = 0; k < dim; ++k) {
         pair_moduli(dim, rot, second, k, weight, w);
         for (int r = 0; r < nz; ++r) {
-            side_row(dim, rot, second, k, w->even + r * nz, w->odd + r * nz, w, w->common + r * all);
-            side_row(dim, rot, second, k, w->odd + r * nz, w->even + r * nz, w, w->apart + r * all);
+            side_row(dim, rot, second, kernels, k, w->even + r * nz, w->odd + r * nz, w, w->common + r * all);
+            side_row(dim, rot, second, kernels, k, w->odd + r * nz, w->even + r * nz, w, w->apart + r * all);
         }
-        add_rows(dim, rot, second, k, w->common, w->apart, w, w->whole);
+        add_rows(dim, rot, second, kernels, k, w->common, w->apart, w, w->whole);
     }
 }
 

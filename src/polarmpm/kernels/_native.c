@@ -163,7 +163,7 @@ INLINE void evaluate(const int dim, const int rot, const int second, const Batch
     }
     if (open || (kernels->box_axes && !kernels->box_kernel)) kernels->kernel(w->in, w->out);
     else if (kernels->box_kernel) kernels->box_kernel(w->in, w->out);  /* points that yield: the boxes' residual alone */
-    if (kernels->box_kernel) evaluate_boxes(dim, rot, second, b, kernels->box_kernel, w->in, w->out, &w->boxes);
+    if (kernels->box_kernel) evaluate_boxes(dim, rot, second, b, kernels, w->in, w->out, &w->boxes);
     if (kernels->box_store)
         store_boxes(dim, rot, second, w->in, w->out, &w->boxes, kernels->box_store + start / LANES * stored_of(dim, rot, second));
     if (*coupled) kernels->couple(w->cin, w->cout);
@@ -247,7 +247,7 @@ INLINE void find_forces(const int dim, const int rot, const int second, const Ba
     const int curved = second == SECOND || kernels->box_kernel;
     const lanes_t *frame = (const lanes_t *)w->in + unknowns_of(dim, rot, second);
     lanes_t r[UNKNOWNS_MAX];
-    if (kernels->box_kernel) collect_sides(dim, rot, second, &w->boxes);
+    if (kernels->box_kernel) collect_sides(dim, rot, second, kernels, &w->boxes);
     lane_residuals(dim, rot, second, b, kernels, w, start, coupled, tangent, r);
     take_rows(dim, rot, second, curved, r, kernels->box_kernel ? w->boxes.bent : NULL, frame, w->rows);
     spread_lanes(b, curved, w->weights, w->rows, w->forces);
@@ -323,7 +323,7 @@ INLINE void add_alike(const int dim, const int rot, const int second, const Batc
         const double weight = b->volume[start + q] * kernels->box_share[start + q] / 3.0;
         const double *upper = w->out + nz * LANES + q;
         double *A = w->A + q * nz * nz;
-        side_shapes(dim, rot, second, nv, sv, w->shapes + q * size, q, &w->boxes);
+        side_shapes(dim, rot, second, kernels, nv, sv, w->shapes + q * size, q, &w->boxes);
         for (int i = 0; i < nz; ++i)
             for (int j = i; j < nz; ++j, upper += LANES) A[i * nz + j] = A[j * nz + i] = weight * *upper;
     }
@@ -369,11 +369,11 @@ INLINE void assemble_boxes(const int dim, const int rot, const int second, const
         for (int l = 0; whole && l < lanes; ++l)
             large |= !(simple[l] = is_simple(second, kernels, start + l));
         if (large) {
-            evaluate_sides(dim, rot, second, b, kernels->kernel, w->in, &w->boxes);
+            evaluate_sides(dim, rot, second, b, kernels, w->in, &w->boxes);
             simplify_sides(dim, rot, second, simple, lanes, w->out, &w->boxes);
             lanes_t weight = {0};
             for (int l = 0; l < lanes; ++l) weight[l] = b->volume[start + l] * kernels->box_share[start + l] / 6.0;
-            find_whole(dim, rot, second, w->out, &weight, &w->boxes);
+            find_whole(dim, rot, second, kernels, w->out, &weight, &w->boxes);
         }
         for (int l = 0, end; l < lanes; l = end) {
             const int64_t g = group_of[l];
@@ -500,9 +500,10 @@ int polarmpm_box_work(const Batch *b, const PointKernels *kernels, const double 
 
 /* What a kernel (z, state, param) -> outputs gives at the points, and what their boxes add: to it, weight (sum_k [R(z + z_k)
  * + R(z - z_k)] - 2 dim R(z)), and times the derivatives along the half axes, weight [R(z + z_k) - R(z - z_k)].
+ * frames [row][dim][dim][dim]: what the first entries of the state change by along the half axes, or NULL.
  * here, even [row][nout], odd [row][dim][nout] or NULL. Returns nonzero when memory ran out. */
 FAST int polarmpm_box_means(kernel_t kernel, int64_t rows, int32_t dim, int32_t nz, int32_t nstate, int32_t nparam,
-                            const double *z, const double *zk, const double *state, const double *param,
+                            const double *z, const double *zk, const double *state, const double *frames, const double *param,
                             const double *weight, int32_t nout, double *here, double *even, double *odd)
 {
     double *in = vectors((size_t)(nz + nstate + nparam) * LANES), *out = vectors((size_t)nout * LANES);
@@ -525,8 +526,13 @@ FAST int polarmpm_box_means(kernel_t kernel, int64_t rows, int32_t dim, int32_t 
                 for (int l = 0; l < LANES; ++l)
                     for (int k = 0; k < nz; ++k)
                         in[k * LANES + l] = z[of[l] * nz + k] + sign * zk[(of[l] * dim + s) * nz + k];
+                for (int l = 0; frames && l < LANES; ++l)
+                    for (int k = 0; k < dim * dim; ++k)
+                        in[(nz + k) * LANES + l] = state[of[l] * nstate + k] + sign * frames[(of[l] * dim + s) * dim * dim + k];
                 kernel(in, sign > 0 ? up : down);
             }
+            for (int l = 0; frames && l < LANES; ++l)
+                for (int k = 0; k < dim * dim; ++k) in[(nz + k) * LANES + l] = state[of[l] * nstate + k];
             for (int k = 0; k < nout * LANES; ++k) sums[k] += up[k] + down[k];
             for (int l = 0; odd && l < lanes; ++l)
                 for (int k = 0; k < nout; ++k)

@@ -38,7 +38,7 @@ INLINE void sum_patches(const int dim, const int rot, const int second, const Ba
                 find_curved(dim, b, p, count, n, sv, 0, &w->boxes);
                 for (int k = 0; k < dim * dim; ++k) w->in[k * LANES] = b->state[p * b->nstate + k];
                 find_along(dim, w->in, &w->boxes);
-                side_shapes(dim, rot, second, nv, sv, w->shapes, 0, &w->boxes);
+                side_shapes(dim, rot, second, kernels, nv, sv, w->shapes, 0, &w->boxes);
             }
             for (int kind = 0; kind < kinds; ++kind)
                 for (int c = 0; c < P->scalars; ++c) {

@@ -11,7 +11,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 27,            /* raised with every change of a structure or signature; native.py reads it here */
+    INTERFACE = 28,            /* raised with every change of a structure or signature; native.py reads it here */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */
@@ -74,6 +74,8 @@ typedef struct {
     const double *box_axes;    /* [point][dim][dim] half axes, one a row */
     const double *box_lean;    /* [point][dim][dim] the same in the frame, for values in z; NULL: there are none */
     const double *box_turns;   /* [point][dim][rot (1 + dim)] what z_k begins with, of rotations and their gradients; NULL: zero */
+    const double *box_frame;   /* [point][dim][dim][dim] derivatives of the frame of the state along the half axes; NULL: it is one in a box */
+    const double *box_tilt;    /* the same, by the frame: T^-1 dT; NULL with it */
     const double *box_hoop;    /* [point][dim] of bodies of revolution: what the half axes have along the radius, over it */
     const double *box_share;   /* [point] share of the boxes' energy */
     double *box_store;         /* [LANES points][polarmpm_stored] takes what polarmpm_box_work needs of a state; NULL: nothing */

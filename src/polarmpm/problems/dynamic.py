@@ -30,6 +30,9 @@ from .motion import Moving
 from .points import QuasiStatic
 
 _IN_MOTION = InMotion()
+# at most, a step's factor times that of resets, of what varies from point to point: without any damping
+# bodies that spin blow up
+_DAMPED = 0.9
 
 
 class Dynamic(Moving, QuasiStatic):
@@ -45,7 +48,8 @@ class Dynamic(Moving, QuasiStatic):
             it is needed. In space also tensors J / rho (3, 3) of the undeformed body, which turn with the
             microrotation: one; one a material; or a function that gives (n, 3, 3).
         rho_inf: by what a step multiplies motions whose period is much shorter than it: 1 keeps them (the
-            implicit midpoint rule), 0 ends them at once.
+            implicit midpoint rule), 0 ends them at once. Above 0.9 resets of the grid damp, too, what varies
+            within the points' boxes unlike around them.
         drag: of all velocities and spins relative to their inertia (1/s), the part of Rayleigh damping that
             is proportional to the mass.
         viscosity: stress of a strain rate, over that of the same strain (s): the part that is proportional to
@@ -65,6 +69,7 @@ class Dynamic(Moving, QuasiStatic):
     """
 
     _most_growth = 1.5  # of the domains of points that fly apart
+    _carries_sides = True
     _ghost_beyond = True  # nodes beyond the walls that domains hardly reach hold nothing else
     _pieces: np.ndarray | None = None  # of the body at the beginning, by number, of each local point
     _several = False  # there are several of them in one body
@@ -183,12 +188,16 @@ class Dynamic(Moving, QuasiStatic):
         return system
 
     def _reset(self) -> LoadedPoints:
-        """As of `QuasiStatic`; what varies within the points' boxes is let go."""
+        """As of `QuasiStatic`; the energy within the points' boxes that isn't carried along is let go."""
         p, stored = self.progress, self.box_record.energy(self._system)
         system = super()._reset()
-        p.reset_work += stored
+        p.reset_work += stored - self.box_record.energy(system)
         self.box_record.note_let_go(p.reset_work, max(abs(p.external_work), self._kinetic()))
         return system
+
+    @property
+    def _kept_variation(self) -> float:
+        return min(1.0, _DAMPED / self.rho_inf) if self.rho_inf else 1.0
 
     def _filter(self, system: LoadedPoints) -> None:
         """Project velocities and accelerations. Collective."""

@@ -77,6 +77,7 @@ class OnGrid(Problem):
     _attempted: tuple[np.ndarray, np.ndarray] | None
     _converged_loads: tuple[np.ndarray, np.ndarray] | None
     _most_growth = np.inf  # of the points' domains
+    _carries_sides = False  # resets carry along how the deformation varies within the points' boxes
     _ghost_beyond = False  # whether the ghost penalty acts beyond the walls of the grid
     systems: Callable[..., LoadedPoints] | None = None  # what makes them; None: as `assembly` says
     distribution: Callable[[], Route | None] | None = None  # moves points to ranks; None: by their places
@@ -180,6 +181,7 @@ class OnGrid(Problem):
         """The system of a new grid, from whose nodes increments count."""
         p = self.progress
         in_boxes = self.box_record.energy(self._system) if self.balanced_reset else 0.0
+        self._put_sides()
         grid = self._moving.at(p.factor if p.step else None, self.supports)
         check_inside(grid, self.points)
         check_state(self.points, everything=False)
@@ -211,6 +213,17 @@ class OnGrid(Problem):
         made.carried[:] = system.carried
         system.destroy()
         return made
+
+    @property
+    def _kept_variation(self) -> float:
+        """Share that resets keep of what varies within boxes unlike its means at the nodes."""
+        return 1.0
+
+    def _put_sides(self) -> None:
+        """Let the points know how their deformation varies within their boxes, for the next grid.
+        Collective."""
+        if self._system is not None and self._system.interpolation.carries:
+            self._system.interpolation.put_sides(self._system.x, self._kept_variation)
 
     def _has_left(self) -> bool:
         """Whether points have left the grid that a reset would make. Collective."""
@@ -308,6 +321,7 @@ class OnGrid(Problem):
             terms,
             self.boxes,
             self._most_growth,
+            self._carries_sides,
         )
         self._conservation.reset(made)
         self.load_shares.built(self.points, made.nodes)

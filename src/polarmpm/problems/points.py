@@ -337,6 +337,7 @@ class QuasiStatic(Regridded):
         assert self._compiled.motion is not None
         self._size = float(np.abs(increments.gradient).max(initial=0.0))
         system.interpolation.update_points(increments, self._compiled.motion)
+        self.points.forget_sides()
         system.put_projected()
         system.keep_boxes(first=self.progress.since_reset == 0)
         self._conservation.check(system.interpolation, system.x)
@@ -370,6 +371,7 @@ class QuasiStatic(Regridded):
         (n, 4 block); None when the grid is to be reset before the next step."""
         s = self._system
         if s is None or self.progress.reset_due:
+            self._put_sides()
             return None
         values, boxes = [s.x, s.carried], s.box_tangent
         if boxes is not None:
