@@ -115,6 +115,7 @@ def carry_stress(system: LoadedPoints) -> None:
     moduli = [Moduli(system, k) for k in range(len(i.batches))]
     for shift in shifts:
         initial.replace(np.zeros_like(i.reference.initial_stress))
+        system.carried_by = []
         try:
             rest = _carry(system, left, moduli, shift)
         except SingularTangent:  # a body in parts that nothing holds, or motions that no point feels
@@ -122,6 +123,7 @@ def carry_stress(system: LoadedPoints) -> None:
         if shift or _norm(system, rest) <= _SINGULAR * size:  # or else rounding has chosen the stresses
             system.carried = rest + closing(system, rest)
             return
+    system.carried_by = []
     carry_forces(system)
 
 
