@@ -6,7 +6,7 @@
   the grid; by how much their largest mean displacement differs from that of elements of degree 2;
 - layers: a cantilever of two layers whose limit lies amid boxes, by `assign` and by `join`.
 
-A minute.
+Some minutes.
 """
 
 import argparse
