@@ -12,6 +12,7 @@ import pytest
 
 import polarmpm as pm
 from polarmpm.problems import doubts
+from polarmpm.problems.nearlimit import NearLimit
 from polarmpm.tools.parallel import sums_by_number
 from tests.conftest import COMM, NEO_HOOKEAN
 
@@ -137,3 +138,52 @@ def test_a_layer_between_platens_that_one_cell_can_not_show():
     with warnings.catch_warnings():
         warnings.simplefilter("error", pm.TrustWarning)
         layer(4)
+
+
+def hinge(comm: MPI.Comm, cell: float, load: float) -> pm.QuasiStatic:
+    """A plastic cantilever that its weight bends nearly till it fails."""
+    grid = pm.Grid.box((0, -1.2), (4, 2), cell, comm)
+    elastic = pm.Hencky.from_engineering(E=1e6, nu=0.3)
+    points = pm.seed(
+        grid, bounds=((0, 0.11), (3, 0.91)), material=pm.VonMises(elastic, k=4e3, H=2e4), points_per_cell=2
+    )
+    problem = pm.QuasiStatic(grid, points)
+    problem.fix(pm.plane(x=0.0), u=0)
+    problem.body_load(force=(0, -load))
+    list(problem.march(6, progress=False, adaptive=True))
+    return problem
+
+
+def test_near_a_limit_load_a_little_strength_is_much_displacement_and_it_is_told():
+    with pytest.warns(pm.TrustWarning, match="limit load") if COMM.rank == 0 else nullcontext():
+        coarse = hinge(COMM, 0.4, 290.0)
+    assert coarse.box_record.limit.sensitivity > 3.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", pm.TrustWarning)
+        elastic = hinge(COMM, 0.4, 90.0)
+    np.testing.assert_allclose(elastic.box_record.limit.sensitivity, 1.0, atol=0.01)
+    record = coarse.box_record
+    before = record.state()
+    record.restore(before)
+    assert record.state() == before
+
+
+def test_the_sensitivity_is_that_of_the_displacement_along_the_loads():
+    """u grows with the cube of the loads; what loads do at the beginning and end of a step tells it."""
+    limit, last = NearLimit(), 0.0
+    for scale in np.linspace(0.1, 1.0, 40):
+        moved = scale**3 - last**3
+        limit.take(7.0 * last * moved, 7.0 * scale * moved, 0.0)
+        last = scale
+    assert limit.sensitivity == pytest.approx(3.0, rel=1e-6)
+    limit.take(-1.0, 1.0, 0.0)  # the load has turned round
+    assert limit.sensitivity == 0.0
+    limit.take(1.0, 2.0, 0.0)  # nobody knows how far the body has moved under these loads
+    assert limit.sensitivity == 0.0
+
+
+def test_what_supports_move_is_nearer_to_no_limit():
+    limit = NearLimit()
+    limit.take(0.0, 1.0, 0.0)
+    limit.take(1.0, 1.1, 5.0)
+    assert limit.sensitivity == 0.0

@@ -39,7 +39,7 @@ from .files import reason
 from .identity import Facts, check_allowed, check_points, differences, made_of, refuse_differences
 from .probes import restore_probes
 
-_FORMAT = 13
+_FORMAT = 14
 _KIND = f"format {_FORMAT}"
 _WHOLE = ("terms", "steps", "lineage")  # groups of arrays that every rank has whole
 _FINITE = ("points", "reference", "nodes", "cells", "equilibrium")  # that have nothing of a script's

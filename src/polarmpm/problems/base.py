@@ -91,9 +91,9 @@ class Problem(Results):
     def _check(self, increments: Increments) -> str:
         """Why a solution is not acceptable; empty when it is."""
 
-    def _trust(self, system: Any, start: np.ndarray, at_points: Increments, outcome: Outcome) -> None:
-        """Measure how far an acceptable solution, from increments `start` (nodes, block) on to those
-        `at_points`, can be trusted; it may be refused."""
+    def _trust(self, system: Any, start: StepStart, at_points: Increments, outcome: Outcome) -> None:
+        """Measure how far an acceptable solution, from a step's `start` on to increments `at_points`, can be
+        trusted; it may be refused."""
 
     def _close(self, system: Any) -> None:
         """Close what resets have carried along at the positions of a converged step."""
@@ -372,7 +372,7 @@ class Problem(Results):
                 outcome.reason = self._check(at_points)
                 outcome.converged = not outcome.reason
             if outcome.converged:
-                self._trust(system, start.x, at_points, outcome)
+                self._trust(system, start, at_points, outcome)
             if outcome.converged:
                 external, carried = self._work(system, start)
                 self.progress.external_work += external

@@ -15,15 +15,21 @@ from ..bodies.points import Points
 from ..errors import TrustWarning
 from ..forms.points import PointForm
 from ..kernels.kernel import Kernel
+from ..terms.base import Term
 from ..tools.caller import warn
 from ..tools.parallel import errors_on_all_ranks
 from . import doubts
 from .griddoubts import MANY, GridRecord
+from .nearlimit import NearLimit, known
+from .work import StepStart
 
 # shares of a step's work inside the boxes above which an answer may be far off: while no point has flowed,
 # where boxes nearly alone hold the body, and then, as the boxes of points that have flowed count for little
 DOUBTFUL, DOUBTFUL_FLOW = 0.97, 0.2
 # increments (their gradients) of elastic points of which boxes miss nothing, however large their share is
+# near a limit load, where displacements grow that many times as fast as the loads: share times as many, above
+# which displacements may be a tenth off
+GIVES_WAY, NEAR_LIMIT = 2.0, 0.25
 SMALL = 0.05
 MISSED = 0.08  # share that a sum over points without boxes misses: the answer is a tenth off or more
 MISSED_GAUSS = 0.15  # of points of quadrature rules, of which what they stand for is guessed, and too large
@@ -50,12 +56,15 @@ class BoxRecord:
         largest: largest share of a step's work inside the boxes so far, and that step's number.
         in_doubt: some step's share was larger than it should be.
         grid: what strains and stresses say of the grid's own error.
+        limit: how far the body is from its limit load.
+        sensitive: largest product of that share and the sensitivity of displacements near a limit load.
     """
 
     def __init__(self, points: Points, forms: Sequence[PointForm], comm: MPI.Comm):
         self.points, self.forms, self.comm = points, forms, comm
         self.kept: np.ndarray | None = None
         self.largest, self.in_doubt, self.grid = (0.0, 0), False, GridRecord(points, comm)
+        self.limit, self.sensitive = NearLimit(), 0.0
         self._missed: float | None = None
         self._tents = False
         self._kernels: list[Kernel] = []
@@ -127,6 +136,13 @@ class BoxRecord:
             return ""
         return f"all of the step's work is done inside the points' boxes: there is no equilibrium; {_REMEDY}"
 
+    def note_loads(self, system: LoadedPoints, start: StepStart, terms: Sequence[Term]) -> None:
+        """Take note of what loads, some of them `terms`, have done in a step that has converged."""
+        if self.points.plastic and system.inertia is None and known(terms):
+            self.limit.note(system, start)
+        else:
+            self.limit.forget()
+
     def note(self, share: float | None, step: int, size: float) -> None:
         """Take note of a converged step; warns, once in a run, of an answer that is in doubt.
 
@@ -164,6 +180,21 @@ class BoxRecord:
                 f"step {step}: {100 * share:.0f} % of its work is done inside the points' boxes, "
                 f"where neither the grid nor the points resolve it; the answer may be far off: {_REMEDY}"
             )
+        if flowed:
+            self._note_limit(share, step)
+
+    def _note_limit(self, share: float, step: int) -> None:
+        """Take note of how near the limit load a body is that flows, with the share inside the boxes."""
+        times = self.limit.sensitivity
+        if times > GIVES_WAY:
+            self.sensitive = max(self.sensitive, times * share)
+        if self.sensitive > NEAR_LIMIT:
+            self._warn(
+                f"step {step}: near its limit load the body gives way {times:.1f} times as fast as its loads "
+                f"grow, and {100 * share:.2g} % of the step's work is done inside the points' boxes: what "
+                "the strength is off, displacements are that many times; take smaller cells, and compare, "
+                "or prescribe the motion, and read the load"
+            )
 
     def _note_missed(self, step: int) -> None:
         """Take note of what a sum over points without boxes misses in the first step."""
@@ -193,11 +224,14 @@ class BoxRecord:
         """For a restart file: largest share, its step, whether the run is in doubt, and whether the share is
         what a sum over the points misses; the grid's."""
         missed = self._missed is not None
-        return [*self.largest, float(self.in_doubt), float(missed), *self.grid.state()]
+        limit = self.sensitive, *self.limit.state()
+        return [*self.largest, float(self.in_doubt), float(missed), *limit, *self.grid.state()]
 
     def restore(self, state: Sequence[float]) -> None:
         """Put in what `state` gave."""
-        share, step, doubt, missed, *grid = state
+        share, step, doubt, missed, self.sensitive, *rest = map(float, state)
+        limit, grid = rest[: len(self.limit.state())], rest[len(self.limit.state()) :]
+        self.limit.restore(limit)
         self.largest, self.in_doubt = (float(share), int(step)), bool(doubt)
         self._missed = float(share) if missed else None
         self.grid.restore(grid)
@@ -211,4 +245,6 @@ class BoxRecord:
         most = f"at most {100 * share:.0f} % of a step's work is done inside the points' boxes (step {step})"
         if self._missed is not None:
             most = f"a sum over the points misses about {100 * share:.2g} % of the work (step {step})"
-        return f"{', '.join([most] * bool(step) + [grid] * bool(grid))}: {verdict}"
+        near = f"near the limit load times the displacements' sensitivity {self.sensitive:.2g}"
+        parts = [most] * bool(step) + [near] * bool(self.sensitive) + [grid] * bool(grid)
+        return f"{', '.join(parts)}: {verdict}"

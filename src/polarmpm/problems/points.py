@@ -57,6 +57,7 @@ from .state import Fields, Progress, choose_fields
 from .surfaces import add_load
 from .telling import note_settings
 from .whole import Changing
+from .work import StepStart
 
 _DISTORTED = WhenDistorted()
 # The papers' method, for what they publish: `QuasiStatic(grid, points, **PUBLISHED)`.
@@ -186,7 +187,8 @@ class QuasiStatic(Regridded):
     def _changing(self) -> Iterator[Changing]:
         yield from super()._changing()
         for thing in (
-            *(self.policy, self.box_record, self.box_record.grid, self.load_shares, self.load_shares.shares),
+            *(self.policy, self.box_record, self.box_record.grid, self.box_record.limit),
+            *(self.load_shares, self.load_shares.shares),
             *(self._conservation, self._moving, self._compiled, self._resets),
         ):
             yield thing, None
@@ -312,13 +314,12 @@ class QuasiStatic(Regridded):
         inverted = reduced(self.comm, int(np.count_nonzero(self.volume_ratios(increments) <= 0)))
         return f"{inverted} material point(s) turned inside out" if inverted else ""
 
-    def _trust(
-        self, system: LoadedPoints, start: np.ndarray, at_points: Increments, outcome: Outcome
-    ) -> None:
-        outcome.unresolved = self.box_record.unresolved(system, start, at_points.gradient)
+    def _trust(self, system: LoadedPoints, start: StepStart, at_points: Increments, outcome: Outcome) -> None:
+        outcome.unresolved = self.box_record.unresolved(system, start.x, at_points.gradient)
         outcome.reason = self.box_record.refusal(outcome.unresolved)
         outcome.converged = not outcome.reason
         if outcome.converged:
+            self.box_record.note_loads(system, start, self.terms)
             self._indicate(system, outcome)
 
     def _note(self, outcome: Outcome) -> None:
