@@ -39,6 +39,7 @@ from .stepping import (
     sizes_of,
 )
 
+_IDLE = 1e-11  # growth of the load factor in a step that loads have no part in
 _LENGTH_TOLERANCE = 1e-8  # of a step's length; the state is an equilibrium however long the step is
 # Least cosine between a step and its tangent; what is farther off may be another branch. If steps of a fifth
 # of the first one's length bend as much, it is the path that does: where points unload it has a kink.
@@ -177,6 +178,11 @@ class Path:
         increment: np.ndarray = self.system.x - self.start
         return increment
 
+    @property
+    def idles(self) -> bool:
+        """Whether the load factor has stayed as it was but for rounding: nothing resists the motion."""
+        return abs(self.factor - self.begin) <= _IDLE * max(1.0, abs(self.begin))
+
     def put_load(self) -> None:
         """Put the load of the present factor into the system."""
         self.system.put_external(self.loads[0] + self.factor * self.loads[1])
@@ -246,6 +252,8 @@ def solve(path: Path, controls: Controls, to: float | None) -> Outcome:
         _iterate(path, controls, outcome)
     except (LocalFailure, SingularTangent, _Unsettled) as e:
         outcome.converged, outcome.reason = False, str(e)
+    if outcome.converged and path.idles:
+        outcome.converged, outcome.reason = False, "moved on while the loads stayed as they were"
     if outcome.converged and to is not None and path.begin != to:
         share = (to - path.begin) / (path.factor - path.begin) if path.factor != path.begin else 2.0
         if 0.0 < share <= 1.0:
