@@ -200,10 +200,8 @@ class PointSystem(OnPattern, LoadedPoints):
         self.box_tangent = kept
 
     def _renews(self, tangents: int) -> bool:
-        """Whether such a tangent of a step has the boxes' part summed anew. That of the third one, when much
-        of the step is known, serves the following two as well."""
-        late = tangents == 3 or tangents > 5
-        return late or self._fresh_boxes or (tangents == 1 and not self._keeps_boxes)
+        """Whether such a tangent of a step has the boxes' part summed anew."""
+        return tangents > 2 or self._fresh_boxes or (tangents == 1 and not self._keeps_boxes)
 
     def waits(self) -> bool:
         return self._boxes is not None and self._keeps_boxes and self._renews(self.step.tangents + 1)
