@@ -8,6 +8,7 @@ state when rotations get a new base.
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -250,8 +251,9 @@ class Interpolation:
         """Derivatives along half axes (np, d, ...), of the points that are `there`, with a share of what
         differs from the means at the nodes."""
         axes, volume = self.points.half_axes0, np.where(there, self.points.volume0, 0.0)
-        rows = np.linalg.pinv(axes) @ sides.reshape(*axes.shape[:2], -1)
-        mean = means(self, volume, rows.reshape(len(rows), -1)).reshape(rows.shape)
+        n, d, size = len(sides), sides.shape[1], math.prod(sides.shape[2:])  # there may be no points here
+        rows = np.linalg.pinv(axes) @ sides.reshape(n, d, size)
+        mean = means(self, volume, rows.reshape(n, d * size)).reshape(rows.shape)
         kept = np.where(there[:, None, None], axes @ (mean + keep * (rows - mean)), 0.0)
         found: np.ndarray = kept.reshape(sides.shape)
         return found

@@ -258,7 +258,7 @@ class Elements(StagedMesh):
         """An equal share of its volume for each node of an element (nodes,), positive for all degrees; summed
         over this rank's elements."""
         nodes = self.live_nodes
-        of_cells = self.points.volume0.reshape(len(nodes), -1).sum(axis=1)
+        of_cells = self.points.volume0.reshape(-1, len(self.reference_points)).sum(axis=1)
         share = np.repeat(of_cells / nodes.shape[1], nodes.shape[1])
         sums = np.bincount(nodes.ravel(), share, minlength=len(self.nodes))
         return sums.astype(float)  # without any elements they are integers
@@ -266,7 +266,7 @@ class Elements(StagedMesh):
     def _volumes(self) -> np.ndarray:
         """Integrals of the shape functions over the body (nodes,); ghosts' part is with their owners."""
         nodes, shape = self.live_nodes, compat.tabulate(self.body.cell, self.degree, self.reference_points)[0]
-        of_cells = self.points.volume0.reshape(len(nodes), -1) @ shape
+        of_cells = self.points.volume0.reshape(-1, len(shape)) @ shape
         weights = np.zeros((len(self.nodes), self.layout.block))
         weights[:, 0] = np.bincount(nodes.ravel(), of_cells.ravel(), minlength=len(self.nodes))
         self.nodes.add_to_owners(weights)
