@@ -2,6 +2,7 @@
 
 import math
 import re
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -112,7 +113,8 @@ def test_what_resets_let_go_is_told():
     how much that is."""
     problem = thrown_disc(nu=0.49)
     whole = problem.energies()["external"]
-    with pytest.warns(pm.TrustWarning, match=r"resets have let go \d+% of the body's energy"):
+    told = pytest.warns(pm.TrustWarning, match=r"resets have let go \d+% of the body's energy")
+    with told if COMM.rank == 0 else nullcontext():
         for _ in problem.march(0.24, dt=4e-3, progress=False):
             pass
     found = problem.energies()
