@@ -130,7 +130,7 @@ def test_what_is_carried_turns_with_the_body(dim, material, basis):
     x = np.zeros_like(system.x)
     x[:, :dim] = system.nodes.position @ (turn - np.eye(dim)).T
     x[:, dim:] = vector[3 - system.layout.rotations :]
-    put(system, x)
+    system.x[:] = x
     assert energy_in_boxes(system) == pytest.approx(before, rel=1e-10)
 
 
