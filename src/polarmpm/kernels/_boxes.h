@@ -1,5 +1,5 @@
 /* The points' boxes: a point stands for a box with half axes d_k, over which the strain energy varies; a part of
- * _native.c.
+ * the units of sums over points.
  *
  * With z_k, the derivative of z along d_k, the energy of the box is that of the rule of degree 3 with the box's centre
  * and the centres of its faces,

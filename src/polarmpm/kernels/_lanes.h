@@ -1,5 +1,5 @@
 /* Sums over the nodes of LANES points at once, one direction after the other: nodal values -> values and derivatives at
- * the points, and transposed, work at the points -> nodal forces; a part of _native.c.
+ * the points, and transposed, work at the points -> nodal forces; shared by the sums' units.
  *
  * Nodes are padded to the `slots` of a batch in each direction. Weights are [direction][order][slot], nodal numbers
  * [component][node], numbers at the points [component][row], rows being the value, its derivatives and, where `curved`,

@@ -1,5 +1,5 @@
 /* Where the unknowns z = (du/dx, w, dw/dx) of a point stand, or z = (du/dx, d2u/dx2) with second gradients, or z = (du/dx,
- * w, dw/dx, u_r) in a body of revolution; a part of _native.c. `second` says which of them.
+ * w, dw/dx, u_r) in a body of revolution; shared by all units. `second` says which of them.
  *
  * The table is kinematics/layout.py's, and tests/kernels/test_slots.py holds this file against it. A component counts
  * the unknowns of a node: displacements, then rotations. Called with constants, all of this is constant, too. The sums

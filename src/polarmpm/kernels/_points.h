@@ -1,5 +1,5 @@
 /* What the compiled loops share: structures, whose fields structures.py reads here, and the points' weighting
- * functions; a part of _native.c. */
+ * functions; shared by all units. */
 #ifndef POLARMPM_POINTS_H
 #define POLARMPM_POINTS_H
 

@@ -1,4 +1,5 @@
-/* Sums of points' blocks in a group's dense matrix, and from there into the sparse matrix; a part of _native.c. */
+/* Sums of points' blocks in a group's dense matrix, and from there into the sparse matrix; shared by
+ * the sums' units. */
 #ifndef POLARMPM_SCATTER_H
 #define POLARMPM_SCATTER_H
 
