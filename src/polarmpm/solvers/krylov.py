@@ -43,6 +43,14 @@ class Equations:
         here = float(np.dot(a, b))
         return float(self.comm.allreduce(here)) if self.comm.size > 1 else here
 
+    def residual(self, x: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """What x (n,) leaves of the right-hand side (n,), a new array; zeros, as solutions begin, aren't
+        multiplied."""
+        some = bool(np.any(x))
+        if self.comm.size > 1:
+            some = bool(self.comm.allreduce(some, op=MPI.LOR))
+        return right - self.product(x) if some else right.copy()
+
     def norm(self, r: np.ndarray) -> float:
         """Norm of forces."""
         with np.errstate(over="ignore", invalid="ignore"):
@@ -55,7 +63,7 @@ def conjugate_gradients(e: Equations, x: np.ndarray, right: np.ndarray, aim: flo
     the energy norm of the preconditioner."""
     out, allowed = Result(), aim * e.norm(right)
     energy, rounds = 0.0, 0
-    r = right - e.product(x) if np.any(x) or e.comm.size > 1 else right.copy()
+    r = e.residual(x, right)
     while True:
         z = e.precondition(r)
         work = e.dot(r, z)
@@ -113,7 +121,7 @@ def flexible_gmres(
         return out
     before = math.inf
     while True:
-        r = right - e.product(x)
+        r = e.residual(x, right)
         size = e.norm(r)
         if size <= allowed:
             return out
