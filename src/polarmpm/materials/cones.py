@@ -25,7 +25,8 @@ def check_flow(material: Any, name: str) -> None:
     check_elastic(elastic)
     put_numbers(material, "H", name)
     strength = getattr(material, name)
-    require(strength > 0, name, strength, f"{name} > 0")
+    hint = ", for sand without any a thousandth of its stresses" if strength == 0 else ""
+    require(strength > 0, name, strength, f"{name} > 0{hint}")
     check_plastic_length(material)
     if material.H < 0 and not elastic.micropolar:
         warn(
