@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import warnings
+from contextlib import nullcontext
 from typing import Any
 
 from mpi4py import MPI
@@ -343,3 +344,21 @@ def test_what_a_plastic_body_dissipates_is_by_the_forces_of_its_steps(kind):
         found = problem.energies()
         assert found["dissipated"] > 0.3 * found["external"]
         assert abs(found["residue"]) < most * found["external"]
+
+
+@pytest.mark.parametrize("make", [bar, bar_of_elements])
+def test_numbers_are_told_to_be_rates(make: Any):
+    """A weight that is given as a number would grow from nothing; functions and zeros are what they say."""
+    problem = make()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        problem.body_load(force=lambda t: (0, -9.81))
+        problem.body_load(force=(0, 0))
+    with pytest.warns(pm.TrustWarning, match=r"-9.81\).*rate") if COMM.rank == 0 else nullcontext():
+        problem.body_load(force=(0, -9.81))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        problem.body_load(force=(0, -9.81))  # once is enough
+    problem = make()
+    with pytest.warns(pm.TrustWarning, match="uy = 0.1.*rate") if COMM.rank == 0 else nullcontext():
+        problem.fix(pm.plane(y=0.0), uy=0.1)

@@ -253,8 +253,8 @@ class Conditions(Keeping, Whole, Turns):
                 raise InputError(f"{support.name}: counts = 'total': a slope has no total in mid-run")
             self._tie(where, support, even)
         self._admit(where, support)
+        self._follow([amplitude for amplitude, _ in support.columns.values()])
         self._supports.append(support)
-        self._unasked += [amplitude for amplitude, _ in support.columns.values()]
         self.given.add(Given(support.name, support, self.progress.factor, counts), "support")
         self._stale = True
         return support
@@ -303,10 +303,10 @@ class Conditions(Keeping, Whole, Turns):
         self.check_open()
         self._admit_term(term)
         term.attach(self.layout, self.comm)
+        self._follow(term.amplitudes() if isinstance(term, SurfaceCondition) else [])
         term.taken = True
         term.begin_at(self.progress.factor, counts)
         self._terms.append(term)
-        self._unasked += term.amplitudes() if isinstance(term, SurfaceCondition) else []
         kind = "surface" if isinstance(term, SurfaceCondition) else "term"
         self.given.add(Given(term.name, term, self.progress.factor, counts), kind)
         self._stale = self.progress.reset_due = True
@@ -404,9 +404,13 @@ class Conditions(Keeping, Whole, Turns):
         self.check_open()
         for amplitude in amplitudes:
             amplitude.begin(self.progress.factor, counts)
-        self._unasked += amplitudes
+        self._follow(amplitudes)
         self.given.add(Given(applied.name, applied, self.progress.factor, counts), "load")
         self._stale = True
+
+    def _follow(self, amplitudes: Sequence[Amplitude]) -> None:
+        """Take note of what a script has given to follow the load factor."""
+        self._unasked += amplitudes
 
     def _set_terms(self, factor: float, carrying: bool = False) -> None:
         terms = self._working_terms

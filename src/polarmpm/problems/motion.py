@@ -8,7 +8,7 @@ is known of the past is a dead force m h, and a dead couple, at each point.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from mpi4py import MPI
@@ -19,12 +19,14 @@ from ..assembly.inertia import Inertia
 from ..assembly.system import NodalSystem
 from ..assembly.viscosity import Viscosity
 from ..bodies.reference import Increments
-from ..errors import InputError, LocalFailure
+from ..conditions.amplitudes import Amplitude
+from ..errors import InputError, LocalFailure, TrustWarning
 from ..forms.gyration import gyration_kernel, momentum_kernel
 from ..kinematics.timesteps import TimeStep
 from ..solvers.newton import Outcome
 from ..solvers.stepping import Schedule, Step
 from ..tools import checks
+from ..tools.caller import warn
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from .kinetics import WithInertia
@@ -47,6 +49,26 @@ class Moving(WithInertia):
     _change: tuple[float, np.ndarray] | None = None  # a factor, and the change of mean accelerations
     _mean: np.ndarray | None = None  # accelerations (np, d) of the step, and of the one before
     _mean_before: np.ndarray | None = None
+    _told_of_rates = False
+
+    def _follow(self, amplitudes: Sequence[Amplitude]) -> None:
+        """Tell, once, of a number that isn't zero: it is a rate, whatever its name looks like."""
+        super()._follow(amplitudes)
+        growing = [a for a in amplitudes if a.function is None and a.constant.any()]
+        if not growing or self._told_of_rates:
+            return
+        self._told_of_rates = True
+        one = growing[0]
+        value = f"{one.constant[0]:g}" if one.size == 1 else f"({', '.join(f'{v:g}' for v in one.constant)})"
+        times = f"{value} * t" if one.size == 1 else f"t * np.array({value})"
+        with errors_on_all_ranks(self.comm):  # of warnings a script may make errors
+            if self.comm.rank == 0:
+                warn(
+                    f"{one.name} = {value}: in motion a number is a rate, and grows by its value in each "
+                    f"second from zero on; write lambda t: {value} for what stays, as a weight, or "
+                    f"lambda t: {times} for what grows",
+                    TrustWarning,
+                )
 
     # solving --------------------------------------------------------------------------------------
     def march(  # type: ignore[override]
