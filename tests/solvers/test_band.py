@@ -19,7 +19,8 @@ def rows_of(dense, block, symmetric):
     there = np.triu(there) if symmetric else there
     row, column = np.nonzero(there)
     indptr = np.searchsorted(row, np.arange(n + 1)).astype(np.int64)
-    return Rows(block, indptr, column.astype(np.int32), dense[row, column].copy(), lambda: None)
+    columns = column.astype(np.int32)
+    return Rows(block, indptr, lambda: columns, dense[row, column].copy(), lambda: None)
 
 
 def strip(block, symmetric, seed, nodes=40):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 from petsc4py import PETSc
 
@@ -28,7 +28,8 @@ class Pattern:
     Attributes:
         block: unknowns of a node.
         symmetric: rows hold their upper triangle only.
-        indptr, indices: scalar rows of this rank; columns are global, ascending.
+        indptr: where scalar rows of this rank begin.
+        offsets, columns: of its block rows: where they begin, and their global block columns, ascending.
         values: entries of the owned rows, then the blocks of ghost rows.
         diagonal: positions of the diagonal entries.
     """
@@ -37,7 +38,8 @@ class Pattern:
     block: int
     symmetric: bool
     indptr: np.ndarray
-    indices: np.ndarray
+    offsets: np.ndarray
+    columns: np.ndarray
     values: np.ndarray
     diagonal: np.ndarray
     matrix: native.Matrix
@@ -62,6 +64,15 @@ class Pattern:
         found: np.ndarray = np.where(keys[at] == wanted, self.crossing_columns[at], -1)
         return found
 
+    @cached_property
+    def indices(self) -> np.ndarray:
+        """Columns of the scalar rows; multigrid on a lattice doesn't need them."""
+        columns, block = np.empty(self.owned_entries, dtype=np.int32), self.block
+        native.library().polarmpm_scalar_columns(
+            len(self.offsets) - 1, self.offsets, self.columns, block, int(self.symmetric), columns
+        )
+        return columns
+
     @property
     def owned_entries(self) -> int:
         return int(self.indptr[-1])
@@ -82,7 +93,7 @@ class Pattern:
 
     def rows(self, matrix: Callable[[], PETSc.Mat]) -> Rows:
         """What they are on one rank; `matrix`: what `petsc_matrix` has made."""
-        return Rows(self.block, self.indptr, self.indices, self.values, lambda: self.put(matrix()))
+        return Rows(self.block, self.indptr, lambda: self.indices, self.values, lambda: self.put(matrix()))
 
     @property
     def shared(self) -> bool:
@@ -92,7 +103,7 @@ class Pattern:
     @property
     def _usual(self) -> bool:
         """Whether PETSc's numbers are those of the arrays."""
-        return bool(PETSc.ScalarType == self.values.dtype and PETSc.IntType == self.indices.dtype)
+        return bool(PETSc.ScalarType == self.values.dtype and PETSc.IntType == np.int32)
 
     def put(self, matrix: PETSc.Mat) -> None:
         """Let the matrix that `petsc_matrix` has made have the entries as they are now. Collective."""
@@ -110,7 +121,8 @@ class Pattern:
 
     def release(self) -> None:
         """Give the memory of the entries back; there is no matrix any more."""
-        self.values, self.indices = np.zeros(0), np.zeros(0, dtype=np.int32)
+        self.values, self.columns = np.zeros(0), np.zeros(0, dtype=np.int64)
+        vars(self).pop("indices", None)
         self.matrix.kept.clear()
 
     def mirror(self, whole: bool = True) -> None:
@@ -263,7 +275,7 @@ def _alone(
     row, code, col = local
     offsets = np.zeros(len(nodes) + 1, dtype=np.int64)
     np.cumsum(np.bincount(row, minlength=len(nodes)), out=offsets[1:])
-    indptr, indices = _scalar_rows(col, offsets, block, symmetric)
+    indptr = _scalar_rows(offsets, block, symmetric)
     starts = indptr[:-1]
     if symmetric:  # see `_assemble_pattern`
         starts = (starts.reshape(-1, block) - np.arange(block)).ravel()
@@ -276,7 +288,8 @@ def _alone(
     place = np.full((len(nodes), codes), -1, dtype=np.int32)
     place[row, code] = column
     values = np.zeros(int(indptr[-1]))
-    pattern = Pattern(nodes, block, symmetric, indptr, indices, values, diagonal, native.Matrix())
+    cols = np.ascontiguousarray(col, dtype=np.int64)
+    pattern = Pattern(nodes, block, symmetric, indptr, offsets, cols, values, diagonal, native.Matrix())
     _bind(pattern, reach, place, starts)
     return pattern
 
@@ -295,8 +308,8 @@ def _assemble_pattern(
     row, code, col, mine = local
     total = max(nodes.total, 1)
     keys = pairs[:, 0] * total + pairs[:, 1]
-    offsets = np.searchsorted(pairs[:, 0], nodes.start + np.arange(nodes.owned + 1))
-    indptr, indices = _scalar_rows(pairs[:, 1], offsets, block, symmetric)
+    offsets = np.searchsorted(pairs[:, 0], nodes.start + np.arange(nodes.owned + 1)).astype(np.int64)
+    indptr = _scalar_rows(offsets, block, symmetric)
     # owned rows: block column k of node I starts at indptr of its scalar row, less the part below the
     # diagonal that the upper triangle leaves out
     trim = np.tile(np.arange(block) if symmetric else np.zeros(block, dtype=np.int64), nodes.owned)
@@ -315,7 +328,8 @@ def _assemble_pattern(
         block,
         symmetric,
         indptr,
-        indices,
+        offsets,
+        np.ascontiguousarray(pairs[:, 1], dtype=np.int64),
         values,
         _diagonal(offsets, pairs, nodes, indptr, block, symmetric),
         native.Matrix(),
@@ -346,10 +360,8 @@ def _bind(pattern: Pattern, reach: int, place: np.ndarray, starts: np.ndarray) -
     )
 
 
-def _scalar_rows(
-    cols: np.ndarray, offsets: np.ndarray, block: int, symmetric: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """Scalar row pointers and columns of block rows with ascending block columns, the diagonal first."""
+def _scalar_rows(offsets: np.ndarray, block: int, symmetric: bool) -> np.ndarray:
+    """Where scalar rows of block rows begin, in symmetric ones with the diagonal first."""
     nodes = len(offsets) - 1
     lengths = np.empty((nodes, block), dtype=np.int64)
     lengths[:] = (np.diff(offsets) * block)[:, None]
@@ -357,10 +369,7 @@ def _scalar_rows(
         lengths -= np.arange(block)
     indptr = np.zeros(nodes * block + 1, dtype=np.int64)
     np.cumsum(lengths.ravel(), out=indptr[1:])
-    columns = np.empty(int(indptr[-1]), dtype=np.int32)
-    offsets, cols = np.ascontiguousarray(offsets, dtype=np.int64), np.ascontiguousarray(cols, dtype=np.int64)
-    native.library().polarmpm_scalar_columns(nodes, offsets, cols, block, int(symmetric), columns)
-    return indptr, columns
+    return indptr
 
 
 def _diagonal(

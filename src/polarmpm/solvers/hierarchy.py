@@ -64,17 +64,13 @@ class Lattices:
         return self.levels[0]
 
     def _block_rows(self, lattice: LatticeRows) -> tuple[np.ndarray, np.ndarray]:
-        b, first = lattice.block, lattice.indptr[:: lattice.block]
-        counts = np.diff(lattice.indptr)[::b] // b
-        offsets = np.concatenate([[0], np.cumsum(counts)])
-        at = first[:-1].repeat(counts) + b * (np.arange(offsets[-1]) - offsets[:-1].repeat(counts))
-        cols = lattice.indices[at].astype(np.int64) // b
+        cols = lattice.columns
         if self._comm is not None:
             owned = len(lattice.nodes)
             start = self._comm.exscan(owned) or 0
             self.halo = Halo(self._comm, start, owned, cols)
             cols = self.halo.local
-        return offsets.astype(np.int64), np.ascontiguousarray(cols, dtype=np.int32)
+        return lattice.offsets, np.ascontiguousarray(cols, dtype=np.int32)
 
     def _bring(self, lattice: LatticeRows) -> None:
         """Coarser levels, without entries."""

@@ -38,7 +38,7 @@ class LatticeSolver(MultigridSolver):
         self._lattice = lattice
 
     def _finite(self) -> bool:
-        values = self._lattice.values[: int(self._lattice.indptr[-1])]
+        values = self._lattice.values[: self._lattice.entries]
         here = bool(native.library().polarmpm_finite(len(values), values))
         return bool(self.comm.allreduce(here, op=MPI.LAND))
 

@@ -48,7 +48,8 @@ class LatticeRows:
         lines: coordinates (m) of the lines across each axis, for all nodes of all ranks.
         between: nodes stand in the middle between two lines, not on them.
         reach: largest lattice distance of two nodes that are coupled.
-        indptr, indices: scalar rows of the owned unknowns; columns are global, ascending.
+        offsets, columns: block rows of the owned nodes; columns are global, ascending.
+        entries: how many the owned rows have.
         row_start: where block column 0 of each row is in `values`, whether it is stored or not.
         values: the entries.
         weak: owned nodes at which there is hardly any of the body (owned nodes,), bool. Collective.
@@ -63,8 +64,9 @@ class LatticeRows:
     lines: tuple[np.ndarray, ...]
     between: bool
     reach: int
-    indptr: np.ndarray
-    indices: np.ndarray
+    offsets: np.ndarray
+    columns: np.ndarray
+    entries: int
     row_start: np.ndarray
     values: np.ndarray
     weak: Callable[[], np.ndarray]
@@ -85,16 +87,22 @@ class Rows:
 
     Attributes:
         block: unknowns of a node.
-        indptr, indices: scalar rows, in symmetric tangents of the upper triangle.
+        indptr: where scalar rows begin, in symmetric tangents of the upper triangle.
+        columns: gives their columns.
         values: the entries.
         put: gives PETSc's matrix the entries.
     """
 
     block: int
     indptr: np.ndarray
-    indices: np.ndarray
+    columns: Callable[[], np.ndarray]
     values: np.ndarray
     put: Callable[[], None]
+
+    @cached_property
+    def indices(self) -> np.ndarray:
+        """Columns of the scalar rows."""
+        return self.columns()
 
 
 @dataclass(frozen=True)
