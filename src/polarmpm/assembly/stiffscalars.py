@@ -214,14 +214,13 @@ class StiffScalars:
         """Vectors (means, :) of the modes; all means have boxes or none."""
         m, nz, n = self.form.scalars, self.form.layout.unknowns, len(self._z)
         kinds, sides, both = len(means), None, None
-        whole = np.stack([mean.whole for mean in means]).reshape(kinds, n, m, nz)
         odd = [mean.odd for mean in means if mean.odd is not None]
         bent = [mean.both for mean in means if mean.both is not None]
         if odd:
             sides = np.stack(odd).reshape(kinds, n, odd[0].shape[1], m, nz)
         if bent:
             both = np.stack(bent).reshape(kinds, n, bent[0].shape[1], m, nz)[..., self._value_slots]
-        return self.patches.vectors(kernels, whole, sides, both)
+        return self.patches.vectors(kernels, [mean.whole for mean in means], sides, both)
 
     def evaluate(
         self,
