@@ -92,7 +92,9 @@ class QuadraturePoints:
 
     def volume_before(self, batch: PointBatch) -> np.ndarray:
         """t (n,) of a material's points at the last converged step, from which increments count."""
-        return np.zeros(len(batch.rows))
+        if batch.volume_before is None:
+            batch.volume_before = (), np.zeros(len(batch.rows))
+        return batch.volume_before[1]
 
     @property
     def reference(self) -> Points:
