@@ -232,7 +232,7 @@ def block(dim, basis, material, locking, cells):
 
 
 def dilatant_cost():
-    """CPU time of the second half of a footing's settlement on soil whose volume grows as it shears, cured over
+    """CPU time of the second half of a footing's settlement on soil that dilates as it shears, cured over
     not cured; least of two."""
     phi, found = np.radians(20), {"auto": [], None: []}
     elastic = pm.Hencky.from_engineering(E=scenes.YOUNG, nu=0.3)
