@@ -89,7 +89,7 @@ def rows(arrays: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         ValueError: numbers of a row that don't stand one after the other.
     """
-    if any(a.strides[-1] != a.itemsize for a in arrays):
+    if any(a.size and a.strides[-1] != a.itemsize for a in arrays):
         raise ValueError("numbers of a row must stand one after the other")
     step = np.array([a.strides[0] // a.itemsize for a in arrays], dtype=np.int64)
     return np.array([a.ctypes.data for a in arrays], dtype=np.uintp), step
