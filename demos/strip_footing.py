@@ -117,7 +117,7 @@ def main(argv=None):
             "--bases": {"nargs": "+", "choices": tuple(BASES), "default": list(BASES)},
             "--cells": {"type": even, "default": 8, "help": "under half of the footing, even"},
             "--points-per-cell": {"type": demo.count, "default": 4, "help": "in each direction"},
-            "--steps": {"type": demo.count, "default": 40, "help": "number of load steps"},
+            "--steps": {"type": demo.count, "default": 20, "help": "number of load steps"},
             "--grid": {
                 "choices": ("equal", "graded"),
                 "default": "equal",

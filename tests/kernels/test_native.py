@@ -126,3 +126,12 @@ def test_addresses():
     fixed.flags.writeable = False
     for array in (a, a[1], a[:0], fixed, np.zeros(4, dtype=bool)):
         assert native.address(array) == array.ctypes.data
+
+
+def test_rows_are_those_of_wider_arrays_too():
+    wide = np.arange(12.0).reshape(3, 4)
+    addresses, step = native.rows([wide, wide[:, 1:3], np.zeros((0, 4))])
+    assert addresses[1] - addresses[0] == 8
+    assert list(step[:2]) == [4, 4]
+    with pytest.raises(ValueError, match="one after the other"):
+        native.rows([wide.T])

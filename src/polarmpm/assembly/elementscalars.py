@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from typing import Any
 
 from mpi4py import MPI
@@ -44,6 +45,7 @@ class ElementPatches(Patches):
             modes=self.modes,
             offsets=np.arange(self.count + 1, dtype=np.int64) * e.nodes,
             nodes=np.ascontiguousarray(e.kept["cells"].ravel()),
+            patch=self.patch.astype(np.int32),
             values=self.values,
         )
         self._length = self.count * e.nodes * self.block * self.modes
@@ -51,14 +53,15 @@ class ElementPatches(Patches):
     def vectors(
         self,
         kernels: native.PointKernels,
-        work: np.ndarray,
+        work: Sequence[np.ndarray],
         sides: np.ndarray | None = None,
         both: np.ndarray | None = None,
     ) -> np.ndarray:
         out: np.ndarray = np.zeros((len(work), self._length))
         own = ctypes.byref(self.elements), ctypes.byref(self._structure)
-        for kind, to in zip(np.ascontiguousarray(work), out, strict=True):
-            if native.library().polarmpm_element_vectors(*own, kind, to):
+        for kind, to in zip(work, out, strict=True):
+            rows = kind if kind.flags.c_contiguous else np.ascontiguousarray(kind)
+            if native.library().polarmpm_element_vectors(*own, rows, rows.shape[1], to):
                 raise MemoryError("no memory for the sums over elements")
         return out
 
@@ -89,7 +92,9 @@ class QuadraturePoints:
 
     def volume_before(self, batch: PointBatch) -> np.ndarray:
         """t (n,) of a material's points at the last converged step, from which increments count."""
-        return np.zeros(len(batch.rows))
+        if batch.volume_before is None:
+            batch.volume_before = (), np.zeros(len(batch.rows))
+        return batch.volume_before[1]
 
     @property
     def reference(self) -> Points:

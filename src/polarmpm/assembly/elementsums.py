@@ -26,7 +26,7 @@ from .inertia import MassSets
 from .meshpattern import MeshPattern
 from .onpattern import OnPattern
 from .stepstate import Assembled
-from .stiffscalars import Evaluated, Linear
+from .stiffscalars import Evaluated
 
 if TYPE_CHECKING:
     from ..forms.returnmapping import Yielding
@@ -190,9 +190,7 @@ class SummedElements(OnPattern, ElementSystem):
             own = measure, None, mapping, linear, self.x
             self._patched[k] = scalars.evaluate(*own, tangent=tangent, timer=self.timer)
         if tangent and any(scalars is not None for scalars in self.projected):
-            self.step.projected = [
-                None if p is None or p.h is None else Linear(self.x, p.exact, p.h) for p in self._patched
-            ]
+            self.step.projected = [None if p is None else p.linear(self.x) for p in self._patched]
 
     def holding_energy(self, x: np.ndarray) -> float:
         """See `NodalSystem`."""

@@ -53,6 +53,7 @@ class PointBatch:
     batch: native.Batch
     _inputs: np.ndarray | None = None
     _of: tuple[np.ndarray, ...] = ()  # state and parameters in them
+    volume_before: tuple[tuple[np.ndarray, ...], np.ndarray] | None = None  # of what, see Interpolation
 
     def inputs_with(self, z: np.ndarray) -> np.ndarray:
         """Inputs (n, form.inputs) of the residual's kernel at z (n, nz), in an array that the next call
@@ -284,10 +285,13 @@ class Interpolation:
     # between nodes and points ---------------------------------------------------------------------
     def volume_before(self, batch: PointBatch) -> np.ndarray:
         """The first stiff scalar's projected value (n,) at the last converged step, that of a volume."""
-        rows, r = batch.rows, self.reference
-        gain = np.linalg.det(self.points.F[rows]) / np.linalg.det(r.F[rows])
-        found: np.ndarray = np.log(gain) + r.stiff_scalars[rows, 0]
-        return found
+        rows, r, F = batch.rows, self.reference, self.points.F
+        of = F, r.F, r.stiff_scalars  # arrays of the state are replaced, never written to
+        known = batch.volume_before
+        if known is None or any(a is not b for a, b in zip(known[0], of, strict=True)):
+            gain = np.linalg.det(F[rows]) / np.linalg.det(r.F[rows])
+            known = batch.volume_before = of, np.log(gain) + r.stiff_scalars[rows, 0]
+        return known[1]
 
     def gather(self, x: np.ndarray) -> Increments:
         """Increments at this rank's points from nodal values (nodes, block)."""

@@ -12,7 +12,9 @@ g b^T + b h^T are added to the tangent:
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -59,17 +61,11 @@ class Patches:
         self.reach = self._find_nodes(grid, nodes)
 
     # functions ------------------------------------------------------------------------------------
-    @cached_property
-    def _sorted(self) -> bool:
-        """Whether the points stand patch by patch."""
-        return bool(np.all(self.patch[1:] >= self.patch[:-1]))
-
     def sums(self, values: np.ndarray) -> np.ndarray:
         """Sums (patches, ...) of values (n, ...) over each patch."""
         if not self.count:
             return np.zeros((0, *values.shape[1:]))
-        inner = values if self._sorted else values[self._order]
-        found: np.ndarray = np.add.reduceat(inner, self._starts, axis=0)
+        found: np.ndarray = np.add.reduceat(values[self._order], self._starts, axis=0)
         return found
 
     def largest(self, values: np.ndarray) -> np.ndarray:
@@ -77,12 +73,6 @@ class Patches:
         if not self.count:
             return np.zeros(0)
         found: np.ndarray = np.maximum.reduceat(values[self._order], self._starts)
-        return found
-
-    @cached_property
-    def _weighted(self) -> np.ndarray:
-        """V0 phi_a (n, functions)."""
-        found: np.ndarray = self.volume[:, None] * self.values
         return found
 
     def _functions(self, places: np.ndarray, linear: bool) -> np.ndarray:
@@ -106,15 +96,23 @@ class Patches:
     def moments(self, values: np.ndarray, functions: np.ndarray | None = None) -> np.ndarray:
         """sum V0 phi_a f_c over each patch (patches, functions, c) of values (n, c); with other functions at
         the points (n, functions) if they are given."""
-        weighted = self._weighted if functions is None else self.volume[:, None] * functions
-        return self.sums(weighted[:, :, None] * values[:, None, :])
+        phi = self.values if functions is None else np.ascontiguousarray(functions)
+        out = np.zeros((self.count, phi.shape[1], values.shape[1]))
+        of = (*self._of(phi), self.volume, phi, values.shape[1])
+        native.library().polarmpm_patch_moments(*of, np.ascontiguousarray(values), out)
+        return out
 
     def at_points(self, moments: np.ndarray, functions: np.ndarray | None = None) -> np.ndarray:
         """Values (n, c) of the functions, or of others (n, functions), with factors (patches, functions,
         c)."""
-        own = self.values if functions is None else functions
-        found: np.ndarray = np.einsum("na,nac->nc", own, moments[self.patch])
-        return found
+        phi = self.values if functions is None else np.ascontiguousarray(functions)
+        out = np.empty((len(phi), moments.shape[2]))
+        of = (*self._of(phi), phi, moments.shape[2])
+        native.library().polarmpm_patch_values(*of, np.ascontiguousarray(moments), out)
+        return out
+
+    def _of(self, phi: np.ndarray) -> tuple[Any, int, int]:
+        return ctypes.byref(self._structure), len(phi), phi.shape[1]
 
     def moved(self, places: np.ndarray) -> np.ndarray:
         """Changes (n, functions) of functions that stay orthonormal and span what they have to, as the
@@ -142,10 +140,11 @@ class Patches:
 
     def products(self, matrices: np.ndarray) -> np.ndarray:
         """sum V0 phi_a phi_b M_cd over each patch, (patches, modes, modes), of matrices (n, c, c)."""
-        weighted = self._weighted[:, :, None] * self.values[:, None]
-        found = self.sums(weighted[:, :, None, :, None] * matrices[:, None, :, None, :])
-        modes = self.modes
-        return found.reshape(self.count, modes, modes)
+        out = np.zeros((self.count, self.modes, self.modes))
+        flat = np.ascontiguousarray(matrices)
+        own = ctypes.byref(self._structure), len(self.values), self.volume
+        native.library().polarmpm_patch_matrices(*own, flat, out)
+        return out
 
     @property
     def modes(self) -> int:
@@ -207,11 +206,11 @@ class Patches:
     def vectors(
         self,
         kernels: native.PointKernels,
-        work: np.ndarray,
+        work: Sequence[np.ndarray],
         sides: np.ndarray | None = None,
         both: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Vectors (kinds, :) of the modes from several kinds of work on z per volume (kinds, n, scalars, nz),
+        """Vectors (kinds, :) of the modes from several kinds of work on z per volume, each (n, scalars nz),
         and on its derivatives along the points' half axes (kinds, n, d, scalars, nz), of which the kernels
         know the axes; `both`: of bodies of revolution, on what values have on both sides (kinds, n, d,
         scalars, values)."""
@@ -220,7 +219,8 @@ class Patches:
         flat = None if sides is None else np.ascontiguousarray(sides)
         if both is not None:  # room for all values that there may be
             both = np.concatenate([both, np.zeros_like(both)], axis=-1)[..., :2].copy()
-        if native.library().polarmpm_patch_vectors(*own, np.ascontiguousarray(work), flat, both, out):
+        rows, step = native.rows(work)
+        if native.library().polarmpm_patch_vectors(*own, rows, step, flat, both, out):
             raise MemoryError("no memory for the sums over patches")
         return out
 

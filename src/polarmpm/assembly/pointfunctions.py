@@ -83,7 +83,7 @@ class Functions:
         out = np.zeros(self._nodes * self.layout.block)
         own = ctypes.byref(self._own), ctypes.byref(self._kernels), ctypes.byref(self._sums), 1
         flat = None if sides is None else np.ascontiguousarray(sides)
-        if native.library().polarmpm_patch_vectors(*own, np.ascontiguousarray(work), flat, None, out):
+        if native.library().polarmpm_patch_vectors(*own, *native.rows([work]), flat, None, out):
             raise MemoryError("no memory for the sums over material points")
         return np.ascontiguousarray(out.reshape(self.layout.block, self._nodes).T)
 

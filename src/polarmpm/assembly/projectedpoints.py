@@ -13,7 +13,7 @@ from ..kernels.kernel import Kernel
 from ..materials.base import parameter_values
 from .interpolation import Interpolation
 from .pointboxes import PointBoxes
-from .stiffscalars import Evaluated, Linear, StiffScalars
+from .stiffscalars import Evaluated, StiffScalars
 from .system import NodalSystem
 
 if TYPE_CHECKING:
@@ -59,9 +59,7 @@ class ProjectedPoints(NodalSystem):
             own = measure, boxes, mapping, linear, self.x
             self._patched[k] = projected.evaluate(*own, tangent=tangent, timer=self.timer)
         if tangent and any(form.scalars for form in forms):
-            self.step.projected = [
-                None if p is None or p.h is None else Linear(self.x, p.exact, p.h) for p in self._patched
-            ]
+            self.step.projected = [None if p is None else p.linear(self.x) for p in self._patched]
 
     def add_patches(
         self, matrix: native.Matrix | None, internal: np.ndarray, lifted: np.ndarray | None

@@ -87,11 +87,13 @@ class Linear:
         x: nodal values (nodes, block).
         factors: of pi, (patches, modes).
         by_x: vectors of the modes.
+        shared: how points shared volumes out, and their z (n, nz); None: they didn't.
     """
 
     x: np.ndarray
     factors: np.ndarray
     by_x: np.ndarray
+    shared: tuple[Settled, np.ndarray] | None = None
 
 
 @dataclass
@@ -101,6 +103,7 @@ class Evaluated:
     Attributes:
         b, g, h: vectors of the modes, see `patches`; the latter two with a tangent only.
         row: what g is multiplied by in the place of b, where points dilate.
+        shared: see `Linear`.
         exact: factors (patches, modes) of pi.
         taken: of the pi that the points' kernels take.
         returned: of points that yield, in the place of the kernels: rows of the batch, and what `native`
@@ -114,6 +117,11 @@ class Evaluated:
     h: np.ndarray | None = None
     returned: tuple[np.ndarray, np.ndarray] | None = None
     row: np.ndarray | None = None
+    shared: tuple[Settled, np.ndarray] | None = None
+
+    def linear(self, x: np.ndarray) -> Linear | None:
+        """Of this tangent, at nodal values x (nodes, block); None: there is none."""
+        return None if self.h is None else Linear(x, self.exact, self.h, self.shared)
 
 
 class StiffScalars:
@@ -140,6 +148,7 @@ class StiffScalars:
         self._comm = comm
         self.dilates = False  # points did so, and shared volumes out, in the last evaluation
         self._shared: tuple[np.ndarray, np.ndarray] | None = None  # nodal values, and t of points that dilate
+        self._bulk: tuple[tuple[np.ndarray, ...], np.ndarray] | None = None  # of what, K
 
     # at the points --------------------------------------------------------------------------------
     @property
@@ -214,14 +223,13 @@ class StiffScalars:
         """Vectors (means, :) of the modes; all means have boxes or none."""
         m, nz, n = self.form.scalars, self.form.layout.unknowns, len(self._z)
         kinds, sides, both = len(means), None, None
-        whole = np.stack([mean.whole for mean in means]).reshape(kinds, n, m, nz)
         odd = [mean.odd for mean in means if mean.odd is not None]
         bent = [mean.both for mean in means if mean.both is not None]
         if odd:
             sides = np.stack(odd).reshape(kinds, n, odd[0].shape[1], m, nz)
         if bent:
             both = np.stack(bent).reshape(kinds, n, bent[0].shape[1], m, nz)[..., self._value_slots]
-        return self.patches.vectors(kernels, whole, sides, both)
+        return self.patches.vectors(kernels, [mean.whole for mean in means], sides, both)
 
     def evaluate(
         self,
@@ -245,7 +253,7 @@ class StiffScalars:
         if mapping is not None:
             with timer("return mapping"):
                 if self.shares:
-                    yielding, settled = self._settle(mapping, measure, x, tangent=tangent)
+                    yielding, settled = self._settle(mapping, measure, x, before, tangent=tangent)
                 else:
                     yielding = mapping.evaluate(np.hstack(self._inputs(self._z)), tangent)
         kernels = native.PointKernels()
@@ -268,7 +276,7 @@ class StiffScalars:
         found = Evaluated(b, exact.reshape(modes), taken.reshape(modes))
         local = None
         if moduli is not None and settled is not None:
-            local = self._share(found, settled, moduli, kernels)
+            local, found.shared = self._share(found, settled, moduli, kernels), (settled, self._z)
         elif moduli is not None:
             matrices = self.patches.products(moduli.tt.whole.reshape(n, m, m))
             found.g, found.h = others[0], others[-1] + self.patches.combined(matrices, b)
@@ -277,7 +285,7 @@ class StiffScalars:
         return found
 
     def _settle(
-        self, mapping: ReturnMapping, measure: Mean, x: np.ndarray, *, tangent: bool
+        self, mapping: ReturnMapping, measure: Mean, x: np.ndarray, linear: Linear | None, *, tangent: bool
     ) -> tuple[Yielding, Settled | None]:
         """Put t into the state; what yields, and what `elasticvolumes` finds. Collective."""
         nz, conjugate = self.form.layout.unknowns, self.kernels.conjugate
@@ -286,16 +294,21 @@ class StiffScalars:
             self._put(0, t[:, None])
             inputs = self._inputs(self._z)
             taken = inputs if among is None else tuple(np.ascontiguousarray(a[among]) for a in inputs)
-            return mapping.evaluate(np.hstack(taken), tangent, among), conjugate(*taken)
+            y = mapping.evaluate(np.hstack(taken), tangent, among)
+            return y, conjugate(*(a[y.rows] for a in inputs))
 
         def bulk() -> np.ndarray:
-            self._put(0, before[:, None])
-            found: np.ndarray = conjugate(*self._inputs(np.zeros_like(self._z)))[:, 1 + nz]
-            return found
+            of = before, self._state, self._batch.batch.kept["param"]
+            if self._bulk is None or any(a is not b for a, b in zip(self._bulk[0], of, strict=True)):
+                self._put(0, before[:, None])
+                self._bulk = of, conjugate(*self._inputs(np.zeros_like(self._z)))[:, 1 + nz]
+            return self._bulk[1]
 
         before = self._interpolation.volume_before(self._batch)
         volumes = ElasticVolumes(self.patches, nz, self._comm, evaluate)
-        t, y, settled = volumes.settle(measure.whole[:, 0], before, bulk, tangent=tangent)
+        near = None if linear is None else linear.shared
+        moved = None if near is None else (near[0], self._z - near[1])
+        t, y, settled = volumes.settle(measure.whole[:, 0], before, bulk, moved, tangent=tangent)
         self._put(0, t[:, None])
         self._shared, mapping.yielding, self.dilates = (x.copy(), t), y, settled is not None
         return y, settled

@@ -202,7 +202,7 @@ int polarmpm_gather_elements(const Elements *e, const double *x, double *z, doub
 }
 
 INLINE void sum_element_modes(const int dim, const int rot, const int second, const Elements *e, const Patches *P, const vec *table,
-                              const double *work, double *out, Work *w)
+                              const double *work, int64_t step, double *out, Work *w)
 {
     const int nb = dim + rot, nz = unknowns_of(dim, rot, second), n = e->nodes, sv = w->sv;
     const double *f = (const double *)w->f;
@@ -211,7 +211,7 @@ INLINE void sum_element_modes(const int dim, const int rot, const int second, co
             element_shape(dim, sv, sv, table, k, e->axes + p * dim * dim, w->shapes);
             for (int c = 0; c < P->scalars; ++c) {
                 memset(w->f, 0, sizeof(vec) * nb * sv);
-                add_residual(dim, rot, second, sv, sv, w->shapes, work + (p * P->scalars + c) * nz, w->f);
+                add_residual(dim, rot, second, sv, sv, w->shapes, work + p * step + c * nz, w->f);
                 for (int a = 0; a < P->functions; ++a) {
                     const double weight = e->volume[p] * P->values[p * P->functions + a];
                     double *mode = out + (element * P->modes + a * P->scalars + c) * nb * n;
@@ -223,10 +223,11 @@ INLINE void sum_element_modes(const int dim, const int rot, const int second, co
 }
 
 SPECIALISED_PLAIN(sum_element_modes, (const Elements *e, const Patches *P, const vec *table, const double *work,
-                  double *out, Work *w), e, P, table, work, out, w)
+                  int64_t step, double *out, Work *w), e, P, table, work, step, out, w)
 
-/* Vectors of the modes of elements as patches, see sum_patches; returns nonzero when memory ran out. */
-int polarmpm_element_vectors(const Elements *e, const Patches *P, const double *work, double *out)
+/* Vectors of the modes of elements as patches, see sum_patches, of one kind of work [point][step]; returns nonzero when
+ * memory ran out. */
+int polarmpm_element_vectors(const Elements *e, const Patches *P, const double *work, int64_t step, double *out)
 {
     const int32_t count[3] = {e->nodes, 1, 1};
     const Batch b = as_batch(e, count);
@@ -234,7 +235,7 @@ int polarmpm_element_vectors(const Elements *e, const Patches *P, const double *
     int failed = create_work(&b, 0, 1, 0, &w);
     vec *table = failed ? NULL : padded_table(e, w.sv);
     failed |= !table;
-    if (!failed) sum_element_modes_sized(e, P, table, work, out, &w);
+    if (!failed) sum_element_modes_sized(e, P, table, work, step, out, &w);
     free(table);
     free_work(&w);
     return failed;

@@ -8,46 +8,15 @@
 #ifndef POLARMPM_LANES_H
 #define POLARMPM_LANES_H
 
-#include "_points.h"
+#include "_transpose.h"
 
 enum {
-    ROWS = 10,                 /* rows in space, where curved */
-    PARTS = LANES / WIDTH      /* lanes are treated WIDTH at a time: sums stay in registers */
+    ROWS = 10                  /* rows in space, where curved */
 };
 
 INLINE int rows_of(int dim, int curved) { return 1 + dim + curved * pairs_of(dim); }
 
 static int padded_nodes(const Batch *b) { return b->dim == 3 ? b->slots * b->slots * b->slots : b->slots * b->slots; }
-
-/* Puts n numbers of each lane, which stand one after the other, side by side: WIDTH of WIDTH lanes at once. */
-INLINE void to_lanes(const double *const *from, int n, lanes_t *out)
-{
-    typedef double row_t __attribute__((vector_size(8 * WIDTH), aligned(8)));
-    typedef int64_t places __attribute__((vector_size(8 * WIDTH)));
-    const places even = {0, 4, 2, 6}, odd = {1, 5, 3, 7}, low = {0, 1, 4, 5}, high = {2, 3, 6, 7};
-    int k = 0;
-    for (; k + WIDTH <= n; k += WIDTH)
-        for (int h = 0; h < PARTS; ++h) {
-            const double *const *at = from + h * WIDTH;
-            vec *to = (vec *)(out + k) + h;
-            const vec a = *(const row_t *)(at[0] + k), b = *(const row_t *)(at[1] + k);
-            const vec c = *(const row_t *)(at[2] + k), d = *(const row_t *)(at[3] + k);
-            const vec ab = __builtin_shuffle(a, b, even), cd = __builtin_shuffle(c, d, even);
-            const vec ba = __builtin_shuffle(a, b, odd), dc = __builtin_shuffle(c, d, odd);
-            to[0] = __builtin_shuffle(ab, cd, low), to[PARTS] = __builtin_shuffle(ba, dc, low);
-            to[2 * PARTS] = __builtin_shuffle(ab, cd, high), to[3 * PARTS] = __builtin_shuffle(ba, dc, high);
-        }
-    for (; k < n; ++k)
-        for (int l = 0; l < LANES; ++l) out[k][l] = from[l][k];
-}
-
-/* The same of rows [point][n], of the LANES points from `start` on; lanes without a point repeat the last one. */
-INLINE void rows_to_lanes(const double *rows, int64_t start, int lanes, int n, lanes_t *out)
-{
-    const double *from[LANES];
-    for (int l = 0; l < LANES; ++l) from[l] = rows + (start + (l < lanes ? l : lanes - 1)) * n;
-    to_lanes(from, n, out);
-}
 
 /* Along a line of m nodes: sums with the functions, their derivatives, their second ones. */
 INLINE void sum_line(const int m, const int curved, const vec *w, const vec *x, vec *sums)
@@ -128,7 +97,8 @@ INLINE void spread(const int dim, const int m, const int curved, int orders, int
         }
 }
 
-/* Compiled for three functions in each direction, those of quadratic splines, and for any number of them. */
+/* Compiled for two functions in each direction, those of tents, for three, those of quadratic splines, and for any number
+ * of them. */
 #define OF_BASES(call, name)                                                                                          \
     FAST static __attribute__((noinline)) void name(const Batch *b, int curved, const lanes_t *w, const lanes_t *in,   \
                                                     lanes_t *out)                                                     \
@@ -136,7 +106,9 @@ INLINE void spread(const int dim, const int m, const int curved, int orders, int
         const int nb = block_size(b), m = b->slots, orders = b->orders;                                               \
         const vec *weights = (const vec *)w, *from = (const vec *)in;                                                 \
         vec *to = (vec *)out;                                                                                         \
-        if (b->dim == 3 && m == 3 && curved) call(3, 3, 1, 3, nb, weights, from, to);                                 \
+        if (b->dim == 3 && m == 2 && !curved) call(3, 2, 0, orders, nb, weights, from, to);                           \
+        else if (m == 2 && !curved) call(2, 2, 0, orders, nb, weights, from, to);                                     \
+        else if (b->dim == 3 && m == 3 && curved) call(3, 3, 1, 3, nb, weights, from, to);                            \
         else if (b->dim == 3 && m == 3) call(3, 3, 0, orders, nb, weights, from, to);                                 \
         else if (b->dim == 3 && curved) call(3, m, 1, 3, nb, weights, from, to);                                      \
         else if (b->dim == 3) call(3, m, 0, orders, nb, weights, from, to);                                           \

@@ -197,17 +197,18 @@ INLINE void lane_residuals(const int dim, const int rot, const int second, const
 INLINE void gather(const int dim, const int rot, const int second, const Batch *b, const double *x, int32_t framed,
                    double *z, double *value, Work *w)
 {
-    const int nb = dim + rot, nz = unknowns_of(dim, rot, second), sv = w->sv;
-    for (int64_t g = 0; g < b->ngroups; ++g) {
-        const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH;
-        gather_group(nb, n, sv, b->nodes + b->node_offsets[g], x, w->x);
-        for (int64_t p = b->offsets[g]; p < b->offsets[g + 1]; ++p) {
-            const double *frame = framed ? b->state + p * b->nstate : NULL;
-            shape(dim, b, p, b->count + g * dim, frame, sv * WIDTH, (double *)w->shapes);
-            if (second == SECOND) second_shape(dim, b, p, b->count + g * dim, frame, n, sv, w->raw, w->shapes);
-            interpolate(dim, rot, second, nv, sv, w->shapes, w->x, z + p * nz, 1);
-            for (int i = 0; value && i < nb; ++i) value[p * nb + i] = dot(nv, w->x + i * sv, w->shapes);
-        }
+    const int nb = dim + rot, nz = unknowns_of(dim, rot, second), curved = second == SECOND;
+    const PointKernels none = {0};
+    int64_t group = 0, group_of[LANES];
+    lanes_t own[UNKNOWNS_MAX], values[2 * SPIN], identity[3 * 3 + 3 * PAIRS] = {{0}};
+    for (int d = 0; d < dim; ++d) identity[d * dim + d] += 1.0;
+    for (int64_t start = 0; start < b->npoints; start += LANES) {
+        const int lanes = lanes_from(b, start);
+        gather_lanes_sized(b, &none, x, start, &group, group_of, w);
+        if (!framed) put_rows(dim, rot, second, curved, w->rows, identity, own);
+        lanes_to_rows(framed ? (const lanes_t *)w->in : own, nz, lanes, nz, z + start * nz);
+        for (int i = 0; value && i < nb; ++i) values[i] = w->rows[i * rows_of(dim, curved)];
+        if (value) lanes_to_rows(values, nb, lanes, nb, value + start * nb);
     }
 }
 

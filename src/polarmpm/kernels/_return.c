@@ -4,7 +4,7 @@
  * consistent tangent is ds/dz - ds/dX (dr/dX)^-1 dr/dz (implicit function theorem). All of the derivatives come
  * from compiled kernels (forms/plastic.py). LANES systems of equations are solved at once, with the same rows as
  * pivots; a lane that doesn't bear them is solved by itself. */
-#include "_points.h"
+#include "_transpose.h"
 
 typedef struct {
     kernel_t local;            /* (inputs, X) -> r [nx], dr/dX [nx][nx] */
@@ -308,24 +308,19 @@ int polarmpm_return(const Return *R, int64_t n, const int64_t *rows, const doubl
 
 /* A kernel for rows of inputs, given in arrays of columns [row][width], -> [row][nout]. Returns nonzero without
  * memory. */
-int polarmpm_evaluate(kernel_t kernel, int64_t rows, int32_t arrays, const int32_t *width, const double *const *array,
-                      int32_t nout, double *outputs)
+FAST int polarmpm_evaluate(kernel_t kernel, int64_t rows, int32_t arrays, const int32_t *width, const double *const *array,
+                           int32_t nout, double *outputs)
 {
     int nin = 0;
     for (int b = 0; b < arrays; ++b) nin += width[b];
-    double *in = vectors((size_t)nin * LANES), *out = vectors((size_t)nout * LANES);
+    lanes_t *in = vectors((size_t)nin * LANES), *out = vectors((size_t)nout * LANES);
     const int failed = !(in && out);
     for (int64_t start = 0; start < rows && !failed; start += LANES) {
         const int lanes = (int)(rows - start < LANES ? rows - start : LANES);
-        double *to = in;
-        for (int b = 0; b < arrays; to += width[b++] * LANES)
-            for (int l = 0; l < LANES; ++l) {
-                const double *row = array[b] + (start + (l < lanes ? l : lanes - 1)) * width[b];
-                for (int k = 0; k < width[b]; ++k) to[k * LANES + l] = row[k];
-            }
-        kernel(in, out);
-        for (int l = 0; l < lanes; ++l)
-            for (int k = 0; k < nout; ++k) outputs[(start + l) * nout + k] = out[k * LANES + l];
+        lanes_t *to = in;
+        for (int b = 0; b < arrays; to += width[b++]) rows_to_lanes(array[b], start, lanes, width[b], to);
+        kernel((const double *)in, (double *)out);
+        lanes_to_rows(out, nout, lanes, nout, outputs + start * nout);
     }
     free(in), free(out);
     return failed;

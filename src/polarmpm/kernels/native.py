@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -81,6 +81,18 @@ def address(array: np.ndarray) -> int:
     except (TypeError, ValueError):  # it can't be written to, or is empty
         found: int = array.ctypes.data
         return found
+
+
+def rows(arrays: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Addresses of arrays (n, k), which may be columns of wider ones, and numbers from row to row.
+
+    Raises:
+        ValueError: numbers of a row that don't stand one after the other.
+    """
+    if any(a.size and a.strides[-1] != a.itemsize for a in arrays):
+        raise ValueError("numbers of a row must stand one after the other")
+    step = np.array([a.strides[0] // a.itemsize for a in arrays], dtype=np.int64)
+    return np.array([a.ctypes.data for a in arrays], dtype=np.uintp), step
 
 
 def fill(structure: Structure, **values: Any) -> None:
