@@ -417,7 +417,8 @@ def test_a_reset_can_stop_what_a_change_has_made_rough(dim, material, basis):
         return np.concatenate([points.side_F, points.side_gradients], axis=2)
 
     system = make_system(points, basis, boxes=True)
-    at, x = system.nodes.position, random_increment(system, 0.05).reshape(system.x.shape)
+    put(system, random_increment(system, 0.05))
+    at, x = system.nodes.position, system.x
     taken = np.abs(sides(system, x, 0.5 * x) - sides(system, x)).max(initial=0.0)
     assert COMM.allreduce(taken, op=MPI.MAX) > 1e-3
     turned, turn = x.copy(), rotations.to_tensor(rotations.from_vector(np.array([[0.0, 0.0, 0.8]])))[0]
