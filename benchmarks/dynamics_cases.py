@@ -525,6 +525,7 @@ COSTS = (
     ("plane", 2, False, 64),
     ("plane, micropolar", 2, True, 32),
     ("space", 3, False, 8),
+    ("space, micropolar", 3, True, 8),
 )
 
 
