@@ -128,6 +128,7 @@ def main(argv=None):
         points_per_cell=2,
         steps=350,
         basis="gimpm",
+        bases=("gimpm", "mpm", "bspline"),
         argv=argv,
         more={
             "--cells": {"type": float, "nargs": "+", "default": [0.01, 0.005, 0.0025], "help": "sizes (m)"},

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import warnings
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 
@@ -402,3 +404,29 @@ def test_energy_is_carried_through_resets(dim, material, basis):
         system = make_system(points, basis, boxes=True)
         assert energy_in_boxes(system) == pytest.approx(before, rel=1e-10)
         put(system, random_increment(system, 0.03))
+
+
+@pytest.mark.parametrize(("dim", "material", "basis"), CARRIED)
+def test_a_reset_can_stop_what_a_change_has_made_rough(dim, material, basis):
+    """Of a change of the increments only what varies evenly is carried along, and all of a turn."""
+    points, _ = boxed(dim, material, basis)
+    carried(points)
+
+    def sides(system, x: np.ndarray, change: np.ndarray | None = None) -> np.ndarray:
+        system.interpolation.put_sides(x, change)
+        return np.concatenate([points.side_F, points.side_gradients], axis=2)
+
+    system = make_system(points, basis, boxes=True)
+    put(system, random_increment(system, 0.05))
+    at, x = system.nodes.position, system.x
+    taken = np.abs(sides(system, x, 0.5 * x) - sides(system, x)).max(initial=0.0)
+    assert COMM.allreduce(taken, op=MPI.MAX) > 1e-3
+    turned, turn = x.copy(), rotations.to_tensor(rotations.from_vector(np.array([[0.0, 0.0, 0.8]])))[0]
+    turned[:, :dim] = (at + x[:, :dim]) @ turn[:dim, :dim].T - at
+    np.testing.assert_allclose(sides(system, turned, turned - x), sides(system, turned), atol=1e-12)
+
+    points.forget_sides()
+    points.F[:] = np.eye(3)
+    system = make_system(points, basis, boxes=True)
+    even = np.tile(0.1 * system.nodes.position[:, :1] ** 2, system.x.shape[1])
+    np.testing.assert_allclose(sides(system, even, even), sides(system, even), atol=1e-12)

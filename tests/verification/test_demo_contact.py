@@ -37,9 +37,9 @@ def test_a_disc_begins_to_slip_and_roll(run):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 def test_inclines(run):
-    result = run("incline")
+    """Two fifths of the way; the whole is in the benchmarks."""
+    result = run("incline", "--time", "0.4", "--dt", "4e-3")
     assert abs(result["rolling"]) < 3e-3
     assert abs(result["rolling_turn"]) < 0.015
     assert abs(result["slipping"]) < 2e-3

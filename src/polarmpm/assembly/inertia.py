@@ -78,13 +78,18 @@ class Inertia:
         gained: np.ndarray = self._at_points(system) - self.start
         return gained
 
+    def gained(self, system: Any) -> np.ndarray:
+        """What the nodes' increments (nodes, block) have gained since the start of the step."""
+        assert self._began is not None
+        gained: np.ndarray = system.x - self._began
+        return gained
+
     def forces(self, system: Any) -> np.ndarray:
         """Forces (nodes, block) in which the increments since the start of the step take part, complete on
         owned rows. Collective."""
         if self._forces is None or self._forces[0] is not system.x:
-            assert self._began is not None
             turned = None if self.kernels is None else self._turning(system)[0]
-            self._forces = system.x, self._times(system, system.x - self._began, turned)
+            self._forces = system.x, self._times(system, self.gained(system), turned)
         return self._forces[1]
 
     def products(self, system: Any, direction: np.ndarray) -> np.ndarray:

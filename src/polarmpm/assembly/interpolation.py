@@ -233,31 +233,43 @@ class Interpolation:
         for boxes in self.boxes or ():
             boxes.pack_shares()
 
-    def put_sides(self, x: np.ndarray, keep: float = 1.0) -> None:
+    def put_sides(self, x: np.ndarray, change: np.ndarray | None = None) -> None:
         """Put into the points how their deformation varies within their boxes, at nodal increments x (nodes,
         block); of those without boxes, or that have flowed, it begins anew. Collective.
 
         Args:
-            keep: share that is kept of what differs from its means at the nodes.
+            change: of the increments (nodes, block). What it has changed of the variation unlike its means at
+                the nodes is taken out, but not what it has turned along with the points.
         """
+        points, d, before = self.points, self.layout.dim, None
+        if change is not None:
+            self._put_sides(x - change)
+            now, then = (np.eye(d) + self.gather(at).gradient for at in (x, x - change))
+            turn = now @ np.linalg.inv(then)
+            before = {"side_F": turn[:, None] @ points.side_F, "side_gradients": points.side_gradients}
+        there = self._put_sides(x)
+        for name, earlier in ({} if before is None else before).items():
+            now = getattr(points, name)
+            setattr(points, name, now - self._rough(now - earlier, there))
+
+    def _put_sides(self, x: np.ndarray) -> np.ndarray:
+        """Put into the points how their deformation varies; of which of them it lasts, (np,)."""
         self.points.begin_sides()
         there = np.zeros(len(self.points), dtype=bool)
         for boxes, batch in zip(self.boxes or (), self.batches, strict=False):
             if not batch.form.scalars:
                 there[boxes.put_sides(self.reference, x)] = True
-        for name in ("side_F", "side_gradients") if keep < 1.0 else ():
-            setattr(self.points, name, self._smoothed(getattr(self.points, name), there, keep))
+        return there
 
-    def _smoothed(self, sides: np.ndarray, there: np.ndarray, keep: float) -> np.ndarray:
-        """Derivatives along half axes (np, d, ...), of the points that are `there`, with a share of what
-        differs from the means at the nodes."""
+    def _rough(self, sides: np.ndarray, there: np.ndarray) -> np.ndarray:
+        """What derivatives along half axes (np, d, ...) differ by from their means at the nodes, of the
+        points that are `there`. Collective."""
         axes, volume = self.points.half_axes0, np.where(there, self.points.volume0, 0.0)
         n, d, size = len(sides), sides.shape[1], math.prod(sides.shape[2:])  # there may be no points here
         rows = np.linalg.pinv(axes) @ sides.reshape(n, d, size)
         mean = means(self, volume, rows.reshape(n, d * size)).reshape(rows.shape)
-        kept = np.where(there[:, None, None], axes @ (mean + keep * (rows - mean)), 0.0)
-        found: np.ndarray = kept.reshape(sides.shape)
-        return found
+        found: np.ndarray = np.where(there[:, None, None], axes @ (rows - mean), 0.0)
+        return found.reshape(sides.shape)
 
     def rebase_rotations(self, x: np.ndarray) -> None:
         """Count rotation increments from the points' current rotations on, at nodal increments x (nodes,

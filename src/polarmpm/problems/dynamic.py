@@ -30,9 +30,8 @@ from .motion import Moving
 from .points import QuasiStatic
 
 _IN_MOTION = InMotion()
-# at most, a step's factor times that of resets, of what varies from point to point: without any damping
-# bodies that spin blow up
-_DAMPED = 0.9
+# rho_inf above which resets stop what flips from step to step within boxes: bodies that spin would blow up
+_FLIPPING = 0.9
 
 
 class Dynamic(Moving, QuasiStatic):
@@ -48,8 +47,8 @@ class Dynamic(Moving, QuasiStatic):
             it is needed. In space also tensors J / rho (3, 3) of the undeformed body, which turn with the
             microrotation: one; one a material; or a function that gives (n, 3, 3).
         rho_inf: by what a step multiplies motions whose period is much shorter than it: 1 keeps them (the
-            implicit midpoint rule), 0 ends them at once. Above 0.9 resets of the grid damp, too, what varies
-            within the points' boxes unlike around them.
+            implicit midpoint rule), 0 ends them at once. Above 0.9 resets of the grid stop, too, what flips
+            from step to step within the points' boxes.
         drag: of all velocities and spins relative to their inertia (1/s), the part of Rayleigh damping that
             is proportional to the mass.
         viscosity: stress of a strain rate, over that of the same strain (s): the part that is proportional to
@@ -74,6 +73,8 @@ class Dynamic(Moving, QuasiStatic):
     _pieces: np.ndarray | None = None  # of the body at the beginning, by number, of each local point
     _several = False  # there are several of them in one body
     _then: CellsThen | None = None  # where points were at the last reset
+    # a system, and what its nodes did in the last step after forces were in balance
+    _since_balance: tuple[LoadedPoints, np.ndarray] | None = None
 
     @collective("Dynamic", comm=lambda self, grid, *args, **options: grid.comm, compare=True)
     def __init__(
@@ -195,9 +196,14 @@ class Dynamic(Moving, QuasiStatic):
         self.box_record.note_let_go(p.reset_work, max(abs(p.external_work), self._kinetic()))
         return system
 
-    @property
-    def _kept_variation(self) -> float:
-        return min(1.0, _DAMPED / self.rho_inf) if self.rho_inf else 1.0
+    def _commit(self, system: LoadedPoints, increments: Increments, factor: float) -> None:
+        if self.rho_inf > _FLIPPING and system.inertia is not None and self._step is not None:
+            self._since_balance = system, (1.0 - self._step.theta) * system.inertia.gained(system)
+        super()._commit(system, increments, factor)
+
+    def _after_balance(self, system: LoadedPoints) -> np.ndarray | None:
+        at = self._since_balance
+        return at[1] if at is not None and at[0] is system else None
 
     def _filter(self, system: LoadedPoints) -> None:
         """Project velocities and accelerations. Collective."""

@@ -226,10 +226,11 @@ class Moving(WithInertia):
     def _finish(self, system: NodalSystem, start: StepStart, outcome: Outcome, factor: float) -> None:
         if outcome.converged:
             assert self._step is not None
-            self._found = self._collocated(system, start.x), self._on_body(system)
+            works, on_body = self._nodal_works(system, start.x), self._on_body(system)
             system.terms.balanced(system.x)
             system.dissipate(self._step.theta)
             system.jump(start.x + (system.x - start.x) / self._step.theta)
+            self._found = self._works(system, works), on_body
             outcome.reason = self._end_of_step(system)
             outcome.converged = not outcome.reason
         super()._finish(system, start, outcome, factor)
@@ -284,35 +285,41 @@ class Moving(WithInertia):
         """Whether the state at the end of a step needs the stresses there, too."""
         return self.points.plastic
 
-    def _collocated(self, system: NodalSystem, before: np.ndarray) -> tuple[float, float, float]:
-        """Work (J) in the whole step of loads and supports, of what resets carry along, and against drag, by
-        the forces in the collocated state. Collective."""
-        step, inertia, own = self._step, system.inertia, slice(0, system.nodes.owned)
+    def _nodal_works(self, system: NodalSystem, before: np.ndarray) -> np.ndarray:
+        """Work (J) in the whole step, from nodal increments `before` on, of loads, history and supports, of
+        what resets carry along, and against viscosity, by the nodes' forces in the collocated state. This
+        rank's part."""
+        step, own = self._step, slice(0, system.nodes.owned)
+        assert step is not None
+        moved, held = ((system.x - before) / step.theta)[own], system.prescribed.fixed[own]
+        end = before + (system.x - before) / step.theta
+        by_loads = np.sum(system.working_loads()[own] * moved)
+        by_supports = np.sum(system.residual[own][held] * moved[held])
+        carried = np.sum(system.carried[own] * moved)
+        carried += system.initial_energy(before) - system.initial_energy(end)
+        damped = 0.0 if system.viscosity is None else np.sum(system.viscous_forces()[own] * moved)
+        return np.array([by_loads + by_supports, carried, damped])
+
+    def _works(self, system: NodalSystem, works: np.ndarray) -> tuple[float, float, float]:
+        """The same of all ranks, without the history's and with that against drag, which act at the points;
+        at the end of the step. Collective."""
+        step, inertia = self._step, system.inertia
         assert step is not None
         assert inertia is not None
         assert self._pushed is not None
-        at_points = inertia.moved(system) / step.theta
-        moved, held = ((system.x - before) / step.theta)[own], system.prescribed.fixed[own]
-        end = before + (system.x - before) / step.theta
-        pushed, (v, a) = np.hstack(self._pushed), self._rates()
-        slow = inertia.mass * (step.theta * step.rate * at_points + step.rate_history(v, a))
-        if inertia.kernels is not None and self.drag:
-            summed = inertia.summed(at_points[:, -3:])
-            slow[:, -3:] = step.theta * step.rate * summed + step.rate_history(*self._turning(inertia))
-        sums = np.array(
-            [
-                np.sum(system.working_loads()[own] * moved) - np.sum(pushed * at_points),
-                np.sum(system.residual[own][held] * moved[held]),
-                np.sum(system.carried[own] * moved)
-                + system.initial_energy(before)
-                - system.initial_energy(end),
-                self.drag * np.sum(slow * at_points),
-            ]
-        )
-        if system.viscosity is not None:
-            sums[3] += np.sum(system.viscous_forces()[own] * moved)
-        self.comm.Allreduce(MPI.IN_PLACE, sums)
-        return float(sums[0] + sums[1]), float(sums[2]), float(sums[3])
+        # at the end nodes are asked for by others, too
+        moved = inertia.moved(system)
+        works[0] -= np.sum(np.hstack(self._pushed) * moved)
+        if self.drag:
+            v, a = self._rates()
+            slow = inertia.mass * (step.theta * step.rate * moved + step.rate_history(v, a))
+            if inertia.kernels is not None:
+                summed = inertia.summed(moved[:, -3:])
+                slow[:, -3:] = step.theta * step.rate * summed + step.rate_history(*self._turning(inertia))
+            works[2] += self.drag * np.sum(slow * moved)
+        self.comm.Allreduce(MPI.IN_PLACE, works)
+        external, carried, damped = works
+        return float(external), float(carried), float(damped)
 
     def _rates(self) -> tuple[np.ndarray, np.ndarray]:
         """Velocities and accelerations (np, block) of the last converged state."""

@@ -214,16 +214,17 @@ class OnGrid(Problem):
         system.destroy()
         return made
 
-    @property
-    def _kept_variation(self) -> float:
-        """Share that resets keep of what varies within boxes unlike its means at the nodes."""
-        return 1.0
+    def _after_balance(self, system: LoadedPoints) -> np.ndarray | None:
+        """A change of the increments (nodes, block) of which a reset carries along only what varies smoothly,
+        if there is one."""
+        return None
 
     def _put_sides(self) -> None:
         """Let the points know how their deformation varies within their boxes, for the next grid.
         Collective."""
-        if self._system is not None and self._system.interpolation.carries:
-            self._system.interpolation.put_sides(self._system.x, self._kept_variation)
+        s = self._system
+        if s is not None and s.interpolation.carries:
+            s.interpolation.put_sides(s.x, self._after_balance(s))
 
     def _has_left(self) -> bool:
         """Whether points have left the grid that a reset would make. Collective."""

@@ -51,8 +51,9 @@ class Results(Initial, Face):
     def energies(self) -> dict[str, float]:
         """Energy balance of the run so far, in J (J per unit thickness in plane strain).
 
-        - external: work of the loads, and of the supports' reactions on prescribed displacements; also what
-          an initial stress has stored before the first step;
+        - external: work of the loads, of the supports' reactions on prescribed displacements, and of contact,
+          whose springs hold some of it while they are pressed, and whose friction takes some; also what an
+          initial stress has stored before the first step;
         - carried: work of the initial stresses and forces that balanced resets carry along, and the energy of
           points that have been removed;
         - stored: strain energy, with what hardening stores;
