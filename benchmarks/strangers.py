@@ -65,8 +65,9 @@ def arch(quick=False):
     for k, (centre, z) in enumerate(places[:2]):
         add(f"1 m, default points, end face, position {k + 1}", REFERENCE, Arch(centre, z), 1.0, surface=True)
         for degree in ("default",) if quick else ("default", 7):
-            name = f"1 m, mesh, degree {degree}, position {k + 1}"
-            add(name, REFERENCE, Arch(centre, z), 1.0, degree=degree)
+            for surface in (False, True):
+                name = f"1 m, mesh, degree {degree}, {'end face, ' * surface}position {k + 1}"
+                add(name, REFERENCE, Arch(centre, z), 1.0, degree=degree, surface=surface)
     for name, (radius, side, angle, force) in {} if quick else OTHERS.items():
         centre, z = places[0] + (100 - radius // 1, 0)
         body = Arch(centre, z, radius, side, angle)
