@@ -1,4 +1,4 @@
-"""What elements of plastic bodies don't resolve: strains that vary within them, and a limit load's nearness."""
+"""What plastic bodies' elements don't resolve: strains that vary within them, and a limit load's nearness."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ class ElementRecord:
             if times * share > NEAR_LIMIT:
                 self._doubt = (
                     f"near its limit load the body gives way {times:.1f} times as fast as its loads grow, "
-                    f"and {100 * share:.2g} % of the strains' squares vary within its elements of degree 1: what "
-                    "the strength is off, displacements are that many times; take degree=2, or smaller ones"
+                    f"and {100 * share:.2g} % of the strains' squares vary within its elements of degree 1: "
+                    "what the strength is off, displacements are that many times; take degree=2, or finer"
                 )
 
     def _share(self, gradient: np.ndarray) -> float:
