@@ -99,8 +99,9 @@ def arches(results):
     ]
     records.table(["other arches", "error (%)"], lines)
     lines = []
-    for words in ("default points, end face", "mesh, degree default", "mesh, degree 2", "mesh, degree 7"):
-        rows = [r for r in results.group("arch") if words in r["scene"]]
+    meshes = [f"mesh, degree {n}{end}" for n in ("default", 2, 7) for end in ("", ", end face")]
+    for words in ("default points, end face", *meshes):
+        rows = [r for r in results.group("arch") if r["scene"].startswith(f"1 m, {words}, position")]
         if rows:
             old = [results.before.get(("arch", r["scene"])) for r in rows]
             lines.append([words, span([r for r in old if r]), span(rows)])

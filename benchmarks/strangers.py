@@ -56,17 +56,18 @@ def arch(quick=False):
         print(rows[-1]["scene"], rows[-1]["value"], rows[-1]["failure"], flush=True)
 
     places = positions(1 if quick else 20)
-    counts = {(1.0, None): 20, (1.0, 3): 10, (1.0, 4): 3}  # of positions; else 6
+    count = {1.0: 20, 2.0: 6}  # positions
     for cell in (1.0, 2.0):
         for number in (2,) if quick else (None, 3, 4) if cell == 1 else (2, 3, 4, 6):
-            for k, (centre, z) in enumerate(places[: counts.get((cell, number), 6)]):
+            for k, (centre, z) in enumerate(places[: count[cell]]):
                 name = f"{cell:g} m, {number or 'default'} points, position {k + 1}"
                 add(name, REFERENCE, Arch(centre, z), cell, number)
     for k, (centre, z) in enumerate(places[:2]):
         add(f"1 m, default points, end face, position {k + 1}", REFERENCE, Arch(centre, z), 1.0, surface=True)
         for degree in ("default",) if quick else ("default", 7):
-            name = f"1 m, mesh, degree {degree}, position {k + 1}"
-            add(name, REFERENCE, Arch(centre, z), 1.0, degree=degree)
+            for surface in (False, True):
+                name = f"1 m, mesh, degree {degree}, {'end face, ' * surface}position {k + 1}"
+                add(name, REFERENCE, Arch(centre, z), 1.0, degree=degree, surface=surface)
     for name, (radius, side, angle, force) in {} if quick else OTHERS.items():
         centre, z = places[0] + (100 - radius // 1, 0)
         body = Arch(centre, z, radius, side, angle)

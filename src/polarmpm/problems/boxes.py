@@ -18,7 +18,7 @@ from ..kernels.kernel import Kernel
 from ..terms.base import Term
 from ..tools.caller import warn
 from ..tools.parallel import errors_on_all_ranks
-from . import doubts
+from . import contrast, doubts
 from .griddoubts import MANY, GridRecord
 from .nearlimit import NearLimit, known
 from .work import StepStart
@@ -66,6 +66,7 @@ class BoxRecord:
         self.largest, self.in_doubt, self.grid = (0.0, 0), False, GridRecord(points, comm)
         self.limit, self.sensitive = NearLimit(), 0.0
         self._missed: float | None = None
+        self._beside = 0.0
         self._tents = False
         self._kernels: list[Kernel] = []
 
@@ -106,6 +107,7 @@ class BoxRecord:
         zero, don't look as if nothing of it were resolved.
         """
         self.grid.look(system, start, gradient)
+        self._beside = 0.0 if self.largest[1] else contrast.beside_stiffer(system, start, gradient)
         if system.interpolation.boxes is None:
             self.grid.weigh(0.0)
             tents = not system.interpolation.basis.fills_boxes
@@ -149,6 +151,7 @@ class BoxRecord:
         Args:
             size: largest gradient of the increments at this rank's points.
         """
+        contrast.warn_of_contrast(self.points, self._beside)
         for doubt in self.grid.doubts():
             self._warn(f"step {step}: {doubt}")
         if share is None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ from ..assembly.system import NodalSystem
 from ..bodies.elements import Elements
 from ..bodies.facets import FacetSurface
 from ..bodies.points import Points
+from ..bodies.reference import Increments
 from ..bodies.selection import Selection, check_selection
 from ..bodies.stagedmesh import refuse_inverted
 from ..conditions.amplitudes import Fade
@@ -17,15 +20,19 @@ from ..conditions.loads import HandedOver
 from ..conditions.prescribed import Prescribed
 from ..errors import InputError
 from ..forms.elementkernels import NativeElementForms
+from ..solvers.newton import Outcome
 from ..terms.base import Term
 from ..tools import checks
 from ..tools.meetings import collective
 from ..tools.parallel import errors_on_all_ranks
 from .base import Problem
+from .elementdoubts import ElementRecord
 from .given import Given
 from .initial import Stress, stresses_of
 from .release import fading, handed_forces
 from .stages import Stage
+from .whole import Changing
+from .work import StepStart
 
 
 class StagedElements(Problem):
@@ -36,6 +43,28 @@ class StagedElements(Problem):
     carried_at_rest: np.ndarray | None
     _last_loads: np.ndarray | None
 
+    def _changing(self) -> Iterator[Changing]:
+        yield from super()._changing()
+        for thing in (self._record, self._record.limit):
+            yield thing, None
+
+    # trust ----------------------------------------------------------------------------------------
+    @cached_property
+    def _record(self) -> ElementRecord:
+        """What strains within the elements tell."""
+        return ElementRecord(self.elements)
+
+    def _trust(self, system: NodalSystem, start: StepStart, at_points: Increments, outcome: Outcome) -> None:
+        self._record.look(system, start, at_points, self.terms)
+
+    def _note(self, outcome: Outcome) -> None:
+        self._record.note(self.progress.step)
+
+    def trust(self) -> str:
+        """In a line: how much of a plastic body's strains its elements don't resolve (docs/accuracy.md)."""
+        return self._record.summary() or super().trust()
+
+    # stages ---------------------------------------------------------------------------------------
     def _can_go(self, condition: Any) -> bool:
         return super()._can_go(condition) and not isinstance(condition, Stage)
 

@@ -38,7 +38,6 @@ from ..tools.parallel import errors_on_all_ranks, reduced
 from .balancing import BalancedResets
 from .boxes import BoxRecord
 from .conservation import Conservation
-from .contrast import warn_of_contrast
 from .described import described, of_rank
 from .fitting import (
     check_assembly,
@@ -149,7 +148,6 @@ class QuasiStatic(Regridded):
         self.forms = self._forms_of(self.points.materials)
         with errors_on_all_ranks(grid.comm):
             self._warn_of_locking()
-        warn_of_contrast(grid, points, self.basis)
         self.rotation_limit = 1.0
         self.boxes = check_boxes(boxes, self.basis)
         self.box_record = BoxRecord(points, self.forms, grid.comm)

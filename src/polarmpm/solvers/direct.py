@@ -27,7 +27,7 @@ _METHODS = ["definite", "symmetric", "general"]  # the last one for unsymmetric 
 _KEEP, _OLD, _OLD_LIMIT = 500.0, 5, 25
 _STRICTER = 0.01  # norms of forces and of energy tell too little in bending, and Newton's method would stall
 # Unknowns up to which CHOLMOD, on one rank, takes less time than MUMPS, and of compact bodies, whose factors
-# MUMPS keeps
+# MUMPS keeps; where rows are too long for a band MUMPS takes less whatever their number
 _SMALL, _SMALL_COMPACT = 5500, 1500
 
 
@@ -35,7 +35,7 @@ class DirectSolver:
     """Factors, with as little work as the tangent allows: where the order of its rows is good, as of slender
     bodies and in the plane, `Band`; else, and where that fails, MUMPS.
 
-    * symmetric and small: CHOLMOD, while the tangent is definite.
+    * symmetric and small, its rows not at hand: CHOLMOD, while the tangent is definite.
     * symmetric: Cholesky-like on the upper triangle (no pivoting, fastest); when that fails, as it may far
       from equilibrium, LDL^T with pivoting.
     * unsymmetric (dead couples in three dimensions): the symmetric part is factored, at half the memory, and
@@ -80,7 +80,7 @@ class DirectSolver:
             band = Band(rows, symmetric)
             if band.pays:
                 self._band = band
-        if self._band is None and symmetric and self._is_small():
+        elif symmetric and self._is_small():
             self._methods = ["small", *self._methods]
         self._method = self._methods[0]
 
