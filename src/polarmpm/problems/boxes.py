@@ -27,9 +27,9 @@ from .work import StepStart
 # where boxes nearly alone hold the body, and then, as the boxes of points that have flowed count for little
 DOUBTFUL, DOUBTFUL_FLOW = 0.97, 0.2
 # increments (their gradients) of elastic points of which boxes miss nothing, however large their share is
-# near a limit load, where displacements grow that many times as fast as the loads: share times as many, above
-# which displacements may be a tenth off
-GIVES_WAY, NEAR_LIMIT = 2.0, 0.25
+# near a limit load, where displacements grow that many times as fast as the loads: share times as many, as of
+# two points a cell and direction, above which displacements may be a tenth off
+GIVES_WAY, NEAR_LIMIT = 2.0, 0.22
 SMALL = 0.05
 MISSED = 0.08  # share that a sum over points without boxes misses: the answer is a tenth off or more
 MISSED_GAUSS = 0.15  # of points of quadrature rules, of which what they stand for is guessed, and too large
@@ -57,7 +57,8 @@ class BoxRecord:
         in_doubt: some step's share was larger than it should be.
         grid: what strains and stresses say of the grid's own error.
         limit: how far the body is from its limit load.
-        sensitive: largest product of that share and the sensitivity of displacements near a limit load.
+        sensitive: largest product of that share, as two points a cell and direction would have it, and the
+            sensitivity of displacements near a limit load.
     """
 
     def __init__(self, points: Points, forms: Sequence[PointForm], comm: MPI.Comm):
@@ -65,6 +66,7 @@ class BoxRecord:
         self.kept: np.ndarray | None = None
         self.largest, self.in_doubt, self.grid = (0.0, 0), False, GridRecord(points, comm)
         self.limit, self.sensitive = NearLimit(), 0.0
+        self._as_of_two = 1.0
         self._missed: float | None = None
         self._beside = 0.0
         self._tents = False
@@ -142,6 +144,8 @@ class BoxRecord:
         """Take note of what loads, some of them `terms`, have done in a step that has converged."""
         if self.points.plastic and system.inertia is None and known(terms):
             self.limit.note(system, start)
+            if self.limit.sensitivity > GIVES_WAY:
+                self._as_of_two = _as_of_two(system)
         else:
             self.limit.forget()
 
@@ -190,7 +194,7 @@ class BoxRecord:
         """Take note of how near the limit load a body is that flows, with the share inside the boxes."""
         times = self.limit.sensitivity
         if times > GIVES_WAY:
-            self.sensitive = max(self.sensitive, times * share)
+            self.sensitive = max(self.sensitive, times * share * self._as_of_two)
         if self.sensitive > NEAR_LIMIT:
             self._warn(
                 f"step {step}: near its limit load the body gives way {times:.1f} times as fast as its loads "
@@ -251,3 +255,15 @@ class BoxRecord:
         near = f"near the limit load times the displacements' sensitivity {self.sensitive:.2g}"
         parts = [most] * bool(step) + [near] * bool(self.sensitive) + [grid] * bool(grid)
         return f"{', '.join(parts)}: {verdict}"
+
+
+def _as_of_two(system: LoadedPoints) -> float:
+    """How many times as much of the work would be done inside the boxes with two points a cell and direction,
+    of which the grid's own error is the same: that share goes as the squares of the boxes' sizes. Collective.
+    """
+    i = system.interpolation
+    cells = np.prod(i.grid.sizes(i.grid.cells_of(i.reference.x)), axis=1)
+    boxes = np.abs(np.linalg.det(2.0 * i.points.half_axes0))
+    sums = np.array([cells.sum(), boxes.sum()])
+    system.comm.Allreduce(MPI.IN_PLACE, sums)
+    return float(max(1.0, 0.25 * (sums[0] / max(sums[1], np.finfo(float).tiny)) ** (2.0 / i.layout.dim)))
