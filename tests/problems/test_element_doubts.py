@@ -49,3 +49,24 @@ def test_where_nothing_varies():
     """Far from the limit load, and pressed alike everywhere."""
     assert said((12, 3), 1, 100.0, 2)[0] == ""
     assert said((6, 1), 1, squeezed=True, steps=1)[0] == ""
+
+
+def test_a_restart_file_has_it(tmp_path_factory):
+    """A run that goes on warns no second time, and knows how near the limit load the body was."""
+
+    def cantilever():
+        body = pm.Elements(box("quadrilateral", (6, 1), (3.0, 0.8)), material=SOIL, degree=1)
+        problem = pm.QuasiStaticFEM(body)
+        problem.fix(pm.plane(x=0.0), u=0)
+        problem.body_load(force=(0, -200.0))
+        return problem
+
+    first, second = cantilever(), cantilever()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        list(first.march(3, progress=False))
+    file = first.comm.bcast(tmp_path_factory.mktemp("doubts") / "run.h5")
+    pm.save_restart(first, file)
+    pm.load_restart(second, file)
+    assert second.trust() == first.trust()
+    assert second.element_record.state() == first.element_record.state()

@@ -27,6 +27,8 @@ from ..bodies.pointfields import MOTION_FIELDS
 from ..bodies.reference import Reference
 from ..errors import InputError
 from ..problems.base import Problem
+from ..problems.boxes import BoxRecord
+from ..problems.elementdoubts import ElementRecord
 from ..problems.elements import QuasiStaticFEM
 from ..problems.points import QuasiStatic
 from ..problems.state import Progress
@@ -39,7 +41,7 @@ from .files import reason
 from .identity import Facts, check_allowed, check_points, differences, made_of, refuse_differences
 from .probes import restore_probes
 
-_FORMAT = 14
+_FORMAT = 15
 _KIND = f"format {_FORMAT}"
 _WHOLE = ("terms", "steps", "lineage")  # groups of arrays that every rank has whole
 _FINITE = ("points", "reference", "nodes", "cells", "equilibrium")  # that have nothing of a script's
@@ -74,8 +76,8 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
     if found is not None:
         about["equilibrium"], rows = found
         arrays |= {f"equilibrium/{name}": a for name, a in rows.items()}
+    about["trust"] = _record(problem).state()
     if isinstance(problem, QuasiStatic):
-        about["trust"] = problem.box_record.state()
         about["grids"], lineage = problem.grid_state()
     whole = {f"terms/{name.replace('/', '.')}": a for name, a in problem.term_state().items()}
     whole |= {f"steps/{name}": a for name, a in _steps(problem.steps).items()}
@@ -94,6 +96,13 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
 
 def _check_problem(problem: Any) -> None:
     checks.instance("problem", problem, (QuasiStatic, QuasiStaticFEM), "a QuasiStatic or QuasiStaticFEM is")
+
+
+def _record(problem: Any) -> BoxRecord | ElementRecord:
+    """What it keeps of how far its answer can be trusted."""
+    found: BoxRecord | ElementRecord
+    found = problem.box_record if isinstance(problem, QuasiStatic) else problem.element_record
+    return found
 
 
 def _body(problem: Problem) -> str:
@@ -260,7 +269,7 @@ def _put(problem: Problem, saved: _Saved, path: Path, differing: frozenset[str])
         problem.restore(progress)
     elif isinstance(problem, QuasiStatic):
         _put_points(problem, saved, differing)
-        problem.box_record.restore(saved.about["trust"])
+    _record(problem).restore(saved.about["trust"])
     problem.steps = list(_steps_of(saved.group("steps"), getattr(problem, "regridding", None)))
     problem.step_sizes = tuple(saved.about["sizes"]) if saved.about["sizes"] else None
     known = {step.number: step for step in problem.steps}

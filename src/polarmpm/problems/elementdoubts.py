@@ -30,7 +30,7 @@ class ElementRecord:
         within: largest share of a step's strain increments, squared, that are variations within elements.
         sensitive: largest product of that share and the sensitivity of displacements near a limit load.
         in_doubt: some step's was larger than it should be.
-        limit: how far the body is from its limit load; not known in the first step after a restart.
+        limit: how far the body is from its limit load.
     """
 
     def __init__(self, elements: Elements):
@@ -89,6 +89,16 @@ class ElementRecord:
         if self._doubt and not self.in_doubt:
             self.in_doubt = True
             warn_on_one_rank(self.comm, f"step {step}: {self._doubt}", TrustWarning)
+
+    def state(self) -> list[float]:
+        """For a restart file."""
+        return [self.within, self.sensitive, float(self.in_doubt), *self.limit.state()]
+
+    def restore(self, state: Sequence[float]) -> None:
+        """Put in what `state` gave."""
+        self.within, self.sensitive, doubt, *limit = map(float, state)
+        self.in_doubt = bool(doubt)
+        self.limit.restore(limit)
 
     def summary(self) -> str:
         """What was seen, in a line; empty where nothing was looked at."""

@@ -45,24 +45,24 @@ class StagedElements(Problem):
 
     def _changing(self) -> Iterator[Changing]:
         yield from super()._changing()
-        for thing in (self._record, self._record.limit):
+        for thing in (self.element_record, self.element_record.limit):
             yield thing, None
 
     # trust ----------------------------------------------------------------------------------------
     @cached_property
-    def _record(self) -> ElementRecord:
+    def element_record(self) -> ElementRecord:
         """What strains within the elements tell."""
         return ElementRecord(self.elements)
 
     def _trust(self, system: NodalSystem, start: StepStart, at_points: Increments, outcome: Outcome) -> None:
-        self._record.look(system, start, at_points, self.terms)
+        self.element_record.look(system, start, at_points, self.terms)
 
     def _note(self, outcome: Outcome) -> None:
-        self._record.note(self.progress.step)
+        self.element_record.note(self.progress.step)
 
     def trust(self) -> str:
         """In a line: how much of a plastic body's strains its elements don't resolve (docs/accuracy.md)."""
-        return self._record.summary() or super().trust()
+        return self.element_record.summary() or super().trust()
 
     # stages ---------------------------------------------------------------------------------------
     def _can_go(self, condition: Any) -> bool:
