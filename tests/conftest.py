@@ -37,8 +37,17 @@ def _fibres(E: Any, G: Any, p: Any) -> Any:
 ANISOTROPIC = pm.UserEnergy(_fibres, {**MICROPOLAR.parameters(), "k": 5e3})
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`--every 2` for a run that repeats on other ranks what another one has seen whole."""
+    parser.addoption("--every", type=int, default=1, metavar="N", help="every N-th of the tests alone")
+
+
+@pytest.hookimpl(trylast=True)  # after markers have chosen
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """mpirun can't be started from within mpirun."""
+    every = config.getoption("--every")
+    config.hook.pytest_deselected(items=[item for k, item in enumerate(items) if k % every])
+    items[:] = items[::every]
     if COMM.size > 1:
         for item in items:
             if item.get_closest_marker("mpi"):
