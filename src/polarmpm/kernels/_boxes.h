@@ -280,14 +280,6 @@ INLINE void add_sides(const int dim, const int rot, const int second, const BoxW
     for (int i = 0; i < (dim + rot) * pairs_of(dim); ++i) w->bent[i] *= *weight;
 }
 
-/* What the values' quadratic parts do work on, into nodal forces, with the shapes on a side. */
-INLINE void add_arched(const int dim, const int rot, const int second, int nv, int sv, const vec *side, const double *both, vec *f)
-{
-    for (int value = 0; value < values_of(rot, second); ++value)
-        for (int v = 0; v < nv; ++v)
-            f[value_component(dim, value) * sv + v] += both[value] * side[(1 + dim) * sv + v];
-}
-
 /* Shapes s of lane l, differentiated along its half axes; in a body of revolution, behind them, half the functions' second
  * derivatives along these. */
 INLINE void side_shapes(const int dim, const int rot, const int second, const PointKernels *kernels, int nv, int sv, const vec *s, int l,
