@@ -60,7 +60,7 @@ class ElementPatches(Patches):
         out: np.ndarray = np.zeros((len(work), self._length))
         own = ctypes.byref(self.elements), ctypes.byref(self._structure)
         for kind, to in zip(work, out, strict=True):
-            rows = kind if kind.flags.c_contiguous else np.ascontiguousarray(kind)
+            rows = np.ascontiguousarray(kind)
             if native.library().polarmpm_element_vectors(*own, rows, rows.shape[1], to):
                 raise MemoryError("no memory for the sums over elements")
         return out

@@ -16,20 +16,19 @@ from ..errors import TrustWarning
 from ..forms.points import PointForm
 from ..kernels.kernel import Kernel
 from ..terms.base import Term
-from ..tools.caller import warn
-from ..tools.parallel import errors_on_all_ranks
+from ..tools.parallel import warn_on_one_rank
 from . import contrast, doubts
 from .griddoubts import MANY, GridRecord
-from .nearlimit import NearLimit, known
+from .nearlimit import GIVES_WAY, NearLimit
 from .work import StepStart
 
 # shares of a step's work inside the boxes above which an answer may be far off: while no point has flowed,
 # where boxes nearly alone hold the body, and then, as the boxes of points that have flowed count for little
 DOUBTFUL, DOUBTFUL_FLOW = 0.97, 0.2
+# near a limit load: share times how many times as fast as the loads displacements grow, as of two points a
+# cell and direction, above which displacements may be a tenth off
+NEAR_LIMIT = 0.22
 # increments (their gradients) of elastic points of which boxes miss nothing, however large their share is
-# near a limit load, where displacements grow that many times as fast as the loads: share times as many, as of
-# two points a cell and direction, above which displacements may be a tenth off
-GIVES_WAY, NEAR_LIMIT = 2.0, 0.22
 SMALL = 0.05
 MISSED = 0.08  # share that a sum over points without boxes misses: the answer is a tenth off or more
 MISSED_GAUSS = 0.15  # of points of quadrature rules, of which what they stand for is guessed, and too large
@@ -142,8 +141,8 @@ class BoxRecord:
 
     def note_loads(self, system: LoadedPoints, start: StepStart, terms: Sequence[Term]) -> None:
         """Take note of what loads, some of them `terms`, have done in a step that has converged."""
-        if self.points.plastic and system.inertia is None and known(terms):
-            self.limit.note(system, start)
+        if self.points.plastic and system.inertia is None:
+            self.limit.note(system, start, terms)
             if self.limit.sensitivity > GIVES_WAY:
                 self._as_of_two = _as_of_two(system)
         else:
@@ -223,9 +222,7 @@ class BoxRecord:
         if self.in_doubt:
             return
         self.in_doubt = True
-        with errors_on_all_ranks(self.comm):  # of warnings a script may make errors
-            if self.comm.rank == 0:
-                warn(text, TrustWarning)
+        warn_on_one_rank(self.comm, text, TrustWarning)
 
     def state(self) -> list[float]:
         """For a restart file: largest share, its step, whether the run is in doubt, and whether the share is

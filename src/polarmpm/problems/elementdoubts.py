@@ -15,11 +15,11 @@ from ..errors import TrustWarning
 from ..terms.base import Term
 from ..tools.parallel import warn_on_one_rank
 from .doubts import ROUNDING
-from .nearlimit import NearLimit, known
+from .nearlimit import GIVES_WAY, NearLimit
 from .work import StepStart
 
 WITHIN = 0.5  # of the squares of strain increments: one element across what bends, and flows
-GIVES_WAY, NEAR_LIMIT = 2.0, 0.25  # as of points, see `boxes`; of elements of degree 1
+NEAR_LIMIT = 0.25  # as of points, see `boxes`; of elements of degree 1
 _FINER = "take smaller elements, three or more across what bends, and compare"
 
 
@@ -46,10 +46,7 @@ class ElementRecord:
         self._doubt, linear = "", self.elements.degree == 1
         if not self.points.plastic or system.inertia is not None:
             return
-        if known(terms):
-            self.limit.note(system, start)
-        else:
-            self.limit.forget()
+        self.limit.note(system, start, terms)
         flows = self.comm.allreduce(bool(np.any(self.points.hardening > 0.0)), op=MPI.LOR)
         if not (flows or linear):
             return
@@ -72,15 +69,12 @@ class ElementRecord:
     def _share(self, gradient: np.ndarray) -> float:
         """Share of the squares of strain increments that is variation within elements, of the increments'
         gradients (np, d, d) in the undeformed body."""
-        d, volume = gradient.shape[1], self.points.volume0
+        d, inside = gradient.shape[1], len(self.elements.reference_points)
         velocity = gradient @ np.linalg.inv(self.points.F[:, :d, :d] + gradient)
-        strain = (0.5 * (velocity + np.swapaxes(velocity, 1, 2))).reshape(-1, d * d)
-        _, of = np.unique(self.points.id // len(self.elements.reference_points), return_inverse=True)
-        whole = np.maximum(np.bincount(of, volume), np.finfo(float).tiny)
-        means = np.stack([np.bincount(of, volume * one) / whole for one in strain.T], axis=1)
-        sums = np.array(
-            [volume @ ((strain - means[of]) ** 2).sum(axis=1), volume @ (strain**2).sum(axis=1), volume.sum()]
-        )
+        strain = (0.5 * (velocity + np.swapaxes(velocity, 1, 2))).reshape(-1, inside, d * d)
+        volume = self.points.volume0.reshape(-1, inside, 1)
+        away = strain - (volume * strain).sum(axis=1, keepdims=True) / volume.sum(axis=1, keepdims=True)
+        sums = np.array([np.sum(volume * away**2), np.sum(volume * strain**2), volume.sum()])
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         return float(sums[0] / sums[1]) if sums[1] > ROUNDING**2 * sums[2] else 0.0
 

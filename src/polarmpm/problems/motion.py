@@ -26,9 +26,8 @@ from ..kinematics.timesteps import TimeStep
 from ..solvers.newton import Outcome
 from ..solvers.stepping import Schedule, Step
 from ..tools import checks
-from ..tools.caller import warn
 from ..tools.meetings import collective
-from ..tools.parallel import errors_on_all_ranks
+from ..tools.parallel import errors_on_all_ranks, warn_on_one_rank
 from .kinetics import WithInertia
 from .reactions import Equilibrium
 from .work import StepStart
@@ -61,14 +60,13 @@ class Moving(WithInertia):
         one = growing[0]
         value = f"{one.constant[0]:g}" if one.size == 1 else f"({', '.join(f'{v:g}' for v in one.constant)})"
         times = f"{value} * t" if one.size == 1 else f"t * np.array({value})"
-        with errors_on_all_ranks(self.comm):  # of warnings a script may make errors
-            if self.comm.rank == 0:
-                warn(
-                    f"{one.name} = {value}: in motion a number is a rate, and grows by its value in each "
-                    f"second from zero on; write lambda t: {value} for what stays, as a weight, or "
-                    f"lambda t: {times} for what grows",
-                    TrustWarning,
-                )
+        warn_on_one_rank(
+            self.comm,
+            f"{one.name} = {value}: in motion a number is a rate, and grows by its value in each second from "
+            f"zero on; write lambda t: {value} for what stays, as a weight, or lambda t: {times} for what "
+            "grows",
+            TrustWarning,
+        )
 
     # solving --------------------------------------------------------------------------------------
     def march(  # type: ignore[override]

@@ -13,6 +13,7 @@ from ..terms.surfaces import Pressure, SurfaceSupport, Traction
 from ..tools.parallel import reduce_in_place
 from .work import StepStart
 
+GIVES_WAY = 2.0  # times as fast as the loads: near a limit load displacements grow so
 GROWN = 1e-3  # of the loads in a step: below, nothing is learnt of how displacements grow with them
 
 
@@ -44,8 +45,12 @@ class NearLimit:
         self.sensitivity = 0.0
         self._scale, self._displacement = 0.0, 0.0
 
-    def note(self, system: NodalSystem, start: StepStart) -> None:
-        """Take note of a step that has converged. Collective."""
+    def note(self, system: NodalSystem, start: StepStart, terms: Iterable[Term]) -> None:
+        """Take note of what loads, some of them `terms`, have done in a step that has converged.
+        Collective."""
+        if not known(terms):
+            self.forget()
+            return
         own = slice(0, system.nodes.owned)
         moved, held = system.x[own] - start.x[own], system.prescribed.fixed[own]
         assert system.step.initial is not None
