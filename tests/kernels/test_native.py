@@ -47,7 +47,7 @@ def test_fields_are_those_of_the_header():
     assert fields["weights"].pointer
     assert native.PointKernels.declared["kernel"].kind == "kernel_t"
     assert native.Matrix.declared["fixed"].dtype == np.uint8
-    assert sum(len(s.declared) for s in native.STRUCTURES) == 114
+    assert sum(len(s.declared) for s in native.STRUCTURES) == 118
 
 
 @pytest.mark.parametrize(

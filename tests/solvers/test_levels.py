@@ -7,7 +7,7 @@ import pytest
 
 from polarmpm.kernels import native
 from polarmpm.solvers.coarsening import PARENTS, Coarsening
-from polarmpm.solvers.levels import BACKWARD, FORWARD, FROM_ZERO, REST, Level
+from polarmpm.solvers.levels import BACKWARD, FORWARD, FROM_ZERO, LINE, REST, Level
 
 OWN, OTHERS = 40, 7  # nodes of this rank, and columns of others
 
@@ -49,6 +49,7 @@ def level(block: int, symmetric: bool, half: bool) -> tuple[Level, np.ndarray]:
         values=np.concatenate(values),
     )
     made = Level(rows, OWN + OTHERS)
+    made.find_runs()
     made.prepare()
     made.renew()
     return made, A
@@ -67,6 +68,10 @@ def test_products_are_those_of_the_dense_rows(block, symmetric, half):
     out, b = np.empty((OWN, block)), np.random.default_rng(2).normal(size=(OWN, block))
     found.product(x, out)
     np.testing.assert_allclose(out.ravel(), A @ x.ravel(), rtol=0, atol=1e-12 * np.abs(A).max())
+    padded, quick = np.append(x, np.zeros(LINE)), np.zeros(OWN * block + LINE)
+    found.quick_product(padded, quick)
+    np.testing.assert_allclose(quick[: OWN * block], A @ x.ravel(), rtol=0, atol=1e-6 * np.abs(A).max())
+    assert not np.array_equal(quick[: OWN * block], out.ravel())  # numbers in single precision
     some = np.array([0, 3, OWN - 1])
     found.prepare_rest(np.isin(np.arange(OWN), some))
     found.x[:] = x
@@ -117,6 +122,7 @@ def test_coarser_levels_are_products_of_the_dense_rows(symmetric, half):
     parents[odd, 1], weights[odd, 1] = every[odd] // 2 + 1, 0.5
     number = parents.max() + 1
     coarse = found.couple(Coarsening((), np.arange(number)[:, None], parents, weights, 3), None)
+    coarse.find_runs()
     found.coarsen(coarse, None)
     P = np.zeros((len(every), number))
     P[every, parents[:, 0]] = weights[:, 0]

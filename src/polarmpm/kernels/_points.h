@@ -11,7 +11,7 @@
 #include <string.h>
 
 enum {
-    INTERFACE = 29,            /* raised with every change of a structure or signature; native.py reads it here */
+    INTERFACE = 30,            /* raised with every change of a structure or signature; native.py reads it here */
     LANES = 8,                 /* points in a kernel call */
     WIDTH = 4,                 /* nodes in a vector */
     MANY = 4                   /* points whose blocks are summed at once */

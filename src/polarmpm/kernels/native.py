@@ -53,12 +53,12 @@ class Return(Structure):
     """Kernels and controls of a return mapping."""
 
 
-@declared_in("_lattice.c")
+@declared_in("_rows.h")
 class BlockRows(Structure):
     """A sparse matrix of blocks, in double precision."""
 
 
-@declared_in("_lattice.c")
+@declared_in("_rows.h")
 class Relaxation(Structure):
     """What relaxation by blocks needs of a matrix, in single precision."""
 

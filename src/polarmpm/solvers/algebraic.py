@@ -228,6 +228,8 @@ class Aggregates:
         found: np.ndarray = self._left.array / scale
         return found
 
+    quick_product = product
+
     def precondition(self, right: np.ndarray) -> np.ndarray:
         """One cycle for the owned unknowns (n,). Collective.
 

@@ -28,12 +28,15 @@ class Equations:
     """A linear system.
 
     Attributes:
-        product: times the matrix, (n,) -> (n,), a new array.
-        precondition: times an approximate inverse.
+        product: times the matrix, (n,) -> (n,); the next product may overwrite it.
+        quick_product: the same with its numbers in single precision; what it leaves of the residual is
+            measured by `product`, and where that is too much methods go on with `product`.
+        precondition: times an approximate inverse; the same.
         weight: of the residual's entries (n,) in the norm of forces.
     """
 
     product: Map
+    quick_product: Map
     precondition: Map
     weight: np.ndarray
     comm: MPI.Comm
@@ -61,51 +64,76 @@ class Equations:
 def conjugate_gradients(e: Equations, x: np.ndarray, right: np.ndarray, aim: float, limit: int) -> Result:
     """Improve x (n,) until the residual is `aim` times the right-hand side (n,), in the norm of forces and in
     the energy norm of the preconditioner."""
-    out, allowed = Result(), aim * e.norm(right)
-    energy, rounds = 0.0, 0
-    r = e.residual(x, right)
+    out, search = Result(), Search(aim * e.norm(right), aim, limit)
+    product, r = e.quick_product, e.residual(x, right)
+    for _ in range(_ROUNDS):
+        _conjugate(e, product, x, r, search, out)
+        if out.failed and (product == e.product or out.failed == LIMIT):
+            return out
+        if out.failed:  # which rounding may have done
+            out.failed, x[:] = "", 0.0
+        elif search.ended:
+            return out
+        r, product = e.residual(x, right), e.product  # what rounding has made of it
+        if e.norm(r) <= 2.0 * search.allowed:
+            return out
+    out.failed = LIMIT
+    return out
+
+
+@dataclass
+class Search:
+    """When conjugate gradients end.
+
+    Attributes:
+        allowed: norm of forces of the residual.
+        aim: energy norm of the residual over that of the first one.
+        limit: iterations.
+        energy: square of the latter; zero before it's known.
+        ended: the residual is as small from the beginning.
+    """
+
+    allowed: float
+    aim: float
+    limit: int
+    energy: float = 0.0
+    ended: bool = False
+
+
+def _conjugate(e: Equations, product: Map, x: np.ndarray, r: np.ndarray, search: Search, out: Result) -> None:
+    """Improve x (n,), and its residual r (n,), until that is small enough as far as it is known here."""
+    z, scaled = e.precondition(r), np.empty_like(r)
+    work = e.dot(r, z)
+    search.energy = search.energy or work
+    if work == 0.0 and e.norm(r) <= search.allowed:
+        search.ended = True
+        return
+    if not (work > 0.0 and math.isfinite(work)):
+        out.failed = BROKEN
+        return
+    p = z.copy()
     while True:
+        q = product(p)
+        curvature = e.dot(p, q)
+        if not curvature > 0.0:
+            out.failed = INDEFINITE if curvature <= 0.0 else BROKEN
+            return
+        length = work / curvature
+        x += np.multiply(p, length, out=scaled)
+        r -= np.multiply(q, length, out=scaled)
+        out.iterations += 1
         z = e.precondition(r)
-        work = e.dot(r, z)
-        if rounds == 0:
-            energy = work
-        if work == 0.0 and e.norm(r) <= allowed:
-            return out
-        if not (work > 0.0 and math.isfinite(work)):
+        before, work = work, e.dot(r, z)
+        if not (work >= 0.0 and math.isfinite(work)):
             out.failed = BROKEN
-            return out
-        p = z.copy()
-        while True:
-            q = e.product(p)
-            curvature = e.dot(p, q)
-            if not curvature > 0.0:
-                out.failed = INDEFINITE if curvature <= 0.0 else BROKEN
-                return out
-            length = work / curvature
-            np.multiply(p, length, out=z)
-            x += z
-            q *= length
-            r -= q
-            out.iterations += 1
-            z = e.precondition(r)
-            before, work = work, e.dot(r, z)
-            if not (work >= 0.0 and math.isfinite(work)):
-                out.failed = BROKEN
-                return out
-            if work <= aim**2 * energy and e.norm(r) <= allowed:
-                break
-            if out.iterations >= limit:
-                out.failed = LIMIT
-                return out
-            p *= work / before
-            p += z
-        r = right - e.product(x)  # what rounding has made of it
-        rounds += 1
-        if e.norm(r) <= 2.0 * allowed:
-            return out
-        if rounds == _ROUNDS:
+            return
+        if work <= search.aim**2 * search.energy and e.norm(r) <= search.allowed:
+            return
+        if out.iterations >= search.limit:
             out.failed = LIMIT
-            return out
+            return
+        p *= work / before
+        p += z
 
 
 _ROUNDS = 4  # solutions for what is left of the residual
@@ -119,7 +147,7 @@ def flexible_gmres(
     if not math.isfinite(allowed):
         out.failed = BROKEN
         return out
-    before = math.inf
+    before, product = math.inf, e.quick_product
     while True:
         r = e.residual(x, right)
         size = e.norm(r)
@@ -132,13 +160,22 @@ def flexible_gmres(
             out.failed = LIMIT
             return out
         before = size
-        if not _cycle(e, x, r * (e.weight / size), size, allowed, min(restart, limit - out.iterations), out):
+        most = min(restart, limit - out.iterations)
+        if not _cycle(e, product, x, r * (e.weight / size), size, allowed, most, out):
             out.failed = BROKEN
             return out
+        product = e.product
 
 
 def _cycle(
-    e: Equations, x: np.ndarray, first: np.ndarray, size: float, allowed: float, most: int, out: Result
+    e: Equations,
+    product: Map,
+    x: np.ndarray,
+    first: np.ndarray,
+    size: float,
+    allowed: float,
+    most: int,
+    out: Result,
 ) -> bool:
     """Arnoldi's method until the residual is small enough; whether its numbers are finite."""
     basis, moved, k = [first], [], 0
@@ -147,7 +184,7 @@ def _cycle(
     g[0] = size
     while k < most:
         z = e.precondition(basis[k] / e.weight)
-        w = e.product(z) * e.weight
+        w = product(z) * e.weight
         for _ in range(2):
             for i, v in enumerate(basis):
                 h = e.dot(w, v)
@@ -156,7 +193,7 @@ def _cycle(
         length = math.sqrt(e.dot(w, w)) if np.all(np.isfinite(H[:, k])) else math.nan
         if not math.isfinite(length):
             return False
-        moved.append(z)
+        moved.append(z.copy())
         column = H[:, k]
         column[k + 1] = length
         for i, (c, s) in enumerate(rotation):

@@ -16,7 +16,9 @@ from .factors import Factor
 from .linear import SingularTangent
 
 LIFT = 1e-6  # of blocks' diagonals that are inverted, and of weak nodes', which may be singular
-LINE = structures.constant("_lattice.c", "LINE")  # numbers in single precision that stand for one vector
+LINE = structures.constant("_rows.h", "LINE")  # numbers of a vector in single precision
+PIECE = structures.constant("_rows.h", "PIECE")  # in double precision
+INVERSE = structures.constant("_rows.h", "INVERSE_MAX")  # numbers of a padded column of a block's inverse
 FROM_ZERO, BACKWARD, FORWARD, REST = range(4)  # kinds of sweeps
 
 
@@ -67,32 +69,35 @@ class Level:
         return row, (np.arange(len(row)) - offsets[row]).astype(np.int32)
 
     # relaxation -----------------------------------------------------------------------------------
+    def find_runs(self) -> None:
+        """Find the neighbours before and after each node, by runs of columns; products need no more."""
+        rows, library = ctypes.byref(self.rows), native.library()
+        own = np.empty(self.nodes, dtype=np.int32)
+        library.polarmpm_own_blocks(rows, own)
+        native.fill(self.relaxation, symmetric=int(self.rows.symmetric), own=own)
+        for side, behind in (("up", 1), ("low", 0)):
+            first, start = (np.empty(self.nodes + 1, dtype=np.int64) for _ in range(2))
+            library.polarmpm_runs(rows, behind, first, start, None, None, None)
+            of_runs = [np.empty(int(first[-1]), dtype=np.int32) for _ in range(3)]
+            library.polarmpm_runs(rows, behind, first, start, *of_runs)
+            names = ("", "_start", "_cols", "_at", "_long")
+            found = zip(names, (first, start, *of_runs), strict=True)
+            native.fill(self.relaxation, **{side + name: values for name, values in found})
+
     def prepare(self) -> None:
-        """Find the neighbours before and after each node, and make room for their blocks."""
-        cols, (row, at) = self.rows.kept["cols"], self.pairs
-        other, symmetric, widest = cols >= self.nodes, int(self.rows.symmetric), 0
-        chosen = {"up": (cols > row) & ~other, "low": other if symmetric else other | (cols < row)}
-        for side, which in chosen.items():
-            mine = np.flatnonzero(which)
-            counts = np.bincount(row[mine], minlength=self.nodes)
-            widest = max(widest, int(counts.max(initial=0)))
-            size = -(counts * self.block // -LINE) * LINE * self.block
-            start = np.concatenate([[0], np.cumsum(size)])
-            found = {
-                side: np.concatenate([[0], np.cumsum(counts)]),
-                f"{side}_cols": np.ascontiguousarray(cols[mine], dtype=np.int32),
-                f"{side}_at": np.ascontiguousarray(at[mine]),
-                f"{side}_start": start,
-                f"{side}_rows": _aligned(int(start[-1])),
-            }
-            native.fill(self.relaxation, **found)
+        """Make room for the rows of relaxation; after `find_runs`."""
+        b, kept = self.block, self.relaxation.kept
+        given = self.nodes * b + LINE if self.rows.symmetric else 0
+        line = INVERSE if b > PIECE else PIECE
         native.fill(
             self.relaxation,
-            widest=widest,
-            symmetric=symmetric,
-            given=np.zeros(self.nodes * self.block * symmetric, dtype=np.float32),
-            inverse=np.zeros(self.nodes * self.block**2, dtype=np.float32),
-            added=np.zeros(self.nodes * self.block),
+            up_rows=_aligned(int(kept["up_start"][-1])),
+            low_rows=_aligned(int(kept["low_start"][-1])),
+            given=np.zeros(given, dtype=np.float32),
+            single=np.zeros(self.columns * b + LINE, dtype=np.float32),
+            own_rows=np.zeros(self.nodes * b * line, dtype=np.float32),
+            inverse=np.zeros(self.nodes * b * line, dtype=np.float32),
+            added=np.zeros(self.nodes * b),
         )
 
     def prepare_rest(self, wanted: np.ndarray) -> None:
@@ -127,7 +132,7 @@ class Level:
 
     def relax(self, how: int, b: np.ndarray) -> None:
         """A sweep over x for b (nodes, block); `REST` writes what is left into b."""
-        native.library().polarmpm_relax(*self._both, how, b, self.x)
+        native.library().polarmpm_relax(*self._both, how, self.columns, b, self.x)
 
     def rest_of(self, rows: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
         """b - A x in some rows, in double precision; of symmetric ones in those of `prepare_rest`."""
@@ -135,7 +140,12 @@ class Level:
 
     def product(self, x: np.ndarray, out: np.ndarray) -> None:
         """A x; x with the columns of other ranks."""
-        native.library().polarmpm_block_product(ctypes.byref(self.rows), x, out)
+        native.library().polarmpm_block_product(*self._both, x, out)
+
+    def quick_product(self, x: np.ndarray, out: np.ndarray) -> None:
+        """The same with the rows of relaxation, in single precision. Behind x and `out` there is room for
+        LINE numbers."""
+        native.library().polarmpm_quick_product(*self._both, x, out)
 
     # coarser --------------------------------------------------------------------------------------
     def couple(self, to: Coarsening, comm: MPI.Comm | None) -> Level:

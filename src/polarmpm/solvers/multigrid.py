@@ -53,10 +53,13 @@ class Hierarchy(Protocol):
         """Let a cycle do more, if it can."""
 
     def product(self, x: np.ndarray) -> np.ndarray:
-        """The tangent times the owned unknowns (n,)."""
+        """The tangent times the owned unknowns (n,); the next product may overwrite it."""
+
+    def quick_product(self, x: np.ndarray) -> np.ndarray:
+        """The same, as exact as numbers in single precision can be, if that is quicker."""
 
     def precondition(self, right: np.ndarray) -> np.ndarray:
-        """One cycle for the owned unknowns (n,).
+        """One cycle for the owned unknowns (n,); the next one may overwrite it.
 
         Raises:
             SingularTangent: it is not possible; on every rank.
@@ -144,7 +147,9 @@ class MultigridSolver(ABC):
             found.renew()
         except SingularTangent:
             return self._factor_direct()
-        self._equations = Equations(found.product, found.precondition, found.weight, self.comm)
+        self._equations = Equations(
+            found.product, found.quick_product, found.precondition, found.weight, self.comm
+        )
         self._rate = 0.0
         self.hierarchies += 1
 
@@ -192,7 +197,7 @@ class MultigridSolver(ABC):
             return self._direct.precondition(rhs)
         if self._equations is None:
             raise SingularTangent("there is no hierarchy")
-        return self._equations.precondition(rhs)
+        return self._equations.precondition(rhs).copy()
 
     def _iterate(self, solution: np.ndarray, rhs: np.ndarray, accuracy: float) -> Result:
         """Improve the solution by the present method."""
