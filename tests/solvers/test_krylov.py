@@ -9,7 +9,7 @@ import pytest
 
 from polarmpm.solvers.krylov import INDEFINITE, Equations, conjugate_gradients, flexible_gmres
 
-N, AIM = 60, 1e-8
+N, AIM = 60, 1e-5
 
 
 def matrix(least: float) -> np.ndarray:
@@ -44,7 +44,7 @@ METHODS = pytest.mark.parametrize(
 
 
 @METHODS
-@pytest.mark.parametrize("rounding", [0.0, 1e-14, 1e-6])
+@pytest.mark.parametrize("rounding", [0.0, 1e-11, 1e-5])
 def test_the_residual_is_that_of_the_exact_product(solve, rounding):
     """A quick product that is good enough does nearly all the work; another one costs iterations, no
     accuracy."""

@@ -186,7 +186,7 @@ def test_the_preconditioner_is_symmetric_and_definite():
     for sweeps in (1, 2):
         found.sweeps = sweeps
         a, b = (product(system, free * rng.normal(size=len(free))) for _ in range(2))
-        Ma, Mb = found.precondition(a), found.precondition(b)
+        Ma, Mb = found.precondition(a).copy(), found.precondition(b)
         scale = np.sqrt(np.dot(a, Ma) * np.dot(b, Mb))
         assert np.dot(a, Ma) > 0.0
         assert abs(np.dot(a, Mb) - np.dot(b, Ma)) < 1e-4 * scale

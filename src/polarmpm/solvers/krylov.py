@@ -12,6 +12,7 @@ import numpy as np
 
 Map = Callable[[np.ndarray], np.ndarray]
 
+_QUICK = 1e-6  # relative residual that is hardly reached with numbers in single precision
 INDEFINITE, BROKEN, LIMIT = "indefinite", "broken", "limit"
 
 
@@ -46,6 +47,10 @@ class Equations:
         here = float(np.dot(a, b))
         return float(self.comm.allreduce(here)) if self.comm.size > 1 else here
 
+    def product_for(self, aim: float) -> Map:
+        """The product to begin with, where the residual is to become `aim` times the right-hand side."""
+        return self.quick_product if aim > _QUICK else self.product
+
     def residual(self, x: np.ndarray, right: np.ndarray) -> np.ndarray:
         """What x (n,) leaves of the right-hand side (n,), a new array; zeros, as solutions begin, aren't
         multiplied."""
@@ -65,7 +70,7 @@ def conjugate_gradients(e: Equations, x: np.ndarray, right: np.ndarray, aim: flo
     """Improve x (n,) until the residual is `aim` times the right-hand side (n,), in the norm of forces and in
     the energy norm of the preconditioner."""
     out, search = Result(), Search(aim * e.norm(right), aim, limit)
-    product, r = e.quick_product, e.residual(x, right)
+    product, r = e.product_for(aim), e.residual(x, right)
     for _ in range(_ROUNDS):
         _conjugate(e, product, x, r, search, out)
         if out.failed and (product == e.product or out.failed == LIMIT):
@@ -147,7 +152,7 @@ def flexible_gmres(
     if not math.isfinite(allowed):
         out.failed = BROKEN
         return out
-    before, product = math.inf, e.quick_product
+    before, product = math.inf, e.product_for(aim)
     while True:
         r = e.residual(x, right)
         size = e.norm(r)
