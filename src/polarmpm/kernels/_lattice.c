@@ -45,6 +45,7 @@ INLINE int coarsen_of(const int nb, const BlockRows *A, const Transfer *P, const
         const double *weight = P->weights + row * PARENTS;
         const int64_t from = own[0] < 0 ? 0 : P->lin[own[0]] - P->centre;
         double D[BLOCK_MAX * BLOCK_MAX], B[BLOCK_MAX * BLOCK_MAX];
+        ask_for_row(nb, A, row + AHEAD);
         if (own[0] < 0) continue;
         diagonal_block(A, nb, row, D);
         for (int i = 0; i < nb; ++i)

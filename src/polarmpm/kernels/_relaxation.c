@@ -59,15 +59,6 @@ INLINE Side side_of(const Relaxation *S, int behind)
                   : (Side){S->low, S->low_start, S->low_cols, S->low_at, S->low_long, S->low_rows};
 }
 
-/* A row is asked for in time, as its lines are too many for a processor to foresee. */
-INLINE void ask_for_row(const int nb, const BlockRows *A, int64_t row)
-{
-    if (row >= A->nodes) return;
-    const double *begin = A->values + A->row_start[row * nb];
-    const int64_t numbers = (A->row_start[row * nb + nb - 1] - A->row_start[row * nb]) / (nb - 1) * nb;
-    for (int64_t k = 0; k < numbers; k += LINE) __builtin_prefetch(begin + k);
-}
-
 /* sum += a run's lines times x. With `both` also y += these lines, transposed, times `own`. */
 INLINE void multiply_run(const int nb, const int both, int64_t width, const double *const *lines, int64_t from, const double *x,
                          const double *own, double_vec *s, double_half *t, double *sum, double *y)

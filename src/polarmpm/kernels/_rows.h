@@ -76,6 +76,15 @@ INLINE void diagonal_block(const BlockRows *A, const int nb, int64_t row, double
             D[i * nb + j] = A->half && j < i ? block_entry(A, nb, row, k, j, i) : block_entry(A, nb, row, k, i, j);
 }
 
+/* A row is asked for in time, as its lines are too many for a processor to foresee. */
+INLINE void ask_for_row(const int nb, const BlockRows *A, int64_t row)
+{
+    if (row >= A->nodes) return;
+    const double *begin = A->values + A->row_start[row * nb];
+    const int64_t numbers = (A->row_start[row * nb + nb - 1] - A->row_start[row * nb]) / (nb - 1) * nb;
+    for (int64_t k = 0; k < numbers; k += LINE) __builtin_prefetch(begin + k);
+}
+
 /* Sums of a vector's numbers. */
 INLINE double total(double_vec v)
 {
