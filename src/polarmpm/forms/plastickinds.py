@@ -36,6 +36,12 @@ def of_yielding(material: Plastic, surfaces: Sequence[YieldSurface]) -> Hashable
     return names, tuple(likely), at.signature(ufl.as_vector(found))
 
 
+def of_hardening(material: Plastic) -> Hashable:
+    """What hardening stores."""
+    at = stand_ins()
+    return at.signature(hardening_energy(material, at.scalar("chi"), at.numbers(material)))
+
+
 def hardening_energy(material: Plastic, chi: Any, p: Any) -> Any:
     what = f"hardening_energy of {type(material).__name__}"
     return evaluate_scalar(what, material.hardening_energy, chi, p)
