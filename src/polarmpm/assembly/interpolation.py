@@ -274,7 +274,8 @@ class Interpolation:
     def rebase_rotations(self, x: np.ndarray) -> None:
         """Count rotation increments from the points' current rotations on, at nodal increments x (nodes,
         block); weights and F stay."""
-        self.reference.side_gradients = self.reference.side_gradients.copy()
+        if self.boxes is not None:
+            self.reference.side_gradients = self.reference.side_gradients.copy()
         for boxes in self.boxes or ():
             boxes.rebase_rotations(self.reference, x)
         self.reference.rebase_rotations(self.points)

@@ -10,10 +10,19 @@ from ..kinematics import rotations
 from ..tools.parallel import Route
 from .points import Points
 
+_ZERO = bytes(np.dtype(float).itemsize)
+
+
+def _nothing(*shape: int) -> np.ndarray:
+    """Zeros that can't be written to, and take no memory; a tenth of `np.broadcast_to`'s time."""
+    return np.ndarray(shape, buffer=_ZERO, strides=(0,) * len(shape))
+
 
 @dataclass
 class Reference:
     """State of the points from which increments count: F at the last reset, rotations at their last base.
+
+    Arrays are replaced, never written to; what isn't there takes no memory.
 
     Attributes:
         x, F, q, wryness: as of `Points`.
@@ -50,19 +59,23 @@ class Reference:
             sides: go on with how the deformation varies within the points' boxes, where that is known.
         """
         n, d = len(points), points.dim
-        wryness, side_F = points.wryness, np.zeros((n, 0, d, d))
-        turning: np.ndarray = np.zeros((n, d, block - d, d))
+        wryness = points.wryness.copy()
+        varying = _nothing(n, 0, d, d), wryness, _nothing(n, d, block - d, d)
         if sides and points.has_sides:
-            side_F, wryness = points.side_F.copy(), points.side_wryness
             turning = points.side_gradients[:, :, 3 - (block - d) :].copy()
+            varying = points.side_F.copy(), points.side_wryness.copy(), turning
         columns = d + points.second_gradient * d * (d + 1) // 2
-        stress = np.zeros((n, block, columns))
-        second = points.grad_F.copy() if points.second_gradient else np.zeros((n, 0))
-        state = points.x.copy(), points.F.copy(), points.q.copy(), points.wryness.copy()
-        return cls(*state, side_F, wryness.copy(), turning, stress, second, np.zeros((n, 4)))
+        second = points.grad_F.copy() if points.second_gradient else _nothing(n, 0)
+        state = points.x.copy(), points.F.copy(), points.q.copy(), wryness
+        return cls(*state, *varying, _nothing(n, block, columns), second, _nothing(n, 4))
 
     def rebase_rotations(self, points: Points) -> None:
         """Count rotations from the points' current ones on; an initial stress turns with its base."""
+        if self.initial_stress.any():
+            self._turn_initial_stress(points)
+        self.q, self.wryness = points.q.copy(), points.wryness.copy()
+
+    def _turn_initial_stress(self, points: Points) -> None:
         d = self.x.shape[1]
         turn = rotations.to_tensor(points.q) @ np.swapaxes(rotations.to_tensor(self.q), 1, 2)
         stress = self.initial_stress.copy()
@@ -70,7 +83,6 @@ class Reference:
             rows = slice(first, first + d)
             stress[:, rows] = turn[:, :d, :d] @ stress[:, rows]
         self.initial_stress = stress
-        self.q, self.wryness = points.q.copy(), points.wryness.copy()
 
     def moved(self, route: Route) -> Reference:
         """The same of points that have gone to other ranks. Collective."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 from mpi4py import MPI
 
 import ufl
@@ -10,6 +12,7 @@ from ..kernels import codegen, jit
 from ..kernels.codegen import Scalariser
 from ..kernels.csource import write_c
 from ..kernels.kernel import Kernel, PointSpace, generator_version
+from ..kernels.recall import recalled
 from ..kinematics import tensors as kin
 from ..tools import compat
 
@@ -24,11 +27,16 @@ class CoupleForm:
     def __init__(self) -> None:
         self.space = PointSpace(compat.point_domain())
         self.w, self.m = self.space.coefficient(3), self.space.coefficient(3)
-        space = self.space.function_space(3)
-        test, trial = ufl.TestFunction(space), ufl.TrialFunction(space)
+
+    @cached_property
+    def residual(self) -> ufl.Form:
         w, m = (ufl.as_vector([c[i] for i in range(3)]) for c in (self.w, self.m))
-        self.residual = -kin.couple_work(m, w, test) * ufl.dx(domain=self.space.domain, degree=1)
-        self.tangent = ufl.derivative(self.residual, self.w, trial)
+        test = ufl.TestFunction(self.space.function_space(3))
+        return -kin.couple_work(m, w, test) * ufl.dx(domain=self.space.domain, degree=1)
+
+    @cached_property
+    def tangent(self) -> ufl.Form:
+        return ufl.derivative(self.residual, self.w, ufl.TrialFunction(self.space.function_space(3)))
 
     def _source(self) -> str:
         scalarise = Scalariser({self.w: 0, self.m: 3})
@@ -37,9 +45,12 @@ class CoupleForm:
         nodes = codegen.coefficients(r, (3,), zero) + codegen.coefficients(k, (3, 3), zero)
         return write_c(scalarise.graph, {"couple": nodes})
 
-    def compile(self, comm: MPI.Comm) -> Kernel:
-        """Kernel (w, m) -> residual (3) and tangent (3 x 3). Collective."""
+    def _named(self) -> str:
         terminals = {self.w: 0, self.m: 1, self.space.domain: 0}
         signature = compat.expression_signature(codegen.integrand(self.tangent), terminals)
-        lib = jit.library(jit.digest(generator_version(), "couple", signature), self._source, comm)
+        return jit.digest(generator_version(), "couple", signature)
+
+    def compile(self, comm: MPI.Comm) -> Kernel:
+        """Kernel (w, m) -> residual (3) and tangent (3 x 3). Collective."""
+        lib = jit.library(recalled("couple", self._named), self._source, comm)
         return Kernel(lib, "couple", 6, 12)

@@ -23,7 +23,7 @@ from .initialstress import InitialKernels
 from .plastic import PlasticForm
 from .points import PointForm
 from .projected import ProjectedForm
-from .returns import LocalProblem, Vector, compile_functions
+from .returns import LocalProblem, Program, Vector, compile_functions
 
 
 class Direction:
@@ -62,7 +62,8 @@ class Direction:
         """The kernel of a `Vector`, or of a list of UFL scalars; `of`: the code of the kernel of which these
         are derivatives. Collective."""
         functions, known = {name: part if isinstance(part, list) else [part]}, ["along", of] if of else []
-        kernels = compile_functions(self.space, name, functions, self.terminals, self.inputs, comm, known)
+        program = Program(functions, self.terminals, self.inputs, self.space)
+        kernels = compile_functions(name, lambda: program, comm, known)
         assert kernels[name].outputs == size
         return kernels[name]
 

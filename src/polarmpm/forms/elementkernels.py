@@ -45,7 +45,7 @@ class KernelForms(ElementForms):
             make_form(m, elements.dim, points.axisymmetric) for m in points.materials
         ]
         for form in self.point_forms:
-            _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
+            form.check()
         self._comm = elements.comm
         self._parameters = [parameter_values(form.material) for form in self.point_forms]
         self._states: list[np.ndarray] = []  # of each material's points

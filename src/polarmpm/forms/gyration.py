@@ -31,10 +31,13 @@ def momentum_kernel(comm: MPI.Comm) -> Kernel:
     """Kernel (w, J row by row) -> `turning_momentum` (3) and its derivative (3 x 3). Collective."""
     space = PointSpace(compat.point_domain())
     w, inertia = space.coefficient(3), space.coefficient(9)
-    at = ufl.variable(ufl.as_vector([w[i] for i in range(3)]))
-    momentum = turning_momentum(at, matrix(inertia, 3, 3))
-    values = [momentum, ufl.diff(momentum, at)]
-    return compile_expressions(values, {w: 0, inertia: 3}, 12, space.domain, comm)
+
+    def values() -> list[Any]:
+        at = ufl.variable(ufl.as_vector([w[i] for i in range(3)]))
+        momentum = turning_momentum(at, matrix(inertia, 3, 3))
+        return [momentum, ufl.diff(momentum, at)]
+
+    return compile_expressions(values, {w: 0, inertia: 3}, 12, space.domain, comm, of="momentum")
 
 
 def gyration_kernel(comm: MPI.Comm) -> Kernel:
@@ -43,9 +46,13 @@ def gyration_kernel(comm: MPI.Comm) -> Kernel:
     space = PointSpace(compat.point_domain())
     sizes = 3, 9, 2
     w, inertia, numbers = (space.coefficient(n) for n in sizes)
-    at = ufl.variable(ufl.as_vector([w[i] for i in range(3)]))
-    scale, theta = numbers[0], numbers[1]
-    couple = scale * theta * turning_momentum(at / theta, matrix(inertia, 3, 3))
-    work = ufl.dot(kin.left_tangent(at).T, couple)
+
+    def values() -> list[Any]:
+        at = ufl.variable(ufl.as_vector([w[i] for i in range(3)]))
+        scale, theta = numbers[0], numbers[1]
+        couple = scale * theta * turning_momentum(at / theta, matrix(inertia, 3, 3))
+        work = ufl.dot(kin.left_tangent(at).T, couple)
+        return [work, ufl.diff(work, at)]
+
     slots = {w: 0, inertia: 3, numbers: 12}
-    return compile_expressions([work, ufl.diff(work, at)], slots, 14, space.domain, comm)
+    return compile_expressions(values, slots, 14, space.domain, comm, of="gyration")

@@ -25,6 +25,7 @@ With M_LJK = T^-1_Li T^-1_Jj T^-1_Kk M0_ijk and N = T^-1 H~, where D = F^T F and
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -37,6 +38,7 @@ from ..kernels import codegen, jit
 from ..kernels.codegen import Scalariser
 from ..kernels.csource import write_c
 from ..kernels.kernel import Kernel, PointSpace, compile_expressions, generator_version, matrix
+from ..kernels.recall import recalled
 from ..kinematics import tensors as kin
 from ..kinematics.layout import Layout
 from ..tools import compat
@@ -162,26 +164,32 @@ class InitialStressForm:
 
     def compile(self, comm: MPI.Comm) -> InitialKernels:
         """Collective."""
-        n, space = self.layout.unknowns, self.space.function_space(self.layout.unknowns)
-        energy = self.energy
-        test, trial = ufl.TestFunction(space), ufl.TrialFunction(space)
-        residual = ufl.derivative(energy, self.z, test) * ufl.dx(domain=self.space.domain, degree=1)
-        tangent = ufl.derivative(residual, self.z, trial)
-        terminals = {**{c: i for i, c in enumerate(self.terminals)}, self.space.domain: 0}
-        signature = compat.expression_signature(codegen.integrand(tangent), terminals)
-
-        def source() -> str:
-            scalarise = Scalariser(self.terminals)
-            r, k = (scalarise.scalar(codegen.expand(codegen.integrand(f))) for f in (residual, tangent))
-            zero = scalarise.graph.zero
-            rows, full = codegen.coefficients(r, (n,), zero), codegen.coefficients(k, (n, n), zero)
-            upper = [full[i * n + j] for i in range(n) for j in range(i, n)]
-            return write_c(scalarise.graph, {"residual": rows, "blocks": rows + upper})
-
-        lib = jit.library(jit.digest(generator_version(), "blocks", signature), source, comm)
+        n, domain, of = self.layout.unknowns, self.space.domain, ("initial", self.layout, self._weights)
+        lib = jit.library(recalled(of, self._named), self._source, comm)
         return InitialKernels(
             self,
             Kernel(lib, "residual", self.inputs, n),
             Kernel(lib, "blocks", self.inputs, n + n * (n + 1) // 2),
-            compile_expressions([energy], self.terminals, self.inputs, self.space.domain, comm),
+            compile_expressions(lambda: [self.energy], self.terminals, self.inputs, domain, comm, of=of),
         )
+
+    @cached_property
+    def _derivatives(self) -> list[Any]:
+        """Integrands of residual and tangent."""
+        space = self.space.function_space(self.layout.unknowns)
+        test, trial = ufl.TestFunction(space), ufl.TrialFunction(space)
+        residual = ufl.derivative(self.energy, self.z, test) * ufl.dx(domain=self.space.domain, degree=1)
+        return [codegen.integrand(form) for form in (residual, ufl.derivative(residual, self.z, trial))]
+
+    def _named(self) -> str:
+        terminals = {**{c: i for i, c in enumerate(self.terminals)}, self.space.domain: 0}
+        signature = compat.expression_signature(self._derivatives[1], terminals)
+        return jit.digest(generator_version(), "blocks", signature)
+
+    def _source(self) -> str:
+        n, scalarise = self.layout.unknowns, Scalariser(self.terminals)
+        r, k = (scalarise.scalar(codegen.expand(integrand)) for integrand in self._derivatives)
+        zero = scalarise.graph.zero
+        rows, full = codegen.coefficients(r, (n,), zero), codegen.coefficients(k, (n, n), zero)
+        upper = [full[i * n + j] for i in range(n) for j in range(i, n)]
+        return write_c(scalarise.graph, {"residual": rows, "blocks": rows + upper})

@@ -12,7 +12,7 @@ ds/dz - ds/dX (dr/dX)^-1 dr/dz; every derivative in it is UFL's.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -25,11 +25,12 @@ from ..errors import InputError
 from ..kernels.kernel import Kernel
 from ..kinematics import rotations
 from ..kinematics.layout import Layout
-from ..materials.base import Material, evaluate_scalar, named_parameters
+from ..materials.base import Material, named_parameters
 from ..materials.plastic import Plastic, check_regions
 from ..materials.regions import LocalState, Region, Scales
+from . import plastickinds
 from .points import PointForm
-from .returns import LocalProblem, Return, compile_functions
+from .returns import LocalProblem, Program, Return, compile_functions, compile_return
 from .strains import elastic_stress, motion, pushed, strain_measures
 
 _PLANE = ((0, 0), (0, 1), (1, 0), (1, 1), (2, 2))  # entries of deformations in plane strain
@@ -124,6 +125,10 @@ class PlasticForm(PointForm):
             P, plastic_wryness = turn @ P @ back, turn @ plastic_wryness @ back
         return pack_plastic_state(self.layout, P, plastic_wryness, chi)
 
+    def _made_of(self) -> Hashable:
+        regions = tuple((region.name, region.multipliers) for region in self.regions)
+        return super()._made_of(), regions, plastickinds.of_yielding(self.material, self.surfaces)
+
     # trial state ----------------------------------------------------------------------------------
     @cached_property
     def _plastic_state(self) -> tuple[Any, Any, Any]:
@@ -187,8 +192,7 @@ class PlasticForm(PointForm):
         return pushed(b, q, ufl.dot(q, deformation)), pushed(s, q, f)
 
     def _hardening_energy(self, chi: Any) -> Any:
-        what = f"hardening_energy of {type(self.material).__name__}"
-        return evaluate_scalar(what, self.material.hardening_energy, chi, self._numbers)
+        return plastickinds.hardening_energy(self.material, chi, self._numbers)
 
     # local problem --------------------------------------------------------------------------------
     def local_state(self, X: Any, multipliers: int) -> LocalState:
@@ -246,7 +250,7 @@ class PlasticForm(PointForm):
             residual=region.residual(state),
             flow=[*region.flow(state), *others],
             work=self._work(state),
-            row_scale=region.row_scale(self._scales),
+            space=self.space,
         )
 
     @property
@@ -261,16 +265,24 @@ class PlasticForm(PointForm):
         likely the state is to return there (> 0), see `Plastic.first_region`. Compiled when it is asked for
         first; collective."""
         if self._trial_kernel is None:
-            functions = {"trial": self._trial_rows()}
-            made = compile_functions(self.space, "trial", functions, self.terminals, self.inputs, comm)
-            self._trial_kernel = made["trial"]
+            self._trial_kernel = compile_functions("trial", self._trial_program, comm, of=self.kind)["trial"]
         return self._trial_kernel
 
     def return_kernels(self, region: Region, comm: MPI.Comm) -> Return:
         """Kernels of a region. Compiled when they are asked for first; collective."""
         if region.name not in self._returns:
-            self._returns[region.name] = self.local_problem(region).compile(self.space, comm)
+            equations = plastickinds.of_region(self.material, region, self.layout.dim, entries(self.layout))
+            self._returns[region.name] = compile_return(
+                region.name,
+                lambda: self.local_problem(region),
+                region.row_scale(self._scales),
+                comm,
+                of=(self.kind, equations),
+            )
         return self._returns[region.name]
+
+    def _trial_program(self) -> Program:
+        return Program({"trial": self._trial_rows()}, self.terminals, self.inputs, self.space)
 
     def _trial_rows(self) -> list[Any]:
         ue, ge = self._trial

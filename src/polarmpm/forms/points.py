@@ -13,7 +13,7 @@ G = du/dx~ T and Gw = dw/dx~ T with the frame T = V~ or F~, the first entries of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -26,10 +26,12 @@ from ..kernels import codegen, jit
 from ..kernels.codegen import Scalariser
 from ..kernels.csource import write_c
 from ..kernels.kernel import Kernel, PointSpace, compile_expressions, generator_version
+from ..kernels.recall import recalled
 from ..kinematics import tensors as kin
 from ..kinematics.layout import Layout
 from ..materials.base import Material, evaluate_energy, named_parameters, parameter_values
 from ..tools import compat
+from . import kinds
 from .strains import predicts, strains, tangent_work, virtual_work
 
 
@@ -114,14 +116,32 @@ class PointForm:
     def packing(self, comm: MPI.Comm) -> Kernel:
         """Kernel (F, q, Gamma) -> state in the rotated frame. Collective."""
         if self._packing is None:
-            full = self.layout.in_space.state()
-            reference = self.space.coefficient(full.size)
-            turn = kin.quaternion_tensor(full.quaternion(reference))
-            frame = ufl.dot(full.frame(reference), ufl.transpose(turn))
-            wryness = ufl.dot(turn, ufl.dot(full.wryness(reference), ufl.transpose(turn)))
-            parts = self.layout.state(rotated=True).scalars(frame, wryness)
-            self._packing = compile_expressions(parts, {reference: 0}, full.size, self.space.domain, comm)
+            size = self.layout.in_space.state().size
+            reference, kind = self.space.coefficient(size), ("packing", self.layout)
+            self._packing = compile_expressions(
+                lambda: self._packed(reference), {reference: 0}, size, self.space.domain, comm, of=kind
+            )
         return self._packing
+
+    def _packed(self, reference: Any) -> list[Any]:
+        full = self.layout.in_space.state()
+        turn = kin.quaternion_tensor(full.quaternion(reference))
+        frame = ufl.dot(full.frame(reference), ufl.transpose(turn))
+        wryness = ufl.dot(turn, ufl.dot(full.wryness(reference), ufl.transpose(turn)))
+        return self.layout.state(rotated=True).scalars(frame, wryness)
+
+    @cached_property
+    def kind(self) -> Hashable:
+        """All that its kernels depend on: another form of the same kind has the same ones."""
+        return self._made_of()
+
+    def _made_of(self) -> Hashable:
+        of = kinds.of_material(self.material)
+        return type(self), self.layout, self.rotated, self.scalars, self.turns, of
+
+    def check(self) -> None:
+        """Raise InputError where one of the material's functions has a mistake that its UFL shows."""
+        recalled(("checked", self.kind), lambda: self.energy is not None)
 
     # forms --------------------------------------------------------------------------------------
     @cached_property
@@ -190,6 +210,10 @@ class PointForm:
         upper = [full[i * n + j] for i in range(n) for j in range(i, n)]
         return write_c(scalarise.graph, {"residual": rows, "blocks": rows + upper})
 
+    def _named(self) -> str:
+        signature = self._signature(codegen.integrand(self.iteration_tangent))
+        return jit.digest(generator_version(), f"blocks {self._waist}", signature)
+
     def compile(self, comm: MPI.Comm) -> tuple[Kernel, Kernel]:
         """(residual, residual and upper triangle of the iterations' tangent) as kernels of (z, state,
         parameters); the second one, where the form predicts stresses, also of z before the last correction.
@@ -197,12 +221,12 @@ class PointForm:
         if self.rotated and self.material.micropolar:
             self.packing(comm)
         n = self.layout.unknowns
-        signature = self._signature(codegen.integrand(self.iteration_tangent))
-        self.code = jit.digest(generator_version(), f"blocks {self._waist}", signature)
+        self.code = recalled(("blocks", self.kind), self._named)
         lib = jit.library(self.code, self._source, comm)
         size, inputs = n + n * (n + 1) // 2, self.inputs + (n if self.predicts else 0)
         return Kernel(lib, "residual", self.inputs, n), Kernel(lib, "blocks", inputs, size)
 
     def compile_energy(self, comm: MPI.Comm) -> Kernel:
         """Energy per reference volume as a kernel of (z, state, parameters)."""
-        return compile_expressions([self.energy], self.terminals, self.inputs, self.space.domain, comm)
+        of, domain = ("energy", self.kind), self.space.domain
+        return compile_expressions(lambda: [self.energy], self.terminals, self.inputs, domain, comm, of=of)

@@ -29,6 +29,7 @@ from ..kernels import codegen, jit
 from ..kernels.codegen import Scalariser
 from ..kernels.csource import write_c
 from ..kernels.kernel import Kernel, compile_expressions, generator_version
+from ..kernels.recall import recalled
 from ..kinematics import projected as proj
 from ..kinematics import rotations
 from ..kinematics import tensors as kin
@@ -283,13 +284,16 @@ class ProjectedForm(PointForm):
         return write_c(scalarise.graph, functions)
 
     def _library(self, comm: MPI.Comm) -> Any:
+        self.code = recalled(("projected", self.kind), self._named)
+        return jit.library(self.code, self._source, comm)
+
+    def _named(self) -> str:
         slots = ",".join(map(str, self.terminals.values()))
         signature = self._signature(codegen.integrand(self.tangent))
         # the tangent has all of the form, but what is linear in e alone
         scalars = [compat.expression_signature(e, self._order) for e in self.scalars_now]
         kind = f"projected, with slopes, {self._waist}" if self._waist else "projected, with slopes"
-        self.code = jit.digest(generator_version(), kind, slots, signature, *scalars)
-        return jit.library(self.code, self._source, comm)
+        return jit.digest(generator_version(), kind, slots, signature, *scalars)
 
     @property
     def _order(self) -> dict[Any, int]:
@@ -311,7 +315,9 @@ class ProjectedForm(PointForm):
 
     def _compile_scalars(self, comm: MPI.Comm) -> ScalarKernels:
         nz, m, n, lib = self.layout.unknowns, self.scalars, self.inputs, self._library(comm)
-        moved = compile_expressions([self.moved.F], self.terminals, n, self.space.domain, comm)
+        moved = compile_expressions(
+            lambda: [self.moved.F], self.terminals, n, self.space.domain, comm, of=("moved", self.kind)
+        )
         return ScalarKernels(
             Kernel(lib, "measure", n, m * (1 + nz)),
             Kernel(lib, "slopes", n, m),

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cache, cached_property, partial
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
@@ -15,6 +16,7 @@ from ..kernels import codegen, jit
 from ..kernels.codegen import Scalariser
 from ..kernels.csource import write_c
 from ..kernels.kernel import Kernel, PointSpace, Slots, generator_version
+from ..kernels.recall import recalled
 from ..tools import compat
 
 _WAIST = 2  # scalars that a derivative is carried through; a fifth to a half fewer operations
@@ -56,7 +58,7 @@ class LocalProblem:
         inputs: length of the kernels' input, with X.
         residual, flow: UFL scalars, see `materials.regions`.
         work: s(X, z), a linear form in variations of z.
-        row_scale: factors (nx,) that make residuals strains.
+        space: of the coefficients.
     """
 
     name: str
@@ -67,11 +69,11 @@ class LocalProblem:
     residual: list[Any]
     flow: list[Any]
     work: Any
-    row_scale: np.ndarray
+    space: PointSpace
 
-    def compile(self, space: PointSpace, comm: MPI.Comm) -> Return:
-        """The region's kernels. Collective."""
-        nz, nx, s = self.z.ufl_shape[0], self.X.ufl_shape[0], self.work
+    @cached_property
+    def _programs(self) -> dict[str, Functions]:
+        space, nz, nx, s = self.space, self.z.ufl_shape[0], self.X.ufl_shape[0], self.work
         by_local, by_z = (ufl.TrialFunction(space.function_space(n)) for n in (nx, nz))
         form = ufl.dot(ufl.as_vector(self.residual), ufl.TestFunction(space.function_space(nx)))
         local: Functions = {
@@ -86,11 +88,27 @@ class LocalProblem:
                 Matrix(ufl.derivative(form, self.z, by_z), nx, nz),
             ],
         }
-        kernels: dict[str, Kernel] = {}
-        for part, functions in (("local", local), ("work", work), ("flow", {"flow": self.flow})):
-            name = f"{self.name}_{part}"
-            kernels |= compile_functions(space, name, functions, self.terminals, self.inputs, comm)
-        return Return(kernels["local"], kernels["stress"], kernels["moduli"], kernels["flow"], self.row_scale)
+        return {"local": local, "work": work, "flow": {"flow": self.flow}}
+
+    def program(self, part: str) -> Program:
+        """The region's kernels share three libraries, "local", "work" and "flow"."""
+        return Program(self._programs[part], self.terminals, self.inputs, self.space)
+
+
+def compile_return(
+    name: str, problem: Callable[[], LocalProblem], row_scale: np.ndarray, comm: MPI.Comm, of: Hashable
+) -> Return:
+    """A region's kernels; what makes its problem isn't asked for where they are known by `of`, see `recall`.
+    Collective."""
+    made = cache(problem)
+    kernels: dict[str, Kernel] = {}
+    for part in ("local", "work", "flow"):
+        kernels |= compile_functions(f"{name}_{part}", partial(_program, made, part), comm, of=of)
+    return Return(kernels["local"], kernels["stress"], kernels["moduli"], kernels["flow"], row_scale)
+
+
+def _program(problem: Callable[[], LocalProblem], part: str) -> Program:
+    return problem().program(part)
 
 
 @dataclass
@@ -113,34 +131,55 @@ class Matrix:
 Functions = dict[str, list[Any]]  # UFL scalars, `Vector` and `Matrix` by the name of a C function
 
 
-def compile_functions(
-    space: PointSpace,
-    name: str,
-    functions: Functions,
-    terminals: Slots,
-    inputs: int,
-    comm: MPI.Comm,
-    known: Sequence[str] = (),
-) -> dict[str, Kernel]:
-    """Kernels of functions that are lists of UFL scalars or of forms' coefficients; `known` as of
-    `compile_expressions`. Collective."""
-    order, key = {**{c: i for i, c in enumerate(terminals)}, space.domain: 0}, known
-    if not known:
-        parts = [part for list_ in functions.values() for part in list_]
-        key = [compat.expression_signature(_expression(part), order) for part in parts]
-    layout = ",".join(f"{slot}" for slot in terminals.values())
+@dataclass
+class Program:
+    """C functions of one library, and the coefficients of their input."""
 
-    def source() -> str:
-        scalarise = Scalariser(terminals, waist=_WAIST)
+    functions: Functions
+    terminals: Slots
+    inputs: int
+    space: PointSpace
+
+    def recipe(self, name: str, known: Sequence[str]) -> Recipe:
+        """What tells the library from others are signatures, or `known` as of `compile_expressions`."""
+        order, key = {**{c: i for i, c in enumerate(self.terminals)}, self.space.domain: 0}, known
+        if not known:
+            parts = [part for list_ in self.functions.values() for part in list_]
+            key = [compat.expression_signature(_expression(part), order) for part in parts]
+        layout = ",".join(f"{slot}" for slot in self.terminals.values())
+        sizes = {f: sum(_size(part) for part in parts) for f, parts in self.functions.items()}
+        return Recipe(jit.digest(generator_version(), name, layout, *key), self.inputs, sizes)
+
+    def source(self) -> str:
+        scalarise = Scalariser(self.terminals, waist=_WAIST)
         written: dict[str, Sequence[int]] = {
             function: [node for part in parts for node in _nodes(scalarise, part)]
-            for function, parts in functions.items()
+            for function, parts in self.functions.items()
         }
         return write_c(scalarise.graph, written)
 
-    lib = jit.library(jit.digest(generator_version(), name, layout, *key), source, comm)
-    sizes = {function: sum(_size(part) for part in parts) for function, parts in functions.items()}
-    return {function: Kernel(lib, function, inputs, size) for function, size in sizes.items()}
+
+class Recipe(NamedTuple):
+    """Name of a library's code, length of its functions' input, and how many numbers each gives."""
+
+    code: str
+    inputs: int
+    outputs: dict[str, int]
+
+
+def compile_functions(
+    name: str,
+    program: Callable[[], Program],
+    comm: MPI.Comm,
+    known: Sequence[str] = (),
+    of: Hashable = None,
+) -> dict[str, Kernel]:
+    """Kernels of functions that are lists of UFL scalars or of forms' coefficients. What makes the program
+    isn't asked for where it is known by `of`, see `recall`. Collective."""
+    made = cache(program)
+    recipe = recalled(of and (name, of), lambda: made().recipe(name, known))
+    lib = jit.library(recipe.code, lambda: made().source(), comm)
+    return {function: Kernel(lib, function, recipe.inputs, n) for function, n in recipe.outputs.items()}
 
 
 def _expression(part: Any) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
@@ -15,9 +15,11 @@ import ufl
 
 from ..errors import InputError
 from ..kernels.kernel import Kernel, PointSpace, compile_expressions, matrix, third
+from ..kernels.recall import recalled
 from ..kinematics import tensors as kin
 from ..materials.base import Material, evaluate_energy, named_parameters, parameter_values
 from ..tools import checks, compat, quiet
+from . import kinds
 from .strains import elastic_stress, pushed, strain_measures
 
 if TYPE_CHECKING:
@@ -266,13 +268,30 @@ class FieldForm:
     def compile(self, comm: MPI.Comm) -> Kernel:
         """Kernel (F, q, Gamma, H, plastic state, parameters) -> the fields, row by row; by default 19
         numbers, (W, sigma, mu). Collective."""
-        return compile_expressions(self.expressions, self.terminals, self.size, self.space.domain, comm)
+        domain, of = self.space.domain, self._kind
+        return compile_expressions(lambda: self.expressions, self.terminals, self.size, domain, comm, of=of)
+
+    @cached_property
+    def _kind(self) -> Hashable:
+        """What its own fields are made of; a script's functions aren't known."""
+        if not all(TABLE.get(field.name) is field for field in self.fields):
+            return None
+        of = kinds.of_material(self.material)
+        if self.material.plastic:
+            from . import plastickinds  # lazy import: elastic scenes need no plasticity
+
+            of = of, plastickinds.of_hardening(cast("Plastic", self.material))
+        return "fields", tuple(field.name for field in self.fields), of
+
+    @cached_property
+    def _shapes(self) -> list[tuple[int, ...]]:
+        of = self._kind
+        return recalled(of and ("shapes", of), lambda: [e.ufl_shape for e in self.expressions])
 
     def split(self, rows: np.ndarray) -> dict[str, np.ndarray]:
         """Fields by name, of what the kernel gives."""
         out, first = {}, 0
-        for field, expression in zip(self.fields, self.expressions, strict=True):
-            shape = expression.ufl_shape
+        for field, shape in zip(self.fields, self._shapes, strict=True):
             last = first + int(np.prod(shape, dtype=int))
             out[field.name] = rows[:, first:last].reshape(len(rows), *shape)
             if field.after is not None:

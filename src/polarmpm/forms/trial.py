@@ -10,10 +10,12 @@ from ..errors import InputError, KernelError, TrustWarning
 from ..kernels import codegen
 from ..kernels.codegen import Scalariser
 from ..kernels.kernel import PointSpace, matrix, third
+from ..kernels.recall import recalled
 from ..kinematics import rotations
 from ..materials.base import Material, UserEnergy, evaluate_energy, named_parameters, parameter_values
 from ..tools import compat
 from ..tools.parallel import warn_on_one_rank
+from . import kinds
 from .strains import elastic_stress, strain_measures
 
 _STATES = 4  # the first one at rest
@@ -31,7 +33,8 @@ def try_energy(material: Material, comm: MPI.Comm) -> None:
     if own and not isinstance(elastic, UserEnergy):
         return
     try:
-        depends, energy, stress = _evaluated(elastic)
+        of = "tried", kinds.of_material(elastic), tuple(parameter_values(elastic))
+        depends, energy, stress = recalled(of, lambda: _evaluated(elastic))
     except KernelError:  # is said when it is compiled
         return
     kind = type(elastic).__name__

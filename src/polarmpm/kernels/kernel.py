@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -19,6 +19,7 @@ from ..tools import compat
 from . import codegen, csource, graph, jit, native
 from .codegen import Scalariser
 from .csource import write_c
+from .recall import recalled
 
 
 @cache
@@ -86,28 +87,38 @@ def third(c: Any) -> Any:
 
 
 def compile_expressions(
-    expressions: list[Any],
+    expressions: list[Any] | Callable[[], list[Any]],
     terminals: Slots,
     inputs: int,
     domain: Any,
     comm: MPI.Comm,
     known: Sequence[str] = (),
+    of: Hashable = None,
 ) -> Kernel:
-    """One kernel that evaluates UFL expressions (any shape, flattened row by row) of its inputs; `known`:
-    what tells it from others, if signatures, which take a while, needn't."""
-    order, signatures = {c: i for i, c in enumerate(terminals)}, known
-    if not known:
-        signatures = [compat.expression_signature(e, {**order, domain: 0}) for e in expressions]
-    size = sum(int(np.prod(e.ufl_shape, dtype=int)) for e in expressions)
+    """One kernel that evaluates UFL expressions (any shape, flattened row by row) of its inputs.
+
+    Args:
+        expressions: or what makes them, which a kernel that is known by `of` isn't asked for.
+        known: what tells it from others, if signatures, which take a while, needn't.
+        of: what the expressions are made of, see `recall`.
+    """
+    built: Callable[[], list[Any]] = cache(expressions if callable(expressions) else lambda: expressions)
+    layout = ",".join(f"{slot}" for slot in terminals.values())
+
+    def named() -> tuple[str, int]:
+        order, signatures = {c: i for i, c in enumerate(terminals)}, known
+        if not known:
+            signatures = [compat.expression_signature(e, {**order, domain: 0}) for e in built()]
+        size = sum(int(np.prod(e.ufl_shape, dtype=int)) for e in built())
+        return jit.digest(generator_version(), "expr", layout, *signatures), size
 
     def source() -> str:
         scalarise = Scalariser(terminals)
         nodes = []
-        for e in expressions:
+        for e in built():
             data = scalarise(codegen.expand(e)).data
             nodes += [scalarise.plain(data[index]) for index in np.ndindex(*data.shape)]
         return write_c(scalarise.graph, {"evaluate": nodes})
 
-    layout = ",".join(f"{slot}" for slot in terminals.values())
-    lib = jit.library(jit.digest(generator_version(), "expr", layout, *signatures), source, comm)
-    return Kernel(lib, "evaluate", inputs, size)
+    code, size = recalled(of and ("expressions", of, layout), named)
+    return Kernel(jit.library(code, source, comm), "evaluate", inputs, size)

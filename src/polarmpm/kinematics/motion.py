@@ -160,7 +160,12 @@ class Motion:
         self._state, self._z = space.coefficient(size), space.coefficient(unknowns)
         terminals = {self._state: 0, self._z: size}
         self._kernel: Kernel = compile_expressions(
-            self._expressions(), terminals, size + unknowns, space.domain, comm
+            self._expressions,
+            terminals,
+            size + unknowns,
+            space.domain,
+            comm,
+            of=("motion", layout, by_reference),
         )
 
     def _expressions(self) -> list[Any]:

@@ -115,7 +115,7 @@ class BoxRecord:
             left_out = system.inertia is not None or self.points.total > MANY
             if not (self.largest[1] or (tents and left_out)):
                 self._tents = tents
-                self._missed = doubts.missed(system)
+                self._missed = doubts.missed(system, gradient)
             return None
         inside, whole = np.zeros(len(self.points)), np.zeros(len(self.points))
         for boxes, (kernel, _) in zip(system.interpolation.boxes, system.kernels, strict=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from mpi4py import MPI
 
@@ -24,34 +24,50 @@ def strains(system: LoadedPoints, start: np.ndarray, gradient: np.ndarray | None
     `gradient`: of the present increments at the points (np, d, d), where it is known."""
     i = system.interpolation
     eye = np.eye(i.layout.dim)
-    change = eye + (i.gather(system.x).gradient if gradient is None else gradient)
+    change = i.gather(system.x).gradient if gradient is None else gradient
     if start.any():
-        change = change @ np.linalg.inv(eye + i.gather(start).gradient)
-    green: np.ndarray = 0.5 * (np.swapaxes(change, 1, 2) @ change - eye)
+        change = (eye + change) @ np.linalg.inv(eye + i.gather(start).gradient) - eye
+    green = np.empty_like(change)
+    for some in _parts(len(change)):
+        green[some] = 0.5 * np.moveaxis(_twice_green(_last(change[some])), -1, 0)
     return green
 
 
-def missed(system: LoadedPoints) -> float:
+def _twice_green(gradient: np.ndarray) -> np.ndarray:
+    """F^T F - I of gradients F - I (d, d, n), which keeps small ones' digits."""
+    twice: np.ndarray = np.einsum("aip,ajp->ijp", gradient, gradient)
+    twice += gradient + np.swapaxes(gradient, 0, 1)
+    return twice
+
+
+def missed(system: LoadedPoints, present: np.ndarray | None = None) -> float:
     """Share of the strains' squares since the last reset that a sum over the points misses, as they vary over
-    what the points stand for. Collective.
+    what the points stand for; `present`: `gradient` of `strains`. Collective.
 
     Points without half axes are taken for cubes of their volumes, except in cells that they fill: there their
     own second moments tell.
     """
     i, d = system.interpolation, system.interpolation.layout.dim
     axes, volume = _axes(system), i.points.volume0
-    F, inside = np.eye(d) + i.gather(system.x).gradient, 0.0
+    change, eye = i.gather(system.x).gradient if present is None else present, np.eye(d)[:, :, None]
     cells = i.basis.supporting_cells(i.grid, i.reference.x)
+    inside = outside = 0.0
     for some in _parts(len(volume)):
-        along = np.einsum("pijk,plk->plij", _second_gradients(system, cells[some], some), axes[some])
-        varying = np.einsum("pai,plaj->plij", F[some], along)
-        varying = 0.5 * (varying + np.swapaxes(varying, 2, 3))
-        inside += np.einsum("p,plij->", volume[some], varying**2) / 3.0
-    seen = strains(system, np.zeros_like(system.x))
-    sums = [inside, np.einsum("p,pij->", volume, seen**2)]
-    inside, outside, whole = i.grid.comm.allreduce(np.array([*sums, volume.sum()]))
+        second, gradient = _second_gradients(system, cells[some], some), _last(change[some])
+        along = np.einsum("ijkp,lkp->lijp", second, _last(axes[some]))
+        varying = np.einsum("aip,lajp->lijp", gradient + eye, along)
+        varying = varying + np.swapaxes(varying, 1, 2)  # twice the strain's derivatives
+        seen = _twice_green(gradient)
+        inside += volume[some] @ np.einsum("lijp,lijp->p", varying, varying) / 12.0
+        outside += volume[some] @ np.einsum("ijp,ijp->p", seen, seen) / 4.0
+    inside, outside, whole = i.grid.comm.allreduce(np.array([inside, outside, volume.sum()]))
     strained = inside + outside > ROUNDING**2 * whole  # a body that falls or turns freely isn't
     return float(inside / (inside + outside)) if strained else 0.0
+
+
+def _last(rows: np.ndarray) -> np.ndarray:
+    """Points along the last axis instead of the first: sums over components are then loops over points."""
+    return np.ascontiguousarray(np.moveaxis(rows, 0, -1))
 
 
 def _axes(system: LoadedPoints) -> np.ndarray:
@@ -75,7 +91,7 @@ def _axes(system: LoadedPoints) -> np.ndarray:
     return axes
 
 
-_AT_ONCE = 100_000  # points, so that it takes no memory
+_AT_ONCE = 4096  # points, so that it takes no memory but a cache's
 
 
 def _parts(number: int) -> Iterator[slice]:
@@ -84,7 +100,7 @@ def _parts(number: int) -> Iterator[slice]:
 
 
 def _second_gradients(system: LoadedPoints, cells: np.ndarray, some: slice) -> np.ndarray:
-    """Second gradients of the displacement increments at points (n, d, d, d) of cells (n, d); of functions
+    """Second gradients of the displacement increments at points of cells (n, d), (d, d, d, n); of functions
     without second derivatives the mixed ones of what is linear in each direction of a cell."""
     i, d = system.interpolation, system.interpolation.layout.dim
     grid, x = i.grid, i.reference.x[some]
@@ -92,23 +108,41 @@ def _second_gradients(system: LoadedPoints, cells: np.ndarray, some: slice) -> n
         table = i.basis.derivatives(grid, x, cells, 3)
     else:
         table = _linear(grid.within(x, cells), grid.sizes(cells))
-    index = box_indices((table.shape[3],) * d)
-    numbers = grid.node_number(cells)[:, None] + index @ grid.strides
-    u = system.x[i.nodes.local(numbers.ravel()), :d].reshape(*numbers.shape, d)
-    out = np.empty((len(cells), d, d, d))
+    width = (table.shape[3],) * d
+    numbers = grid.node_number(cells)[:, None] + box_indices(width) @ grid.strides
+    at, table = i.nodes.local(numbers.T.ravel()), _last(table)
+    u = np.ascontiguousarray(system.x[at, :d].T).reshape(d, *width, len(cells))
+    out = np.zeros((d, d, d, len(cells)))
     for j in range(d):
-        for k in range(d):
-            order = np.bincount([j, k], minlength=d)
-            weight = np.prod([table[:, a, order[a]][:, index[:, a]] for a in range(d)], axis=0)
-            out[:, :, j, k] = np.einsum("pn,pni->pi", weight, u)
+        for k in range(j, d):
+            orders = np.bincount([j, k], minlength=d)
+            if i.basis.fills_boxes or j != k:
+                out[:, j, k] = out[:, k, j] = _summed(u, [table[a, order] for a, order in enumerate(orders)])
     return out
 
 
+def _summed(u: np.ndarray, weights: Sequence[np.ndarray]) -> np.ndarray:
+    """Sums of nodal values (c, w, ..., w, n), with weights (w, n) along each axis of the nodes."""
+    for weight in weights:
+        u = np.einsum("cw...p,wp->c...p", u, weight)
+    return u
+
+
 def _linear(within: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Values and two derivatives (n, d, 3, 2) of linear functions at places in cells (n, d)."""
+    """Values and derivatives (n, d, 2, 2) of linear functions at places in cells (n, d)."""
     slope = np.stack([-1.0 / size, 1.0 / size], axis=2)
     values = np.stack([1.0 - within, within], axis=2)
-    return np.stack([values, slope, np.zeros_like(slope)], axis=2)
+    return np.stack([values, slope], axis=2)
+
+
+def _shifted(of_cells: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Moments (m, 1 + d, 1 + d + c) about the corners that lie one cell further along some axes."""
+    out = of_cells.copy()
+    for axis in axes:
+        out[:, axis] -= out[:, 0]
+    for axis in axes:
+        out[:, :, axis] -= out[:, :, 0]
+    return out
 
 
 class Recovery:
@@ -135,13 +169,9 @@ class Recovery:
         native.library().polarmpm_fit_sums(
             len(x), d, parts, self._cell, i.points.volume0, self._within, values, of_cells
         )
-        shifts = np.tile(np.eye(d + 1), (len(self._corners), 1, 1))
-        shifts[:, 1:, 0] = -self._corners
         moments = np.zeros((len(known), *of_cells.shape[1:]))
-        for shift, nodes in zip(shifts, self._at.T, strict=True):
-            shifted = shift @ of_cells
-            shifted[:, :, : d + 1] = shifted[:, :, : d + 1] @ shift.T
-            moments[nodes] += shifted
+        for corner, nodes in zip(self._corners, self._at.T, strict=True):
+            moments[nodes] += _shifted(of_cells, np.flatnonzero(corner) + 1)
         shape = moments.shape
         moments = sums_by_number(grid.comm, known, flat(moments)).reshape(shape)
         self._matrix, self._right = moments[:, :, : d + 1], moments[:, :, d + 1 :]

@@ -196,7 +196,7 @@ class QuasiStatic(Regridded):
         axial, dim = self.points.axisymmetric, self.initial_grid.dim
         forms = [choose_form(locking, m, dim, self.basis, axial) for m in materials]
         for form in forms:
-            _ = form.energy  # evaluated now, so that a mistake in a user's energy shows here
+            form.check()
             try_energy(form.material, self.comm)
         return forms
 

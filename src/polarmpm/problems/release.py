@@ -207,6 +207,8 @@ class Releasable(Contact):
     def _left(self, nodes: Nodes) -> np.ndarray:
         """Unknowns (nodes, block) of supports that have been released since the last converged step."""
         left = [s for s in self._leaving if isinstance(s, Support)]
+        if not left:
+            return np.zeros((len(nodes), self.layout.block), dtype=bool)
         return Prescribed(nodes, left, self.layout, self.comm).touched
 
     def _note_handed(self, handed: list[HandedOver], factor: float) -> None:
