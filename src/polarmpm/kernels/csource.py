@@ -14,17 +14,17 @@ _LONG, _PART = 2000, 250
 
 def _steps(graph: Graph, outputs: Sequence[int]) -> list[int]:
     """Nodes of the outputs but constants, operands before their results: one output after the other, and of
-    operands the one that takes the longest way first. So sums stand together, most of what they need is in
-    registers, and there is less to be kept in memory than in the order in which UFL was evaluated."""
-    found: dict[int, int] = {}  # operations one after the other up to a node
+    operands the one with the most operations in a row first. So terms of a sum stand together, and far less
+    goes through memory than in the order in which UFL was evaluated, term by term of all sums."""
+    depth: dict[int, int] = {}  # operations one after the other up to a node
     waiting = list(outputs)
     while waiting:
         i = waiting[-1]
         operands = _operands(graph, i)
-        open_ones = [a for a in operands if a not in found]
-        if i in found or not open_ones:
+        open_ones = [a for a in operands if a not in depth]
+        if i in depth or not open_ones:
             waiting.pop()
-            found.setdefault(i, 1 + max((found[a] for a in operands), default=0))
+            depth.setdefault(i, 1 + max((depth[a] for a in operands), default=0))
         waiting += open_ones
     steps: dict[int, None] = {}
     waiting = [i for i in reversed(outputs) if graph.value(i) is None]
@@ -33,7 +33,7 @@ def _steps(graph: Graph, outputs: Sequence[int]) -> list[int]:
         open_ones = [a for a in _operands(graph, i) if a not in steps]
         if i in steps or not open_ones:
             steps.setdefault(waiting.pop())
-        waiting += sorted(open_ones, key=found.__getitem__)
+        waiting += sorted(open_ones, key=depth.__getitem__)
     return list(steps)
 
 
@@ -122,7 +122,7 @@ def _output(graph: Graph, k: int, i: int) -> str:
 
 
 def _written(graph: Graph, outputs: Sequence[int]) -> dict[int, list[str]]:
-    """What writes a node to the outputs that it is, as soon as it is known: until then it would take a register."""
+    """Statements that write a node to its outputs, at once: until then it would take a register."""
     lines: dict[int, list[str]] = {}
     for k, i in enumerate(outputs):
         lines.setdefault(i, []).append(_output(graph, k, i))
