@@ -221,6 +221,26 @@ def test_long_functions_are_the_same_in_parts(part, monkeypatch):
     np.testing.assert_allclose(evaluated(), whole, rtol=1e-12)  # other products are fused with sums
 
 
+def test_statements_stand_output_by_output():
+    """Each node once, after its operands, and what only one output needs before the next output is begun."""
+    graph = Graph()
+    a, b, c = map(graph.input, range(3))
+    shared = graph.mul(a, b)
+    first = [graph.add(shared, graph.mul(c, graph.constant(k))) for k in (2.0, 3.0)]
+    outputs = [graph.add(f, graph.mul(f, c)) for f in first] + [graph.one]
+    graph.mul(c, c)  # nothing needs it
+    steps = csource._steps(graph, outputs)
+    for i in steps:
+        assert all(steps.index(o) < steps.index(i) for o in csource._operands(graph, i))
+    assert len(set(steps)) == len(steps) == 12
+    end = steps.index(outputs[0])
+    assert first[0] in steps[:end]
+    assert first[1] not in steps[:end]
+    lines = csource.write_c(graph, {"evaluate": outputs}).splitlines()
+    written = next(k for k, line in enumerate(lines) if "out[0 * PARTS]" in line)
+    assert f"v t{outputs[0]} =" in lines[written - 1]  # at once, in front of what the next one needs
+
+
 def test_cancelling_arguments_leave_nothing():
     """v - v is no coefficient at all."""
     test, _ = arguments()

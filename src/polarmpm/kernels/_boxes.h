@@ -45,7 +45,7 @@ typedef struct {
     lanes_t *even, *odd;       /* [nz][nz]: sums and differences of the moduli on both sides */
     lanes_t *common, *apart;   /* [nz][moduli_of]: what they make of z and second derivatives, see find_whole */
     lanes_t *whole;            /* [moduli_of][moduli_of] */
-    double *full;              /* [MANY][moduli_of][moduli_of]: the same of single points */
+    int32_t *at;               /* [moduli_of][moduli_of] where an entry of it stands, whose upper triangle is filled */
     lanes_t *hoop;             /* [side]: `box_hoop` */
     lanes_t *arched, *arched_before;  /* [side][BENT]: quadratic parts of the values in z; before the last correction */
     lanes_t *both;             /* [side][BENT]: sum of what the values do work on, on both sides */
@@ -69,18 +69,20 @@ static int create_boxes(const Batch *b, int sv, int shapes, int whole, BoxWork *
                    .moduli = vectors(whole ? (size_t)2 * SIDES * outputs * LANES : 1),
                    .even = vectors(whole ? (size_t)nz * nz * LANES : 1), .odd = vectors(whole ? (size_t)nz * nz * LANES : 1),
                    .common = vectors(nz * all * LANES), .apart = vectors(nz * all * LANES), .whole = vectors(all * all * LANES),
-                   .full = vectors(all * all * MANY),
+                   .at = malloc(sizeof(int32_t) * (all * all + 1)),
                    .hoop = vectors(SIDES * LANES), .arched = vectors(SIDES * BENT * LANES),
                    .arched_before = vectors(SIDES * BENT * LANES), .both = vectors(SIDES * BENT * LANES)};
+    for (size_t i = 0; w->at && i < all; ++i)
+        for (size_t j = i; j < all; ++j) w->at[i * all + j] = w->at[j * all + i] = (int32_t)(i * all + j) * LANES;
     return !(w->curved && w->sides && w->axes && w->along && w->lean && w->frames && w->tilt && w->h && w->h_before && w->zk && w->before && w->sums && w->bent &&
-             w->z && w->up && w->down && w->moduli && w->even && w->odd && w->common && w->apart && w->whole && w->full && w->hoop && w->arched && w->arched_before && w->both);
+             w->z && w->up && w->down && w->moduli && w->even && w->odd && w->common && w->apart && w->whole && w->at && w->hoop && w->arched && w->arched_before && w->both);
 }
 
 static void free_boxes(BoxWork *w)
 {
     free(w->curved), free(w->sides), free(w->axes), free(w->along), free(w->lean), free(w->frames), free(w->tilt), free(w->h), free(w->h_before), free(w->zk), free(w->before);
     free(w->sums), free(w->bent), free(w->z), free(w->up), free(w->down), free(w->moduli);
-    free(w->even), free(w->odd), free(w->common), free(w->apart), free(w->whole), free(w->full);
+    free(w->even), free(w->odd), free(w->common), free(w->apart), free(w->whole), free(w->at);
     free(w->hoop), free(w->arched), free(w->arched_before), free(w->both);
 }
 

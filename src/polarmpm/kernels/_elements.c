@@ -117,7 +117,7 @@ INLINE void assemble_elements(const int dim, const int rot, const int second, co
                               const PointKernels *kernels, const Matrix *M, const double *x, const vec *table,
                               double *force, double *rhs, Work *w)
 {
-    const int nb = dim + rot, nz = unknowns_of(dim, rot, second), n = e->nodes, sv = w->sv;
+    const int nb = dim + rot, n = e->nodes, sv = w->sv;
     for (int64_t start = 0; start < b->npoints; start += LANES) {
         const int lanes = evaluate_elements(dim, rot, second, e, kernels, x, table, start, w);
         for (int l = 0, end; l < lanes; l = end) {
@@ -126,13 +126,13 @@ INLINE void assemble_elements(const int dim, const int rot, const int second, co
             if (start + l == first) memset(w->f, 0, sizeof(vec) * nb * sv);
             for (int q = l; q < end; ++q) {
                 double r[UNKNOWNS_MAX];
-                point_terms(dim, rot, second, b, kernels, w, start + q, q, 0, r, M ? w->A + q * nz * nz : NULL);
+                point_terms(dim, rot, second, b, kernels, w, start + q, q, 0, M != NULL, r);
                 add_residual(dim, rot, second, sv, sv, w->shapes + q * SHAPES * sv, r, w->f);
             }
-            for (int P; M && l < end; l += P) {
-                P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
-                add_tangents(dim, rot, second, 0, sv, M->half, P, start + l == first, n, w->A + l * nz * nz,
-                             w->shapes + l * SHAPES * sv, NULL, sv, w->K);
+            if (M) {
+                const Moduli m = find_moduli(dim, rot, second, b, kernels, w, start, l, end, 0);
+                add_tangents(dim, rot, second, 0, sv, M->half, end - l, start + l == first, n, m, w->shapes + l * SHAPES * sv, NULL, sv,
+                             w->packed, w->K);
             }
             if (start + end < last) continue;
             const int32_t *nodes = e->cells + element * n;

@@ -152,10 +152,13 @@ INLINE void pad_groups(const int nb, const Batch *b, const int64_t *group, const
 /* Sums of the lanes from `begin` to `end`: `first`, or to what stands there. */
 INLINE void add_lanes(const lanes_t *from, int n, int begin, int end, int first, lanes_t *sums)
 {
-    mask_t some;
-    for (int l = 0; l < LANES; ++l) some[l] = l >= begin && l < end ? -1 : 0;
-    if (first) for (int k = 0; k < n; ++k) sums[k] = (lanes_t)((mask_t)from[k] & some);
-    else for (int k = 0; k < n; ++k) sums[k] += (lanes_t)((mask_t)from[k] & some);
+    typedef int64_t some_t __attribute__((vector_size(8 * WIDTH)));
+    const vec *part = (const vec *)from;
+    vec *sum = (vec *)sums;
+    some_t some[PARTS];
+    for (int l = 0; l < LANES; ++l) some[l / WIDTH][l % WIDTH] = l >= begin && l < end ? -1 : 0;
+    if (first) for (int k = 0; k < n * PARTS; ++k) sum[k] = (vec)((some_t)part[k] & some[k % PARTS]);
+    else for (int k = 0; k < n * PARTS; ++k) sum[k] += (vec)((some_t)part[k] & some[k % PARTS]);
 }
 
 /* The sums of a group's lanes into nodal forces. */

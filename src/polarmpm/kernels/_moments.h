@@ -35,9 +35,10 @@ FAST int polarmpm_moments(const Batch *b, const PointKernels *kernels, const dou
         for (int l = 0; l < lanes; ++l) {
             const int64_t p = start + l;
             const double *frame = b->state + p * b->nstate;
-            point_terms(b->dim, b->rot, b->second, b, kernels, &w, p, l, coupled, residual + p * nz, tangent ? w.A : NULL);
+            point_terms(b->dim, b->rot, b->second, b, kernels, &w, p, l, coupled, tangent != NULL, residual + p * nz);
             pull_back(b, frame, residual + p * nz, 1);
             if (!tangent) continue;
+            point_moduli(b->dim, b->rot, b->second, b, kernels, &w, p, l, coupled, w.A);
             for (int i = 0; i < nz; ++i) pull_back(b, frame, w.A + i * nz, 1);
             for (int j = 0; j < nz; ++j) pull_back(b, frame, w.A + j, nz);
             double *out = tangent + p * size;

@@ -230,15 +230,10 @@ int polarmpm_gather(const Batch *b, const double *x, int32_t framed, double *z, 
 INLINE void add_points(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
                        const Matrix *M, const Work *w, int64_t start, int64_t g, int l, int end, int coupled)
 {
-    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot, second), sv = w->sv;
-    const int shapes = shapes_of(second);
-    for (int q = l; q < end; ++q)
-        point_moduli(dim, rot, second, b, kernels, w, start + q, q, coupled, w->A + q * nz * nz);
-    for (int P; l < end; l += P) {
-        P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
-        add_tangents(dim, rot, second, 0, nv, M->half, P, start + l == b->offsets[g], n, w->A + l * nz * nz,
-                     w->shapes + l * shapes * sv, NULL, sv, w->K);
-    }
+    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, sv = w->sv;
+    const Moduli m = find_moduli(dim, rot, second, b, kernels, w, start, l, end, coupled);
+    add_tangents(dim, rot, second, 0, nv, M->half, end - l, start + l == b->offsets[g], n, m, w->shapes + l * shapes_of(second) * sv,
+                 NULL, sv, w->packed, w->K);
 }
 
 /* Nodal forces of LANES points, from what the kernels have given. */
@@ -269,6 +264,7 @@ INLINE void assemble(const int dim, const int rot, const int second, const Batch
             const int n = nodes_of(b, g);
             for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
             add_lanes(w->forces, nb * padded_nodes(b), l, end, start + l == b->offsets[g], w->sums);
+            if (M && start + end >= b->offsets[g + 1]) prefetch_rows(dim, b, M, g, nb, n, w->at);
             if (M) add_points(dim, rot, second, b, kernels, M, w, start, g, l, end, coupled);
             if (start + end < b->offsets[g + 1]) continue;
             flush_lanes(nb, b, g, w->sums, force);
@@ -300,18 +296,10 @@ INLINE void add_whole(const int dim, const int rot, const int second, const Batc
                       int l, int end)
 {
     const BoxWork *boxes = &w->boxes;
-    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, all = moduli_of(dim, rot, second), sv = w->sv;
-    for (int P; l < end; l += P, first = 0) {
-        P = end - l >= MANY ? MANY : end - l >= 2 ? 2 : 1;
-        for (int i = 0; i < all; ++i)
-            for (int j = i; j < all; ++j)
-                for (int q = 0; q < P; ++q) {
-                    double *A = boxes->full + q * all * all;
-                    A[i * all + j] = A[j * all + i] = boxes->whole[i * all + j][l + q];
-                }
-        add_tangents(dim, rot, second, 1, nv, M->half, P, first, n, boxes->full, w->shapes + l * shapes_of(second) * sv,
-                     boxes->curved + l * PAIRS * sv, sv, w->K);
-    }
+    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, sv = w->sv;
+    const Moduli m = {(const double *)boxes->whole + l, NULL, boxes->at, 1};
+    add_tangents(dim, rot, second, 1, nv, M->half, end - l, first, n, m, w->shapes + l * shapes_of(second) * sv,
+                 boxes->curved + l * PAIRS * sv, sv, w->packed, w->K);
 }
 
 /* The same while the sides have the moduli of the points: sum_k B_k^T A B_k / 3. */
@@ -320,20 +308,15 @@ INLINE void add_alike(const int dim, const int rot, const int second, const Batc
 {
     const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, nz = unknowns_of(dim, rot, second), sv = w->sv;
     const int64_t size = (int64_t)shapes_of(second) * sv;
+    double weight[LANES];
     for (int q = l; q < end; ++q) {
-        const double weight = b->volume[start + q] * kernels->box_share[start + q] / 3.0;
-        const double *upper = w->out + nz * LANES + q;
-        double *A = w->A + q * nz * nz;
+        weight[q - l] = b->volume[start + q] * kernels->box_share[start + q] / 3.0;
         side_shapes(dim, rot, second, kernels, nv, sv, w->shapes + q * size, q, &w->boxes);
-        for (int i = 0; i < nz; ++i)
-            for (int j = i; j < nz; ++j, upper += LANES) A[i * nz + j] = A[j * nz + i] = weight * *upper;
     }
-    for (int k = 0; k < dim; ++k)
-        for (int q = l, P; q < end; q += P, first = 0) {
-            P = end - q >= MANY ? MANY : end - q >= 2 ? 2 : 1;
-            add_tangents(dim, rot, second, 0, nv, M->half, P, first, n, w->A + q * nz * nz,
-                         w->boxes.sides + (k * LANES + q) * size, NULL, sv, w->K);
-        }
+    const Moduli m = {w->out + nz * LANES + l, weight, w->upper, 1};
+    for (int k = 0; k < dim; ++k, first = 0)
+        add_tangents(dim, rot, second, 0, nv, M->half, end - l, first, n, m, w->boxes.sides + (k * LANES + l) * size, NULL, sv,
+                     w->packed, w->K);
 }
 
 /* Whether a group has nodes that are still to be moved as prescribed. */

@@ -3,76 +3,164 @@
 #ifndef POLARMPM_SCATTER_H
 #define POLARMPM_SCATTER_H
 
-#include "_points.h"
+#include "_transpose.h"
 
-enum { MODULI_MAX = 57 };       /* length of z and of all components' second derivatives, in space with rotations */
+enum {
+    MODULI_MAX = 57,           /* length of z and of all components' second derivatives, in space with rotations */
+    PACKED = 16                /* rows of shapes, in space with second gradients, and second derivatives once more */
+};
 
-/* B^T A B of P points of a group, added to its dense matrix K[node][i][k][nv]; the first points of a group overwrite
- * what an earlier group has left. s holds their shapes, [P][shapes_of(second)][sv] vectors; A is [P][nz][nz].
- * With several points at once an entry of K is read and written once for all of them. Of a symmetric matrix blocks
- * right of the diagonal are summed, and where both nodes are of one vector only entries with i <= k (`mirror`).
- * `filled`: A and B have more rows, second derivatives of all components, behind z; `curved`, [P][PAIRS][sv], are those
- * of the shapes. */
-INLINE void add_tangent(const int dim, const int rot, const int second, const int filled, int nv, int symmetric, const int P,
-                        int first, int n, const double *A, const vec *s, const vec *curved, int sv, vec *K)
+/* Moduli of points: entry (r, c) of the q-th one, of n rows and columns, stands at A[q step + at[r n + c]], to be multiplied
+ * by scale[q] (NULL: one). */
+typedef struct {
+    const double *A, *scale;
+    const int32_t *at;
+    int64_t step;
+} Moduli;
+
+INLINE Moduli later_moduli(Moduli m, int q)
 {
-    const int nb = dim + rot, z = unknowns_of(dim, rot, second), shapes = shapes_of(second), pairs = pairs_of(dim);
-    const int nz = filled ? z + nb * pairs : z;
-    for (int k = 0; k < nb; ++k)
-        for (int v = 0; v < nv; ++v) {
-            const int left = v * WIDTH, right = n > left + WIDTH ? left + WIDTH : n;
-            const int rows = symmetric && !v && !second && !filled ? end_slot(dim, rot, k) : nz;
-            vec T[MANY][MODULI_MAX];  /* column k of A B for the nodes of vector v */
-            for (int q = 0; q < P; ++q) {
-                const vec *sq = s + q * shapes * sv + v;
-                const double *column = A + q * nz * nz + gradient_slot(dim, rot, k);
-                const double *value = A + q * nz * nz + value_slot(dim, rot, k);
-                const double *grown = A + q * nz * nz + second_slot(dim, rot, k), *bent = A + q * nz * nz + z + k * pairs;
-                for (int r = 0; r < rows; ++r) {
-                    vec sum = column[r * nz] * sq[sv];
-                    for (int j = 1; j < dim; ++j) sum += column[r * nz + j] * sq[(1 + j) * sv];
-                    if (has_value(dim, second, k)) sum += value[r * nz] * sq[0];
-                    for (int j = 0; second == SECOND && j < pairs; ++j) sum += grown[r * nz + j] * sq[(1 + dim + j) * sv];
-                    for (int j = 0; filled && j < pairs; ++j) sum += bent[r * nz + j] * curved[(q * PAIRS + j) * sv + v];
-                    T[q][r] = sum;
-                }
-            }
-            for (int i = 0; i < nb; ++i) {
-                const int row = gradient_slot(dim, rot, i), grown = second_slot(dim, rot, i), bent = z + i * pairs;
-                const int end = !symmetric ? n : i > k ? left : right;
-                for (int a = 0; a < end; ++a) {
-                    vec *out = K + ((a * nb + i) * nb + k) * nv + v;
-                    vec sum = first ? (vec){0} : *out;
-                    for (int q = 0; q < P; ++q) {
-                        const double *g = (const double *)(s + q * shapes * sv) + a;
-                        for (int j = 0; j < dim; ++j) sum += g[(1 + j) * sv * WIDTH] * T[q][row + j];
-                        if (has_value(dim, second, i)) sum += g[0] * T[q][value_slot(dim, rot, i)];
-                        for (int j = 0; second == SECOND && j < pairs; ++j)
-                            sum += g[(1 + dim + j) * sv * WIDTH] * T[q][grown + j];
-                    }
-                    *out = sum;
-                }
-                for (int from = 0; filled && from < pairs; from += 3)  /* as many rows of T as there are registers for */
-                    for (int a = 0; a < end; ++a) {
-                        vec *out = K + ((a * nb + i) * nb + k) * nv + v, sum = *out;
-                        for (int q = 0; q < P; ++q) {
-                            const double *h = (const double *)(curved + (q * PAIRS + from) * sv) + a;
-                            for (int j = 0; j < 3; ++j) sum += h[j * sv * WIDTH] * T[q][bent + from + j];
-                        }
-                        *out = sum;
-                    }
+    return (Moduli){m.A + q * m.step, m.scale ? m.scale + q : NULL, m.at, m.step};
+}
+
+/* Rows of B that belong to a component, each a row of the shapes; of those that aren't there, none is stored. */
+INLINE int rows_of_shapes(const int dim, const int second, const int filled)
+{
+    return 1 + dim + ((second == SECOND) + filled) * pairs_of(dim);
+}
+
+/* Columns of A B that are computed at once: with the functions of WIDTH nodes as many sums as there are registers for. */
+INLINE int columns_of(const int nb) { return nb % 3 ? 2 : 3; }
+
+/* Shapes of P points with all that belongs to the nodes of a vector side by side, [vector][MANY][row], once as they are
+ * and once times what moduli are to be multiplied by. */
+INLINE void pack_shapes(const int dim, const int second, const int filled, int nv, int P, const double *scale, const vec *s,
+                        const vec *curved, int sv, vec *rows, vec *scaled)
+{
+    const int all = rows_of_shapes(dim, second, filled), own = rows_of_shapes(dim, second, 0), shapes = shapes_of(second);
+    for (int v = 0; v < nv; ++v)
+        for (int q = 0; q < P; ++q) {
+            const double by = scale ? scale[q] : 1.0;
+            vec *to = rows + (v * MANY + q) * all, *times = scaled + (v * MANY + q) * all;
+            for (int r = 0; r < own; ++r) to[r] = s[(q * shapes + r) * sv + v];
+            for (int r = own; r < all; ++r) to[r] = curved[(q * PAIRS + r - own) * sv + v];
+            for (int r = 0; r < all; ++r) times[r] = by * to[r];
+        }
+}
+
+/* Rows `begin` to `end` of a column of A B, for the nodes of the vectors from `from` to `some`: T[row][step] and [vector].
+ * `at` has the column's places in the moduli of its gradient, its value, its second derivatives, twice. */
+INLINE void find_column(const int dim, const int second, const int filled, const int valued, const int from, const int some,
+                        int begin, int end, int n, const double *A, const int32_t *const *at, const vec *s, const int step,
+                        vec *T)
+{
+    const int pairs = pairs_of(dim), next = MANY * rows_of_shapes(dim, second, filled), grown = 1 + dim;
+    const int bent = grown + (second == SECOND) * pairs;
+    for (int r = begin; r < end; ++r)
+        for (int v = from; v < some; ++v) {
+            const vec *sv = s + v * next;
+            vec sum = A[at[0][r * n]] * sv[1];
+            for (int j = 1; j < dim; ++j) sum += A[at[0][r * n + j]] * sv[1 + j];
+            if (valued) sum += A[at[1][r * n]] * sv[0];
+            for (int j = 0; second == SECOND && j < pairs; ++j) sum += A[at[2][r * n + j]] * sv[grown + j];
+            for (int j = 0; filled && j < pairs; ++j) sum += A[at[3][r * n + j]] * sv[bent + j];
+            T[r * step + v] = sum;
+        }
+}
+
+/* A B of P points, for `columns_of` components from k on and the nodes of `some` vectors: T[q][row][component][vector]. The
+ * first vector needs rows before `end` only. */
+INLINE void find_columns(const int dim, const int rot, const int second, const int filled, const int some, int P, int k,
+                         int end, const int n, Moduli m, const vec *s, vec *T)
+{
+    const int z = unknowns_of(dim, rot, second), columns = columns_of(dim + rot), step = columns * some;
+    for (int q = 0; q < P; ++q, s += rows_of_shapes(dim, second, filled), T += n * step)
+        for (int c = 0; c < columns; ++c) {
+            const double *A = m.A + q * m.step;
+            const int32_t *const at[4] = {m.at + gradient_slot(dim, rot, k + c), m.at + value_slot(dim, rot, k + c),
+                                          m.at + second_slot(dim, rot, k + c), m.at + z + (k + c) * pairs_of(dim)};
+            vec *to = T + c * some;
+            if (has_value(dim, second, k + c)) {
+                find_column(dim, second, filled, 1, 0, some, 0, end, n, A, at, s, step, to);
+                if (some > 1) find_column(dim, second, filled, 1, 1, some, end, n, n, A, at, s, step, to);
+            } else {
+                find_column(dim, second, filled, 0, 0, some, 0, end, n, A, at, s, step, to);
+                if (some > 1) find_column(dim, second, filled, 0, 1, some, end, n, n, A, at, s, step, to);
             }
         }
 }
 
-/* P is 1, 2 or MANY. */
-INLINE void add_tangents(const int dim, const int rot, const int second, const int filled, int nv, int symmetric, int P, int first,
-                         int n, const double *A, const vec *s, const vec *curved, int sv, vec *K)
+/* B^T (A B) for component i of `nodes` nodes, and the components of T: adds to K[node][i][k][nv]. */
+INLINE void add_block(const int dim, const int rot, const int second, const int filled, const int some, const int nodes, int P,
+                      int i, int first, const int n, const vec *T, const double *s, int nv, vec *K)
 {
-    switch (P) {
-    case 1: add_tangent(dim, rot, second, filled, nv, symmetric, 1, first, n, A, s, curved, sv, K); break;
-    case 2: add_tangent(dim, rot, second, filled, nv, symmetric, 2, first, n, A, s, curved, sv, K); break;
-    default: add_tangent(dim, rot, second, filled, nv, symmetric, MANY, first, n, A, s, curved, sv, K);
+    const int nb = dim + rot, pairs = pairs_of(dim), columns = columns_of(nb), step = columns * some, grown = 1 + dim;
+    const int valued = has_value(dim, second, i), bent = grown + (second == SECOND) * pairs;
+    vec sum[WIDTH][3];
+    for (int a = 0; a < nodes; ++a)
+        for (int c = 0; c < columns; ++c) sum[a][c] = first ? (vec){0} : K[(a * nb * nb + c) * nv];
+#define ADD(shape, row)                                                                                               \
+    for (int a = 0; a < nodes; ++a)                                                                                   \
+        for (int c = 0; c < columns; ++c) sum[a][c] += s[(shape) * WIDTH + a] * T[(row) * step + c * some];
+    for (int q = 0; q < P; ++q, T += n * step, s += rows_of_shapes(dim, second, filled) * WIDTH) {
+        for (int j = 0; j < dim; ++j) ADD(1 + j, gradient_slot(dim, rot, i) + j)
+        if (valued) ADD(0, value_slot(dim, rot, i))
+        for (int j = 0; second == SECOND && j < pairs; ++j) ADD(grown + j, second_slot(dim, rot, i) + j)
+        for (int j = 0; filled && j < pairs; ++j) ADD(bent + j, unknowns_of(dim, rot, second) + i * pairs + j)
+    }
+#undef ADD
+    for (int a = 0; a < nodes; ++a)
+        for (int c = 0; c < columns; ++c) K[(a * nb * nb + c) * nv] = sum[a][c];
+}
+
+/* The part of `add_tangents` for the nodes of `some` vectors from the vector v on. */
+INLINE void add_columns(const int dim, const int rot, const int second, const int filled, const int some, int v, int nv,
+                        int symmetric, int P, int first, int n, Moduli m, const vec *rows, const vec *scaled, vec *K)
+{
+    const int nb = dim + rot, columns = columns_of(nb), next = MANY * rows_of_shapes(dim, second, filled);
+    const int nz = unknowns_of(dim, rot, second) + filled * nb * pairs_of(dim);
+    vec T[MANY * MODULI_MAX * 6];
+    for (int k = 0; k < nb; k += columns) {
+        const int end = symmetric && !v && !second && !filled ? end_slot(dim, rot, k + columns - 1) : nz;
+        find_columns(dim, rot, second, filled, some, P, k, end, nz, m, scaled + v * next, T);
+        for (int w = 0; w < some; ++w)
+            for (int i = 0; i < nb; ++i) {
+                const int last = symmetric ? (v + w + (i < k + columns)) * WIDTH : n, all = last < n ? last : n;
+                vec *to = K + (i * nb + k) * nv + v + w;
+                for (int a = 0; a < all; a += WIDTH) {
+                    const double *s = (const double *)(rows + a / WIDTH * next);
+                    if (a + WIDTH <= all)
+                        add_block(dim, rot, second, filled, some, WIDTH, P, i, first, nz, T + w, s, nv, to + a * nb * nb * nv);
+                    else for (int b = a; b < all; ++b)
+                        add_block(dim, rot, second, filled, some, 1, P, i, first, nz, T + w, s + b - a, nv, to + b * nb * nb * nv);
+                }
+            }
+    }
+}
+
+/* B^T A B of points of a group added to its dense matrix K[node][i][k][nv]; the first points of a group overwrite what an
+ * earlier group has left. s holds their shapes, [point][shapes_of(second)][sv] vectors. An entry of K is read and
+ * written once for MANY points. Of a symmetric matrix blocks right of the diagonal are summed, and where both nodes are of
+ * one vector those entries that `mirror` needs, at least.
+ * `filled`: A and B have more rows, second derivatives of all components, behind z; `curved`, [point][PAIRS][sv], are those
+ * of the shapes. `packed`: room for 2 MANY PACKED nv vectors. */
+INLINE void add_tangents(const int dim, const int rot, const int second, const int filled, int nv, int symmetric, int points,
+                         int first, int n, Moduli m, const vec *s, const vec *curved, int sv, vec *packed, vec *K)
+{
+    vec *scaled = packed + MANY * PACKED * nv;
+    for (int p = 0; p < points; p += MANY, first = 0) {
+        const int P = points - p < MANY ? points - p : MANY;
+        const Moduli here = later_moduli(m, p);
+        pack_shapes(dim, second, filled, nv, P, here.scale, s + p * shapes_of(second) * sv, filled ? curved + p * PAIRS * sv : NULL,
+                    sv, packed, scaled);
+        int v = 0;
+        if (nv == 2) {
+            add_columns(dim, rot, second, filled, 2, 0, 2, symmetric, P, first, n, here, packed, scaled, K);
+            continue;
+        }
+        for (; v + 2 <= nv; v += 2)
+            add_columns(dim, rot, second, filled, 2, v, nv, symmetric, P, first, n, here, packed, scaled, K);
+        if (v < nv) add_columns(dim, rot, second, filled, 1, v, nv, symmetric, P, first, n, here, packed, scaled, K);
     }
 }
 
@@ -148,6 +236,33 @@ INLINE void mirror(const int nb, int n, int64_t cols, double *K)
                     K[((a * nb + i) * nb + j) * cols + q] = K[((q * nb + j) * nb + i) * cols + a];
 }
 
+/* A row of the dense matrix, of a component of node a, into its sparse row, for the nodes from `begin` to n: with six
+ * components a vector of nodes at once. */
+INLINE void add_row(const int nb, int begin, int n, const double *K, int64_t cols, const Place *at, double *out)
+{
+    typedef double pair_t __attribute__((vector_size(16), aligned(8)));
+    typedef int64_t places __attribute__((vector_size(8 * WIDTH)));
+    for (int from = begin - begin % WIDTH; nb == 6 && from < n; from += WIDTH) {
+        const vec *k = (const vec *)(K + from);
+        const int64_t step = cols / WIDTH;
+        const vec left = k[4 * step], right = k[5 * step];
+        vec first[WIDTH], last[2];
+        TRANSPOSE(k[0], k[step], k[2 * step], k[3 * step], first)
+        last[0] = __builtin_shuffle(left, right, (places){0, 4, 1, 5});
+        last[1] = __builtin_shuffle(left, right, (places){2, 6, 3, 7});
+        for (int l = 0; l < WIDTH; ++l) {
+            if (from + l < begin || from + l >= n) continue;
+            double *block = out + at[from + l].column;
+            *(row_t *)block += first[l];
+            *(pair_t *)(block + WIDTH) += *(const pair_t *)((const double *)last + 2 * l);
+        }
+    }
+    for (int q = begin; nb != 6 && q < n; ++q) {
+        double *block = out + at[q].column;
+        for (int j = 0; j < nb; ++j) block[j] += K[j * cols + q];
+    }
+}
+
 /* The dense matrix of n nodes, of which `at` has the codes, into the sparse rows; entry (i, j) of the pair (a, q) stands
  * at K[((a nb + i) nb + j) cols + q]. */
 INLINE void flush_nodes(const int dim, const Matrix *M, const int32_t *nodes, const int nb, int n, int nv, double *K,
@@ -174,16 +289,27 @@ INLINE void flush_nodes(const int dim, const Matrix *M, const int32_t *nodes, co
         for (int i = 0; i < nb; ++i) {
             double *out = M->values + M->row_start[(int64_t)nodes[a] * nb + i];
             for (int j = M->half ? i : 0; j < nb; ++j) out[at[a].column + j] += Ka[(i * nb + j) * cols + a];
-            for (int q = begin; q < n; ++q) {
-                if (q == a) continue;
-                double *block = out + at[q].column;
-                for (int j = 0; j < nb; ++j) block[j] += Ka[(i * nb + j) * cols + q];
-            }
+            if (!M->half) add_row(nb, 0, a, Ka + i * nb * cols, cols, at, out);
+            add_row(nb, a + 1, n, Ka + i * nb * cols, cols, at, out);
         }
     }
 }
 
-/* The same of a group. */
+/* Asks for what `flush_matrix` of a group will add to, while there is other work to do. */
+INLINE void prefetch_rows(const int dim, const Batch *b, const Matrix *M, int64_t g, const int nb, int n, Place *at)
+{
+    const int32_t *nodes = b->nodes + b->node_offsets[g];
+    set_codes(b, M, b->count + g * b->dim, at);
+    for (int a = 0; a < n; ++a) {
+        const int64_t *row = M->row_start + (int64_t)nodes[a] * nb;
+        for (int q = M->half ? a : 0; q < n; ++q) {
+            set_place(dim, M, nodes, at, a, q, nb);
+            for (int i = 0; i < nb; ++i) __builtin_prefetch(M->values + row[i] + at[q].column, 1, 2);
+        }
+    }
+}
+
+/* The dense matrix of a group into the sparse rows. */
 INLINE void flush_matrix(const Batch *b, const Matrix *M, int64_t g, const int nb, int n, int nv, double *K, Place *at,
                          double *rhs)
 {

@@ -7,8 +7,6 @@
 
 enum { PARTS = LANES / WIDTH }; /* lanes are treated WIDTH at a time: sums stay in registers */
 
-typedef double row_t __attribute__((vector_size(8 * WIDTH), aligned(8)));  /* anywhere in memory */
-
 /* Rows of four vectors as columns. */
 #define TRANSPOSE(a, b, c, d, to)                                                                                     \
     {                                                                                                                 \

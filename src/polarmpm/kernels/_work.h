@@ -8,7 +8,8 @@
 typedef struct {
     double *in, *out, *cin, *cout, *iin, *iout, *A;
     vec *shapes, *x, *before, *f, *K;  /* shapes [lane][shapes_of(second)][sv], nodal values [component][sv] of a group */
-    vec *raw;                          /* what second_shape needs */
+    vec *raw, *packed;                 /* what second_shape, and add_tangents, need */
+    int32_t *each, *upper;             /* [nz][nz] where moduli stand in A, and in what a kernel gives, from `out` + nz LANES on */
     lanes_t *weights, *rows;           /* of LANES points: their weights; values and derivatives, see _lanes.h */
     lanes_t *nodal, *nodal_before;     /* nodal values of the lanes' groups */
     lanes_t *forces, *sums;            /* nodal forces of lanes, and of those of a group */
@@ -59,19 +60,39 @@ INLINE void point_moduli(const int dim, const int rot, const int second, const B
                 A[(turn + i) * nz + turn + j] += w->cout[(SPIN * (1 + i) + j) * LANES + l];
 }
 
-/* What a point's virtual work multiplies, times its volume, r [nz], and if wanted its moduli, A; gradients in the point's
- * frame. */
+/* The moduli of points l .. end of these lanes, times their volumes: as the kernel has written them where nothing else adds
+ * to them. */
+INLINE Moduli find_moduli(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels, const Work *w,
+                          int64_t start, int l, int end, int coupled)
+{
+    const int nz = unknowns_of(dim, rot, second);
+    int other = coupled || kernels->initial;
+    for (int q = l; kernels->returned_of && q < end; ++q) other |= kernels->returned_of[start + q] >= 0;
+    if (!other) return (Moduli){w->out + nz * LANES + l, b->volume + start + l, w->upper, 1};
+    for (int q = l; q < end; ++q)
+        point_moduli(dim, rot, second, b, kernels, w, start + q, q, coupled, w->A + q * nz * nz);
+    return (Moduli){w->A + l * nz * nz, NULL, w->each, nz * nz};
+}
+
+/* What a point's virtual work multiplies, times its volume, r [nz]; gradients in the point's frame. `tangent`: returned
+ * ones have moduli behind it. */
 INLINE void point_terms(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
-                        const Work *w, int64_t p, int l, int coupled, double *r, double *A)
+                        const Work *w, int64_t p, int l, int coupled, int tangent, double *r)
 {
     const int nz = unknowns_of(dim, rot, second), turn = value_slot(dim, rot, dim);
     const int64_t row = kernels->returned_of ? kernels->returned_of[p] : -1;
-    const double *block = row < 0 ? NULL : kernels->returned + row * (nz + (A ? nz * nz : 0)), volume = b->volume[p];
+    const double *block = row < 0 ? NULL : kernels->returned + row * (nz + (tangent ? nz * nz : 0)), volume = b->volume[p];
     for (int k = 0; k < nz; ++k) r[k] = volume * (block ? block[k] : w->out[k * LANES + l]);
     for (int k = 0; kernels->initial && k < nz; ++k) r[k] += volume * w->iout[k * LANES + l];
     if (coupled)
         for (int k = 0; k < SPIN; ++k) r[turn + k] += w->cout[k * LANES + l];
-    if (A) point_moduli(dim, rot, second, b, kernels, w, p, l, coupled, A);
+}
+
+/* Where the entries of a symmetric matrix of lanes stand of which the upper triangle is stored, row by row: at [n][n]. */
+static void set_upper(int n, int32_t *at)
+{
+    for (int i = 0, k = 0; i < n; ++i)
+        for (int j = i; j < n; ++j, ++k) at[i * n + j] = at[j * n + i] = k * LANES;
 }
 
 /* Memory for the evaluation of points, with `scatter` for sums of a group, with `boxes` (2: for their whole tangent) for
@@ -87,15 +108,19 @@ static int create_work(const Batch *b, int tangent, int scatter, int boxes, Work
                 .iin = vectors((nz + b->dim * b->dim + INITIAL_MAX) * LANES), .iout = vectors((size_t)outputs * LANES),
                 .A = vectors((size_t)LANES * nz * nz),
                 .shapes = vectors(LANES * shapes_of(b->second) * stride),
+                .each = malloc(sizeof(int32_t) * nz * nz), .upper = malloc(sizeof(int32_t) * nz * nz),
+                .packed = vectors(tangent && scatter ? 2 * MANY * PACKED * stride : 1),
                 .raw = vectors(b->second == SECOND ? (3 + PAIRS) * stride : 1), .x = vectors(nb * stride), .before = vectors(nb * stride),
                 .f = vectors(nb * stride), .K = vectors(tangent && scatter ? most * nb * nb * stride : 1),
                 .at = malloc(sizeof(Place) * (most + 1)), .sv = (int)sv, .gathered = -1,
                 .weights = vectors((size_t)b->dim * b->orders * b->slots * LANES), .rows = vectors(nb * ROWS * LANES),
                 .nodal = vectors(padded), .nodal_before = vectors(padded), .forces = vectors(scatter ? padded : 1),
                 .sums = vectors(scatter ? padded : 1), .room = vectors(padded), .shaped = tangent && scatter};
-    if (!(w->in && w->out && w->cin && w->cout && w->iin && w->iout && w->A && w->shapes && w->raw && w->x && w->before && w->f && w->K && w->at && w->weights &&
+    if (!(w->in && w->out && w->cin && w->cout && w->iin && w->iout && w->A && w->shapes && w->raw && w->packed && w->each && w->upper && w->x && w->before && w->f && w->K && w->at && w->weights &&
           w->rows && w->nodal && w->nodal_before && w->forces && w->sums && w->room))
         return 1;
+    for (int i = 0; i < nz * nz; ++i) w->each[i] = i;
+    set_upper(nz, w->upper);
     for (int k = 0; k < b->nparam; ++k)
         for (int l = 0; l < LANES; ++l) w->in[(nz + b->nstate + k) * LANES + l] = b->param[k];
     return boxes && create_boxes(b, w->sv, scatter, boxes > 1, &w->boxes);
@@ -104,7 +129,7 @@ static int create_work(const Batch *b, int tangent, int scatter, int boxes, Work
 static void free_work(Work *w)
 {
     free(w->in), free(w->out), free(w->cin), free(w->cout), free(w->iin), free(w->iout), free(w->A);
-    free(w->shapes), free(w->raw), free(w->x), free(w->before), free(w->f), free(w->K), free(w->at);
+    free(w->shapes), free(w->raw), free(w->packed), free(w->each), free(w->upper), free(w->x), free(w->before), free(w->f), free(w->K), free(w->at);
     free(w->weights), free(w->rows), free(w->nodal), free(w->nodal_before), free(w->forces), free(w->sums), free(w->room);
     free_boxes(&w->boxes);
 }

@@ -9,20 +9,32 @@ from .graph import Graph
 LANES = 8  # points in one kernel call
 # statements from which a function is divided, and of each part: compilers take time with their squares, while
 # the code hardly gets slower (docs/performance.md)
-_LONG, _PART = 2000, 500
+_LONG, _PART = 2000, 250
 
 
-def _used(graph: Graph, outputs: Sequence[int]) -> list[int]:
-    seen: set[int] = set()
-    stack = list(outputs)
-    while stack:
-        i = stack.pop()
-        if i not in seen:
-            seen.add(i)
-            node = graph.nodes[i]
-            if node[0] not in ("const", "in"):
-                stack.extend(a for a in node[1:] if isinstance(a, int))
-    return sorted(seen)  # operands always have smaller numbers than their results
+def _steps(graph: Graph, outputs: Sequence[int]) -> list[int]:
+    """Nodes of the outputs but constants, operands before their results: one output after the other, and of
+    operands the one with the most operations in a row first. So terms of a sum stand together, and far less
+    goes through memory than in the order in which UFL was evaluated, term by term of all sums."""
+    depth: dict[int, int] = {}  # operations one after the other up to a node
+    waiting = list(outputs)
+    while waiting:
+        i = waiting[-1]
+        operands = _operands(graph, i)
+        open_ones = [a for a in operands if a not in depth]
+        if i in depth or not open_ones:
+            waiting.pop()
+            depth.setdefault(i, 1 + max((depth[a] for a in operands), default=0))
+        waiting += open_ones
+    steps: dict[int, None] = {}
+    waiting = [i for i in reversed(outputs) if graph.value(i) is None]
+    while waiting:
+        i = waiting[-1]
+        open_ones = [a for a in _operands(graph, i) if a not in steps]
+        if i in steps or not open_ones:
+            steps.setdefault(waiting.pop())
+        waiting += sorted(open_ones, key=depth.__getitem__)
+    return list(steps)
 
 
 _COMPARE = {"<", ">", "<=", ">=", "==", "!="}
@@ -88,16 +100,18 @@ def write_c(graph: Graph, functions: dict[str, Sequence[int]]) -> str:
     """C code of the named functions; each writes its list of graph nodes to `out`."""
     bodies, called = [], set()
     for name, outputs in functions.items():
-        used = _used(graph, outputs)
-        for i in used:
+        steps = _steps(graph, outputs)
+        for i in steps:
             node = graph.nodes[i]
             if node[0] == "call" and not _is_mask(graph, i):
                 called.add(node[1])
-        steps = [i for i in used if graph.nodes[i][0] != "const"]
         if len(steps) > _LONG:
             bodies.append(_in_parts(graph, name, steps, outputs))
             continue
-        lines = [_statement(graph, i) for i in steps] + [_output(graph, k, i) for k, i in enumerate(outputs)]
+        lines, written = [], _written(graph, outputs)
+        for i in steps:
+            lines += [_statement(graph, i), *written.get(i, ())]
+        lines += _constants(graph, outputs)
         bodies.append(_whole(name, lines))
     return _PRELUDE + _helpers(called) + "\n" + "\n".join(bodies)
 
@@ -105,6 +119,18 @@ def write_c(graph: Graph, functions: dict[str, Sequence[int]]) -> str:
 def _output(graph: Graph, k: int, i: int) -> str:
     value = graph.value(i)
     return f"out[{k} * PARTS] = " + (f"t{i};" if value is None else f"splat({value!r});")
+
+
+def _written(graph: Graph, outputs: Sequence[int]) -> dict[int, list[str]]:
+    """Statements that write a node to its outputs, at once: until then it would take a register."""
+    lines: dict[int, list[str]] = {}
+    for k, i in enumerate(outputs):
+        lines.setdefault(i, []).append(_output(graph, k, i))
+    return lines
+
+
+def _constants(graph: Graph, outputs: Sequence[int]) -> list[str]:
+    return [_output(graph, k, i) for k, i in enumerate(outputs) if graph.value(i) is not None]
 
 
 def _function(head: str, lines: Sequence[str]) -> str:
@@ -126,36 +152,31 @@ def _in_parts(graph: Graph, name: str, steps: Sequence[int], outputs: Sequence[i
     The time that GCC takes to give values their registers goes with the square of a function's length.
     """
     parts = [steps[k : k + _PART] for k in range(0, len(steps), _PART)]
-    ends = _last_parts(graph, parts)
-    written: dict[int, list[int]] = {}
-    for k, i in enumerate(outputs):
-        written.setdefault(i, []).append(k)
+    ends, written = _last_parts(graph, parts), _written(graph, outputs)
     slots: dict[int, int] = {}  # of what is handed on
     free: list[int] = []
     size, pieces = 0, []
     for p, part in enumerate(parts):
-        own, before, after = set(part), [], []
-        for i in sorted({a for j in part for a in _operands(graph, j)} - own):
-            if graph.nodes[i][0] == "in":
-                before.append(_statement(graph, i))
-            else:
-                kind = "m" if _is_mask(graph, i) else "v"
-                before.append(f"{kind} t{i} = ({kind})kept[{slots[i]}];")
-        for i in [i for i in slots if ends[i] == p]:
-            free.append(slots.pop(i))
+        here, lines = set(), []
         for i in part:
-            after += [_output(graph, k, i) for k in written.get(i, ())]
+            for a in dict.fromkeys(a for a in _operands(graph, i) if a not in here):  # from an earlier part
+                kind = "m" if _is_mask(graph, a) else "v"
+                known = graph.nodes[a][0] == "in"
+                lines.append(_statement(graph, a) if known else f"{kind} t{a} = ({kind})kept[{slots[a]}];")
+                here.add(a)
+            lines += [_statement(graph, i), *written.get(i, ())]
+            here.add(i)
             if ends.get(i, p) > p and graph.nodes[i][0] != "in":
                 if not free:
                     free, size = [size], size + 1
                 slots[i] = free.pop()
-                after.append(f"kept[{slots[i]}] = (v)t{i};")
-        lines = before + [_statement(graph, i) for i in part] + after
+                lines.append(f"kept[{slots[i]}] = (v)t{i};")
+        for i in [i for i in slots if ends[i] == p]:
+            free.append(slots.pop(i))
         head = f"static __attribute__((noinline)) void {name}_{p}"
         pieces.append(_function(f"{head}(const v *restrict in, v *restrict out, v *restrict kept)", lines))
-    constants = [_output(graph, k, i) for k, i in enumerate(outputs) if graph.value(i) is not None]
     calls = [f"v kept[{max(size, 1)}];", *(f"{name}_{p}(in, out, kept);" for p in range(len(parts)))]
-    return "\n".join([*pieces, _whole(name, calls + constants)])
+    return "\n".join([*pieces, _whole(name, calls + _constants(graph, outputs))])
 
 
 def _operands(graph: Graph, i: int) -> list[int]:
