@@ -18,6 +18,7 @@ import ufl
 import polarmpm as pm
 from polarmpm.basis.registry import BASES
 from polarmpm.solvers import newton
+from polarmpm.tools import compat
 
 COMM = MPI.COMM_WORLD
 
@@ -35,6 +36,17 @@ def _fibres(E: Any, G: Any, p: Any) -> Any:
 
 # stiff along one direction of the reference configuration
 ANISOTROPIC = pm.UserEnergy(_fibres, {**MICROPOLAR.parameters(), "k": 5e3})
+
+
+_compile_form = compat.compile_form
+
+
+def _compile_form_fast(form: Any, optimisation: str = "") -> Any:
+    """dolfinx' forms are for a few cells here; optimising them takes six times as long as not to."""
+    return _compile_form(form, "-O0")
+
+
+compat.compile_form = _compile_form_fast
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -93,7 +93,10 @@ def put_state(points):
         )
 
 
-@pytest.mark.parametrize("material", [SOFT, MICROPOLAR, PLASTIC], ids=["soft", "micropolar", "plastic"])
+SLOWLY = pytest.param(PLASTIC, id="plastic", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("material", [SOFT, MICROPOLAR, SLOWLY])
 def test_tangent_of_elements(material):
     problem = of_elements(material, 2)
     put_state(problem.points)

@@ -30,8 +30,8 @@ CASES = [
     ("quadrilateral", 1, MICROPOLAR),
     ("hexahedron", 1, NEO_HOOKEAN),
     ("quadrilateral", 1, plasticity.cylinder(plasticity.HENCKY)),
-    ("hexahedron", 1, plasticity.cylinder(NEO_HOOKEAN)),
-    ("quadrilateral", 1, plasticity.cone(plasticity.HENCKY)),
+    pytest.param("hexahedron", 1, plasticity.cylinder(NEO_HOOKEAN), marks=pytest.mark.slow),
+    pytest.param("quadrilateral", 1, plasticity.cone(plasticity.HENCKY), marks=pytest.mark.slow),
 ]
 
 
@@ -133,6 +133,7 @@ def test_a_turned_plastic_body_in_space_is_the_same_body(strict):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * np.abs(other).max())
 
 
+@pytest.mark.slow  # where its kernels in space aren't compiled yet
 def test_a_micropolar_footing_in_space_is_that_of_the_plane():
     """A slice of a strip footing on von Mises soil, l = b / 50: uncured it carries four times as much."""
     loads = []

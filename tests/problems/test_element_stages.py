@@ -94,6 +94,7 @@ def test_points_heave_as_elements_do(material: pm.Material) -> None:
     np.testing.assert_allclose(*heaves, rtol=0.02)
 
 
+@pytest.mark.slow  # where its kernels aren't compiled yet
 def test_clay_heaves_alike_as_it_is_dug_out_in_stages() -> None:
     heaves = []
     for problem in (make(CLAY, overconsolidation=1.5) for make in (trench, by_points)):

@@ -85,6 +85,7 @@ def test_points_at_rest_do_not_move(material: Any, options: Any, height: float) 
     stays(problem, ground, height, 2.0 * height * WEIGHT)
 
 
+@pytest.mark.slow  # where its kernels in space aren't compiled yet
 def test_points_in_space_at_rest_do_not_move() -> None:
     problem = on_points(HENCKY, 2.63, dim=3)
     stays(problem, at_rest(problem, 2.63), 2.63, 4.0 * 2.63 * WEIGHT)

@@ -109,7 +109,7 @@ def test_symmetric_method_near_its_threshold():
     assert cantilever("nitsche", 1e6, degree=1)[0] == pytest.approx(1.8012, abs=1e-4)
 
 
-@pytest.mark.parametrize("material", [SOLID, POLAR])
+@pytest.mark.parametrize("material", [SOLID, pytest.param(POLAR, marks=pytest.mark.slow)])
 def test_elements_in_space(material):
     """Held nearly as by nodes, rotations too; forces and moments balance."""
     tips = []

@@ -24,6 +24,7 @@ def test_waves(folder):
     assert {row["method"] for row in found["waves"]} == {"points", "elements"}
 
 
+@pytest.mark.slow
 def test_granular_column(folder):
     """The first moments on a coarse grid: the front begins to run, without any cut step."""
     found = demo_result(folder, "granular_column", "--cells", "0.02", "--time", "0.08", "--steps", "40")

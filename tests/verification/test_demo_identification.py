@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from ..helpers.demos import demo_result
 
 
+@pytest.mark.slow
 def test_wires(folder):
     options = ["--cells", "2", "--diameters", "20", "--free", "l_p"]
     result = demo_result(folder, "identify_wires", *options)

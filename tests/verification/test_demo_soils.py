@@ -15,6 +15,7 @@ def run(folder):
     return partial(demo_result, folder)
 
 
+@pytest.mark.slow
 def test_factor_of_safety_of_a_slope_on_coarse_cells(run):
     """Cells of a tenth of the height: a little too strong. What trials say is what the bracket says."""
     options = ("--cell", "1", "--points-per-cell", "2", "--low", "1.3", "--high", "1.5", "--width", "0.1")
