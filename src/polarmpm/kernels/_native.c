@@ -226,14 +226,22 @@ int polarmpm_gather(const Batch *b, const double *x, int32_t framed, double *z, 
     return failed;
 }
 
+/* Called, not compiled into each of the loops: they take minutes to compile. */
+INLINE void sum_tangents(const int dim, const int rot, const int second, const Batch *b, int symmetric, int points, int first, int n,
+                         Moduli m, const vec *s, const Work *w)
+{
+    add_tangents(dim, rot, second, 0, (n + WIDTH - 1) / WIDTH, symmetric, points, first, n, m, s, NULL, w->sv, w->packed, w->K);
+}
+
+SPECIALISED(sum_tangents, (const Batch *b, int symmetric, int points, int first, int n, Moduli m, const vec *s, const Work *w), b,
+            symmetric, points, first, n, m, s, w)
+
 /* Points l .. end of these lanes, all of group g: their tangents into the group's sums. */
 INLINE void add_points(const int dim, const int rot, const int second, const Batch *b, const PointKernels *kernels,
                        const Matrix *M, const Work *w, int64_t start, int64_t g, int l, int end, int coupled)
 {
-    const int n = nodes_of(b, g), nv = (n + WIDTH - 1) / WIDTH, sv = w->sv;
     const Moduli m = find_moduli(dim, rot, second, b, kernels, w, start, l, end, coupled);
-    add_tangents(dim, rot, second, 0, nv, M->half, end - l, start + l == b->offsets[g], n, m, w->shapes + l * shapes_of(second) * sv,
-                 NULL, sv, w->packed, w->K);
+    sum_tangents_sized(b, M->half, end - l, start + l == b->offsets[g], nodes_of(b, g), m, w->shapes + l * shapes_of(second) * w->sv, w);
 }
 
 /* Nodal forces of LANES points, from what the kernels have given. */
@@ -315,8 +323,7 @@ INLINE void add_alike(const int dim, const int rot, const int second, const Batc
     }
     const Moduli m = {w->out + nz * LANES + l, weight, w->upper, 1};
     for (int k = 0; k < dim; ++k, first = 0)
-        add_tangents(dim, rot, second, 0, nv, M->half, end - l, first, n, m, w->boxes.sides + (k * LANES + l) * size, NULL, sv,
-                     w->packed, w->K);
+        sum_tangents_sized(b, M->half, end - l, first, n, m, w->boxes.sides + (k * LANES + l) * size, w);
 }
 
 /* Whether a group has nodes that are still to be moved as prescribed. */

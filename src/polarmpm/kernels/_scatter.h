@@ -154,10 +154,6 @@ INLINE void add_tangents(const int dim, const int rot, const int second, const i
         pack_shapes(dim, second, filled, nv, P, here.scale, s + p * shapes_of(second) * sv, filled ? curved + p * PAIRS * sv : NULL,
                     sv, packed, scaled);
         int v = 0;
-        if (nv == 2) {
-            add_columns(dim, rot, second, filled, 2, 0, 2, symmetric, P, first, n, here, packed, scaled, K);
-            continue;
-        }
         for (; v + 2 <= nv; v += 2)
             add_columns(dim, rot, second, filled, 2, v, nv, symmetric, P, first, n, here, packed, scaled, K);
         if (v < nv) add_columns(dim, rot, second, filled, 1, v, nv, symmetric, P, first, n, here, packed, scaled, K);
