@@ -93,10 +93,10 @@ def put_state(points):
         )
 
 
-SLOWLY = pytest.param(PLASTIC, id="plastic", marks=pytest.mark.slow)
+MATERIALS = [SOFT, MICROPOLAR, pytest.param(PLASTIC, marks=pytest.mark.slow)]
 
 
-@pytest.mark.parametrize("material", [SOFT, MICROPOLAR, SLOWLY])
+@pytest.mark.parametrize("material", MATERIALS, ids=["soft", "micropolar", "plastic"])
 def test_tangent_of_elements(material):
     problem = of_elements(material, 2)
     put_state(problem.points)
