@@ -272,7 +272,7 @@ INLINE void assemble(const int dim, const int rot, const int second, const Batch
             const int n = nodes_of(b, g);
             for (end = l + 1; end < lanes && group_of[end] == g; ++end) {}
             add_lanes(w->forces, nb * padded_nodes(b), l, end, start + l == b->offsets[g], w->sums);
-            if (M && start + end >= b->offsets[g + 1]) prefetch_rows(dim, b, M, g, nb, n, w->at);
+            if (dim == 3 && M && start + end >= b->offsets[g + 1]) prefetch_rows(dim, b, M, g, nb, n, w->at);
             if (M) add_points(dim, rot, second, b, kernels, M, w, start, g, l, end, coupled);
             if (start + end < b->offsets[g + 1]) continue;
             flush_lanes(nb, b, g, w->sums, force);

@@ -138,6 +138,49 @@ INLINE void add_columns(const int dim, const int rot, const int second, const in
     }
 }
 
+/* B^T A B of P points in the plane, of few nodes with few unknowns: a column of K after the other, as there is little to
+ * keep in registers. A is [P][nz][nz]. */
+INLINE void add_few(const int dim, const int rot, const int second, int nv, int symmetric, const int P,
+                        int first, int n, const double *A, const vec *s, int sv, vec *K)
+{
+    const int nb = dim + rot, nz = unknowns_of(dim, rot, second), shapes = shapes_of(second), pairs = pairs_of(dim);
+    for (int k = 0; k < nb; ++k)
+        for (int v = 0; v < nv; ++v) {
+            const int left = v * WIDTH, right = n > left + WIDTH ? left + WIDTH : n;
+            const int rows = symmetric && !v && !second ? end_slot(dim, rot, k) : nz;
+            vec T[MANY][MODULI_MAX];  /* column k of A B for the nodes of vector v */
+            for (int q = 0; q < P; ++q) {
+                const vec *sq = s + q * shapes * sv + v;
+                const double *column = A + q * nz * nz + gradient_slot(dim, rot, k);
+                const double *value = A + q * nz * nz + value_slot(dim, rot, k);
+                const double *grown = A + q * nz * nz + second_slot(dim, rot, k);
+                for (int r = 0; r < rows; ++r) {
+                    vec sum = column[r * nz] * sq[sv];
+                    for (int j = 1; j < dim; ++j) sum += column[r * nz + j] * sq[(1 + j) * sv];
+                    if (has_value(dim, second, k)) sum += value[r * nz] * sq[0];
+                    for (int j = 0; second == SECOND && j < pairs; ++j) sum += grown[r * nz + j] * sq[(1 + dim + j) * sv];
+                    T[q][r] = sum;
+                }
+            }
+            for (int i = 0; i < nb; ++i) {
+                const int row = gradient_slot(dim, rot, i), grown = second_slot(dim, rot, i);
+                const int end = !symmetric ? n : i > k ? left : right;
+                for (int a = 0; a < end; ++a) {
+                    vec *out = K + ((a * nb + i) * nb + k) * nv + v;
+                    vec sum = first ? (vec){0} : *out;
+                    for (int q = 0; q < P; ++q) {
+                        const double *g = (const double *)(s + q * shapes * sv) + a;
+                        for (int j = 0; j < dim; ++j) sum += g[(1 + j) * sv * WIDTH] * T[q][row + j];
+                        if (has_value(dim, second, i)) sum += g[0] * T[q][value_slot(dim, rot, i)];
+                        for (int j = 0; second == SECOND && j < pairs; ++j)
+                            sum += g[(1 + dim + j) * sv * WIDTH] * T[q][grown + j];
+                    }
+                    *out = sum;
+                }
+            }
+        }
+}
+
 /* B^T A B of points of a group added to its dense matrix K[node][i][k][nv]; the first points of a group overwrite what an
  * earlier group has left. s holds their shapes, [point][shapes_of(second)][sv] vectors. An entry of K is read and
  * written once for MANY points. Of a symmetric matrix blocks right of the diagonal are summed, and where both nodes are of
@@ -148,6 +191,17 @@ INLINE void add_tangents(const int dim, const int rot, const int second, const i
                          int first, int n, Moduli m, const vec *s, const vec *curved, int sv, vec *packed, vec *K)
 {
     vec *scaled = packed + MANY * PACKED * nv;
+    if (dim == 2 && !filled && m.step > 1) {
+        const int shapes = shapes_of(second) * sv;
+        for (int p = 0, P; p < points; p += P, first = 0) {
+            const double *A = m.A + p * m.step;
+            P = points - p >= MANY ? MANY : points - p >= 2 ? 2 : 1;
+            if (P == MANY) add_few(dim, rot, second, nv, symmetric, MANY, first, n, A, s + p * shapes, sv, K);
+            else if (P == 2) add_few(dim, rot, second, nv, symmetric, 2, first, n, A, s + p * shapes, sv, K);
+            else add_few(dim, rot, second, nv, symmetric, 1, first, n, A, s + p * shapes, sv, K);
+        }
+        return;
+    }
     for (int p = 0; p < points; p += MANY, first = 0) {
         const int P = points - p < MANY ? points - p : MANY;
         const Moduli here = later_moduli(m, p);

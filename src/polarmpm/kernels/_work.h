@@ -66,8 +66,8 @@ INLINE Moduli find_moduli(const int dim, const int rot, const int second, const 
                           int64_t start, int l, int end, int coupled)
 {
     const int nz = unknowns_of(dim, rot, second);
-    int other = coupled || kernels->initial;
-    for (int q = l; kernels->returned_of && q < end; ++q) other |= kernels->returned_of[start + q] >= 0;
+    int other = dim == 2 || coupled || kernels->initial;  /* in the plane, see add_few */
+    for (int q = l; !other && kernels->returned_of && q < end; ++q) other |= kernels->returned_of[start + q] >= 0;
     if (!other) return (Moduli){w->out + nz * LANES + l, b->volume + start + l, w->upper, 1};
     for (int q = l; q < end; ++q)
         point_moduli(dim, rot, second, b, kernels, w, start + q, q, coupled, w->A + q * nz * nz);
