@@ -5,7 +5,7 @@ cd "$(dirname "$0")/.."
 
 case "${1:-test}" in
   # Tests that start mpirun themselves are left to the native suite: here others run on 2 ranks, too, every second one
-  # of what ranks share.
+  # of what ranks share, which one depends on the version.
   test)
     make test-fast PYTEST_ARGS='-m "not slow and not mpi"'
     exec make test-mpi RANKS=2 PYTEST_ARGS='tests/assembly tests/bodies tests/conditions tests/io tests/problems \
