@@ -20,7 +20,7 @@ cc -O1 -shared -fPIC -o "$logs/idle.so" tests/helpers/idle.c
 
 # A rank that fails alone leaves the others waiting for it: hence the time limit, and the stacks of those that wait.
 status=0
-timeout -k 30 "${MPI_TIMEOUT:-1200}" mpirun -n "$ranks" sh -c '
+timeout -k 30 "${MPI_TIMEOUT:-1800}" mpirun -n "$ranks" sh -c '
   logs=$1
   shift
   [ "$OMPI_COMM_WORLD_RANK" = 0 ] || exec >"$logs/rank-$OMPI_COMM_WORLD_RANK.txt" 2>&1
@@ -31,7 +31,7 @@ if [ "$status" != 0 ]; then
   for log in "$logs"/*.txt; do
     [ ! -f "$log" ] || { printf '\n%s\n' "--- ${log##*/} (last 200 lines)" && tail -n 200 "$log"; } >&2
   done
-  [ "$status" != 124 ] || echo "the tests on $ranks ranks took longer than ${MPI_TIMEOUT:-1200} s" >&2
+  [ "$status" != 124 ] || echo "the tests on $ranks ranks took longer than ${MPI_TIMEOUT:-1800} s" >&2
   echo "the tests on $ranks ranks failed (status $status)" >&2
 fi
 exit "$status"
