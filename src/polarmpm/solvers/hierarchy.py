@@ -210,11 +210,8 @@ class Lattices:
         """Of the finest rows (nodes, block)."""
         level = self.finest
         kept, b = level.rows.kept, level.block
-        if not hasattr(self, "_diagonal_at"):
-            row, at = level.pairs
-            at = at[kept["cols"] == row].astype(np.int64)[:, None] * b + np.arange(b)
-            self._diagonal_at = kept["row_start"].reshape(-1, b) + at
-        found: np.ndarray = kept["values"][self._diagonal_at]
+        own = level.relaxation.kept["own"].astype(np.int64)[:, None] * b + np.arange(b)
+        found: np.ndarray = kept["values"][kept["row_start"].reshape(-1, b) + own]
         return found
 
     def _renew_coarsest(self) -> None:
